@@ -1,0 +1,117 @@
+//! The judge: every point against every sample, in `f64`, from the points as the file stores them.
+
+use super::kernel::Kernel;
+use super::run::{AttributeSource, linear_from_srgb};
+use crate::geometry::{DVec3, Ray};
+use crate::octree::Cloud;
+use crate::octree::file::ScanError;
+
+/// A point in full precision.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JudgePoint {
+    /// World position.
+    pub position: DVec3,
+    /// Radius.
+    pub radius: f64,
+    /// Weight.
+    pub weight: f64,
+    /// Colour (linear) or one attribute in the first place.
+    pub attribute: [f64; 3],
+}
+
+/// The field at one sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JudgeSample {
+    /// Σ v·ω.
+    pub density: f64,
+    /// Σ v·∇ω.
+    pub gradient: DVec3,
+    /// Σ v·ω·a.
+    pub attribute: [f64; 3],
+}
+
+/// A cloud without any structure.
+#[derive(Clone, Debug)]
+pub struct JudgeField {
+    /// The points.
+    pub points: Vec<JudgePoint>,
+    /// The kernel.
+    pub kernel: Kernel,
+    /// Whether kernels integrate to one.
+    pub normalised: bool,
+}
+
+impl JudgeField {
+    /// Reads all points of a cloud.
+    ///
+    /// # Errors
+    /// [`ScanError`] where the file cannot be read or is damaged.
+    pub fn load(
+        cloud: &Cloud,
+        kernel: Kernel,
+        normalised: bool,
+        source: AttributeSource,
+    ) -> Result<Self, ScanError> {
+        let header = cloud.header();
+        let mut points = Vec::new();
+        cloud.for_each_run(|_, run| {
+            let n = run.head.len();
+            let constant = |v: f32| vec![v; n];
+            let radii = run.radii(header).map_or_else(|| constant(header.radius.min()), Iterator::collect);
+            let weights = run.weights(header).map_or_else(|| constant(header.weight.min()), Iterator::collect);
+            let mut attributes = vec![[0.0; 3]; n];
+            match source {
+                AttributeSource::None => {}
+                AttributeSource::Color => {
+                    for (a, c) in attributes.iter_mut().zip(run.colors(header).into_iter().flatten()) {
+                        *a = c.map(|v| linear_from_srgb(f64::from(v) / 255.0));
+                    }
+                }
+                AttributeSource::Scalar(index) => {
+                    for (a, v) in attributes.iter_mut().zip(run.attribute(header, index)) {
+                        a[0] = if v.is_finite() { f64::from(v) } else { 0.0 };
+                    }
+                }
+            }
+            for (i, position) in run.positions(header.root_cell()).into_iter().enumerate() {
+                let (radius, weight) = (f64::from(radii[i]), f64::from(weights[i]));
+                points.push(JudgePoint { position, radius, weight, attribute: attributes[i] });
+            }
+        })?;
+        Ok(Self { points, kernel, normalised })
+    }
+
+    /// The points that reach a ray anywhere: all that any sample on it can need.
+    #[must_use]
+    pub fn near(&self, ray: &Ray) -> Self {
+        let reaches = |p: &&JudgePoint| {
+            let c = p.position - ray.origin;
+            let across = c - ray.direction * c.dot(ray.direction);
+            across.length_squared() <= p.radius * p.radius * (1.0 + 1e-9)
+        };
+        Self { points: self.points.iter().filter(reaches).copied().collect(), ..*self }
+    }
+
+    /// The field at `q`.
+    #[must_use]
+    pub fn sample(&self, q: DVec3) -> JudgeSample {
+        let mut sum = JudgeSample::default();
+        for p in &self.points {
+            let offset = q - p.position;
+            let inverse = 1.0 / (p.radius * p.radius);
+            let s = offset.length_squared() * inverse;
+            if s >= 1.0 {
+                continue;
+            }
+            let norm = if self.normalised { 1.0 / (p.radius.powi(3) * self.kernel.integral()) } else { 1.0 };
+            let weight = p.weight * norm;
+            let value = weight * self.kernel.value(s);
+            sum.density += value;
+            sum.gradient += offset * (weight * self.kernel.slope_over_x(s) * inverse);
+            for channel in 0..3 {
+                sum.attribute[channel] += value * p.attribute[channel];
+            }
+        }
+        sum
+    }
+}

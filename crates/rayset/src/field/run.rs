@@ -1,0 +1,198 @@
+//! A run of points, decoded for the inner loop.
+
+use super::kernel::Kernel;
+use crate::geometry::DVec3;
+use crate::octree::format::Header;
+use crate::octree::page::{RUN_POINTS, RootCell, Run};
+
+/// Above this ratio of a run's extent to its smallest radius, single precision about the run's centre would cost more
+/// than a few 1e-5 of a radius, and the run is evaluated in double precision instead.
+const WIDEST_IN_F32: f64 = 128.0;
+
+/// Up to 128 points in columns, about the centre of their bounds.
+#[derive(Clone, Debug)]
+pub struct DecodedRun {
+    pub(super) len: usize,
+    /// Centre of the position bounds, world space.
+    pub(super) center: DVec3,
+    /// Half edges of the bounds of influence about the centre, rounded up.
+    pub(super) reach: [f32; 3],
+    pub(super) position: [[f32; RUN_POINTS]; 3],
+    /// Squared radius with a little to spare, for culling; negative beyond the last point.
+    pub(super) radius_squared: [f32; RUN_POINTS],
+    pub(super) inverse_radius_squared: [f32; RUN_POINTS],
+    /// Weight, with the kernel's normalisation where that is asked for.
+    pub(super) weight: [f32; RUN_POINTS],
+    /// Colour (linear), or one attribute in the first column.
+    pub(super) attribute: [[f32; RUN_POINTS]; 3],
+    /// Positions and squared radii in double precision, for runs too wide for single.
+    pub(super) wide: Option<Box<WideRun>>,
+    spare_wide: Option<Box<WideRun>>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct WideRun {
+    pub(super) position: [[f64; RUN_POINTS]; 3],
+    pub(super) inverse_radius_squared: [f64; RUN_POINTS],
+}
+
+/// What the third and following channels of a cloud's field are made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum AttributeSource {
+    /// Nothing.
+    #[default]
+    None,
+    /// The points' colour, decoded to linear light: three channels.
+    Color,
+    /// An attribute column of the file: one channel.
+    Scalar(usize),
+}
+
+/// How runs of one cloud are decoded.
+#[derive(Clone, Debug)]
+pub struct RunDecoder {
+    root: RootCell,
+    radius: Option<f32>,
+    weight: Option<f32>,
+    /// 1, or 1/∫ω dV where kernels are normalised.
+    normalisation: Option<f64>,
+    source: AttributeSource,
+    linear_from_srgb: Box<[f32; 256]>,
+}
+
+impl RunDecoder {
+    /// A decoder for the runs of a cloud.
+    #[must_use]
+    pub fn new(header: &Header, kernel: Kernel, normalised: bool, source: AttributeSource) -> Self {
+        Self {
+            root: header.root_cell(),
+            radius: (!header.radius.is_stored()).then(|| header.radius.min()),
+            weight: (!header.weight.is_stored()).then(|| header.weight.min()),
+            normalisation: normalised.then(|| 1.0 / kernel.integral()),
+            source,
+            linear_from_srgb: Box::new(std::array::from_fn(|i| linear_from_srgb(i as f64 / 255.0) as f32)),
+        }
+    }
+
+    /// Decodes a run.
+    #[inline(always)]
+    pub fn decode(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+        let n = run.head.len();
+        out.len = n;
+        let bounds = run.head.position_bounds(self.root);
+        out.center = bounds.center();
+        let radius_max = f64::from(run.head.radius_max());
+        let half = bounds.size() * 0.5 + radius_max;
+        out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
+        run.decode_local(self.root, &mut out.position);
+        let padded = n.next_multiple_of(16);
+        let mut radius_min = f64::INFINITY;
+        match self.radius {
+            Some(r) => {
+                radius_min = f64::from(r);
+                out.radius_squared[..n].fill(culling_square(r));
+                out.inverse_radius_squared[..n].fill(inverse_square(r));
+            }
+            None => {
+                for (i, r) in run.radii(header).into_iter().flatten().enumerate() {
+                    radius_min = radius_min.min(f64::from(r));
+                    out.radius_squared[i] = culling_square(r);
+                    out.inverse_radius_squared[i] = inverse_square(r);
+                }
+            }
+        }
+        for axis in 0..3 {
+            out.position[axis][n..padded].fill(0.0);
+        }
+        out.radius_squared[n..padded].fill(-1.0);
+        self.decode_weights(run, header, out);
+        self.decode_attributes(run, header, out);
+        let is_wide = bounds.size().max_element() > WIDEST_IN_F32 * radius_min;
+        out.set_wide(is_wide.then_some((run, self.root)));
+    }
+
+    #[inline(always)]
+    fn decode_weights(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+        let n = run.head.len();
+        match self.weight {
+            Some(w) => out.weight[..n].fill(w),
+            None => run.weights(header).into_iter().flatten().zip(&mut out.weight).for_each(|(w, o)| *o = w),
+        }
+        if let Some(factor) = self.normalisation {
+            for (w, inverse) in out.weight[..n].iter_mut().zip(&out.inverse_radius_squared) {
+                let inverse = f64::from(*inverse);
+                *w = (f64::from(*w) * factor * inverse * inverse.sqrt()) as f32;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn decode_attributes(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+        match self.source {
+            AttributeSource::None => {}
+            AttributeSource::Color => {
+                for (i, c) in run.colors(header).into_iter().flatten().enumerate() {
+                    for channel in 0..3 {
+                        out.attribute[channel][i] = self.linear_from_srgb[usize::from(c[channel])];
+                    }
+                }
+            }
+            AttributeSource::Scalar(index) => {
+                for (o, v) in out.attribute[0].iter_mut().zip(run.attribute(header, index)) {
+                    // A missing value counts as 0 rather than spoil its neighbours.
+                    *o = if v.is_finite() { v } else { 0.0 };
+                }
+            }
+        }
+    }
+}
+
+/// The radius squared, with enough to spare that no pair that contributes is culled by rounding.
+fn culling_square(r: f32) -> f32 {
+    r * r * 1.000_01
+}
+
+fn inverse_square(r: f32) -> f32 {
+    (1.0 / (f64::from(r) * f64::from(r))) as f32
+}
+
+/// Decodes a display-encoded (sRGB) value of 0 to 1 (IEC 61966-2-1).
+#[must_use]
+pub fn linear_from_srgb(v: f64) -> f64 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+impl Default for DecodedRun {
+    fn default() -> Self {
+        Self {
+            len: 0,
+            center: DVec3::ZERO,
+            reach: [0.0; 3],
+            position: [[0.0; RUN_POINTS]; 3],
+            radius_squared: [-1.0; RUN_POINTS],
+            inverse_radius_squared: [0.0; RUN_POINTS],
+            weight: [0.0; RUN_POINTS],
+            attribute: [[0.0; RUN_POINTS]; 3],
+            wide: None,
+            spare_wide: None,
+        }
+    }
+}
+
+impl DecodedRun {
+    fn set_wide(&mut self, source: Option<(&Run<'_>, RootCell)>) {
+        let spare = self.wide.take().or_else(|| self.spare_wide.take());
+        let Some((run, root)) = source else {
+            self.spare_wide = spare;
+            return;
+        };
+        let mut wide = spare.unwrap_or_else(|| {
+            Box::new(WideRun { position: [[0.0; RUN_POINTS]; 3], inverse_radius_squared: [0.0; RUN_POINTS] })
+        });
+        run.decode_local_f64(root, &mut wide.position);
+        for (o, i) in wide.inverse_radius_squared.iter_mut().zip(&self.inverse_radius_squared) {
+            *o = f64::from(*i);
+        }
+        self.wide = Some(wide);
+    }
+}

@@ -1,0 +1,91 @@
+//! The vector instructions in use, chosen when the program runs.
+
+use std::fmt;
+use std::str::FromStr;
+
+use fearless_simd::Level;
+
+/// A set of vector instructions. The same source is compiled for each; results may differ in the last bits between
+/// those that have fused multiply–add (AVX2, AVX-512, NEON) and those that have not.
+#[derive(Clone, Copy, Debug)]
+pub struct SimdLevel(Level);
+
+impl Default for SimdLevel {
+    /// The best that this processor has.
+    fn default() -> Self {
+        Self(Level::new())
+    }
+}
+
+impl SimdLevel {
+    /// No vector instructions.
+    #[must_use]
+    pub fn scalar() -> Self {
+        Self(Level::fallback())
+    }
+
+    /// Every level that this processor has, the best first.
+    #[must_use]
+    pub fn available() -> Vec<Self> {
+        let best = Level::new();
+        let mut levels = vec![Self(best)];
+        #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+        {
+            let lower = [best.as_avx2().map(Level::Avx2), best.as_sse4_2().map(Level::Sse4_2)];
+            levels.extend(lower.into_iter().flatten().map(Self));
+            levels.dedup_by_key(|l| l.name());
+        }
+        levels.push(Self::scalar());
+        levels
+    }
+
+    /// Its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self.0 {
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Level::Avx512(_) => "avx512",
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Level::Avx2(_) => "avx2",
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Level::Sse4_2(_) => "sse4.2",
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Level::Sse2(_) => "sse2",
+            #[cfg(target_arch = "aarch64")]
+            Level::Neon(_) => "neon",
+            _ => "scalar",
+        }
+    }
+
+    pub(crate) fn level(self) -> Level {
+        self.0
+    }
+}
+
+impl fmt::Display for SimdLevel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is no level of this processor.
+#[derive(Debug, thiserror::Error)]
+#[error("`{name}` is no instruction set of this processor; expected auto, {available}")]
+pub struct UnknownLevel {
+    name: String,
+    available: String,
+}
+
+impl FromStr for SimdLevel {
+    type Err = UnknownLevel;
+
+    fn from_str(s: &str) -> Result<Self, Self::Err> {
+        if s == "auto" {
+            return Ok(Self::default());
+        }
+        let levels = Self::available();
+        let names: Vec<&str> = levels.iter().map(|l| l.name()).collect();
+        let available = names.join(", ");
+        levels.into_iter().find(|l| l.name() == s).ok_or(UnknownLevel { name: s.to_owned(), available })
+    }
+}

@@ -1,0 +1,90 @@
+//! Axis-aligned boxes.
+
+use super::{DVec3, Ray};
+
+/// An axis-aligned box in world space. Empty when `min` exceeds `max` on any axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Smallest corner.
+    pub min: DVec3,
+    /// Largest corner.
+    pub max: DVec3,
+}
+
+impl Aabb {
+    /// The box that contains nothing, and that any point enlarges.
+    pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
+
+    /// A box from its corners.
+    #[must_use]
+    pub fn new(min: DVec3, max: DVec3) -> Self {
+        Self { min, max }
+    }
+
+    /// Whether the box contains nothing.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.min.cmpgt(self.max).any()
+    }
+
+    /// Grows the box to contain `p`.
+    pub fn include(&mut self, p: DVec3) {
+        self.min = self.min.min(p);
+        self.max = self.max.max(p);
+    }
+
+    /// The smallest box that contains both.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    /// The box grown by `margin` on every side.
+    #[must_use]
+    pub fn inflated(self, margin: f64) -> Self {
+        Self { min: self.min - margin, max: self.max + margin }
+    }
+
+    /// Centre of a box that is not empty.
+    #[must_use]
+    pub fn center(&self) -> DVec3 {
+        (self.min + self.max) * 0.5
+    }
+
+    /// Edge lengths.
+    #[must_use]
+    pub fn size(&self) -> DVec3 {
+        self.max - self.min
+    }
+
+    /// Whether `p` lies in the box, its faces included.
+    #[must_use]
+    pub fn contains(&self, p: DVec3) -> bool {
+        p.cmpge(self.min).all() && p.cmple(self.max).all()
+    }
+
+    /// Whether `other` lies in this box, faces included.
+    #[must_use]
+    pub fn encloses(&self, other: &Self) -> bool {
+        other.is_empty() || (self.contains(other.min) && self.contains(other.max))
+    }
+
+    /// The interval of `t` (clipped to `t ≥ 0`) in which the ray is inside the box, or `None` when it misses.
+    #[must_use]
+    pub fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {
+        let (mut t_enter, mut t_exit) = (0.0_f64, f64::INFINITY);
+        for axis in 0..3 {
+            let (o, d) = (ray.origin[axis], ray.direction[axis]);
+            if d == 0.0 {
+                if o < self.min[axis] || o > self.max[axis] {
+                    return None;
+                }
+                continue;
+            }
+            let (a, b) = ((self.min[axis] - o) / d, (self.max[axis] - o) / d);
+            t_enter = t_enter.max(a.min(b));
+            t_exit = t_exit.min(a.max(b));
+        }
+        (t_enter <= t_exit).then_some((t_enter, t_exit))
+    }
+}

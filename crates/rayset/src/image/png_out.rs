@@ -1,0 +1,71 @@
+//! PNG, written band by band so that no whole picture need exist.
+
+use std::io::{self, Write};
+
+use super::{Band, srgb_from_linear};
+
+/// Why a picture could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PngError {
+    /// The encoder or the system refused.
+    #[error(transparent)]
+    Encode(#[from] png::EncodingError),
+    /// The system refused.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
+
+/// Entries of the table from linear light to bytes. Near black a step of it is a tenth of a byte.
+const TABLE: usize = 1 << 14;
+
+/// Writes an 8-bit sRGB picture with straight alpha, from bands in order.
+pub struct PngBands<W: Write + 'static> {
+    writer: png::StreamWriter<'static, W>,
+    row: Vec<u8>,
+    table: Vec<u8>,
+}
+
+impl<W: Write + 'static> PngBands<W> {
+    /// Writes the head of a picture.
+    ///
+    /// # Errors
+    /// [`PngError`] where the size is zero or the system refuses.
+    pub fn new(output: W, width: u32, height: u32) -> Result<Self, PngError> {
+        let mut encoder = png::Encoder::new(output, width, height);
+        encoder.set_color(png::ColorType::Rgba);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        encoder.set_compression(png::Compression::Fast);
+        let writer = encoder.write_header()?.into_stream_writer()?;
+        let byte = |i| (srgb_from_linear(i as f64 / (TABLE - 1) as f64) * 255.0).round() as u8;
+        Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect() })
+    }
+
+    /// Appends a band.
+    ///
+    /// # Errors
+    /// [`PngError`] where the system refuses.
+    pub fn write(&mut self, band: &Band) -> Result<(), PngError> {
+        for pixels in band.pixels.chunks(band.width.max(1) as usize) {
+            self.row.clear();
+            for &[r, g, b, opacity] in pixels {
+                let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
+                // A component that is not a number becomes 0 in the cast.
+                let byte = |v: f32| self.table[((v * straight).clamp(0.0, 1.0) * (TABLE - 1) as f32).round() as usize];
+                let alpha = (opacity.clamp(0.0, 1.0) * 255.0).round() as u8;
+                self.row.extend_from_slice(&[byte(r), byte(g), byte(b), alpha]);
+            }
+            self.writer.write_all(&self.row)?;
+        }
+        Ok(())
+    }
+
+    /// Writes what is left.
+    ///
+    /// # Errors
+    /// [`PngError`] where rows are missing or the system refuses.
+    pub fn finish(self) -> Result<(), PngError> {
+        Ok(self.writer.finish()?)
+    }
+}

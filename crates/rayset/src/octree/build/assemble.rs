@@ -1,0 +1,395 @@
+//! Runs and nodes, in the order of the file, laid out in pages; then the header, and the file gets its name.
+//!
+//! The order of nodes in their pages is that in which they are finished: every group of siblings stands after all
+//! its descendants, so that a reference only ever points backwards.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use super::ingest::Ingested;
+use super::partition::Assemble;
+use super::plan::Cell;
+use super::spill::{Spill, partial_path};
+use super::subtree::{DraftRun, Piece, Summary};
+use super::{BuildError, Context, settled};
+use crate::geometry::DVec3;
+use crate::octree::format::{
+    AttributeInfo, BLOCK_BYTES, Column, Footer, Header, NodeRef, PAGE_HEAD_BYTES, PageHead, PageKind,
+    stored_page_checksum,
+};
+use crate::octree::node::{NODE_BYTES, Node, RunRange, nodes_per_page, to_cell_units};
+use crate::octree::page::{RUN_HEAD_BYTES, RootCell, RunHead};
+
+/// Below this many points pages are smaller, so that the last ones waste less.
+const SMALL_CLOUD_POINTS: u64 = 500_000;
+
+impl Ingested {
+    /// What the header will say of radius and weight.
+    pub(super) fn columns(&self) -> (Column, Column) {
+        let radius = settled(self.radius_range.0, self.radius_range.1);
+        let weight = if self.layout.has_weight {
+            settled(self.weight_range.0, self.weight_range.1)
+        } else {
+            Column::Constant(self.weight)
+        };
+        if self.count == 0 { (Column::Constant(1.0), Column::Constant(1.0)) } else { (radius, weight) }
+    }
+}
+
+/// An inner node that is not yet finished.
+struct OpenNode {
+    cell: Cell,
+    own: RunRange,
+    summary: Summary,
+    children: Vec<(u8, Node)>,
+}
+
+pub(super) struct Assembler {
+    output: Output,
+    page_bytes: usize,
+    root: RootCell,
+    column_bytes: usize,
+    // The point page in the making.
+    heads: Vec<RunHead>,
+    data: Vec<u8>,
+    point_pages: u32,
+    point_data_bytes: u64,
+    // Node pages wait in a spill, because point pages come first in the file.
+    node_spill: Spill,
+    node_page: Vec<u8>,
+    nodes_in_page: usize,
+    node_pages: u32,
+    nodes: u64,
+    open: Vec<OpenNode>,
+    finished_root: Option<(Node, Summary)>,
+    digest: u32,
+    temp_dir: PathBuf,
+}
+
+/// The growing file; removed when dropped before it is whole.
+struct Output {
+    file: Option<BufWriter<File>>,
+    partial: PathBuf,
+}
+
+impl Drop for Output {
+    fn drop(&mut self) {
+        if self.file.take().is_some() {
+            let _ = std::fs::remove_file(&self.partial);
+        }
+    }
+}
+
+impl Output {
+    fn create(path: &Path) -> Result<Self, BuildError> {
+        let partial = partial_path(path);
+        let file = File::create(&partial)
+            .map_err(|source| BuildError::Io { action: "create", path: partial.clone(), source })?;
+        Ok(Self { file: Some(BufWriter::with_capacity(1 << 20, file)), partial })
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), BuildError> {
+        self.with(|file| file.write_all(bytes))
+    }
+
+    fn with(&mut self, f: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), BuildError> {
+        let file = self.file.as_mut().expect("used only before the file is finished");
+        f(file).map_err(|source| BuildError::Io { action: "write", path: self.partial.clone(), source })
+    }
+
+    /// Makes the file durable and gives it its name.
+    fn publish(mut self, path: &Path) -> Result<(), BuildError> {
+        self.with(|file| {
+            file.flush()?;
+            file.get_ref().sync_all()
+        })?;
+        std::fs::rename(&self.partial, path)
+            .map_err(|source| BuildError::Io { action: "rename the finished file to", path: path.into(), source })?;
+        self.file = None;
+        #[cfg(unix)]
+        if let Some(parent) = path.parent() {
+            let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+            let synced = File::open(parent).and_then(|folder| folder.sync_all());
+            synced.map_err(|source| BuildError::Io { action: "sync", path: parent.into(), source })?;
+        }
+        Ok(())
+    }
+}
+
+impl Assembler {
+    pub(super) fn create(context: &Context<'_>, ingested: &Ingested) -> Result<Self, BuildError> {
+        let small = ingested.count < SMALL_CLOUD_POINTS;
+        let page_bytes = context.options.page_bytes.unwrap_or(if small { 16 << 10 } else { 64 << 10 }) as usize;
+        let (radius, weight) = ingested.columns();
+        let column_bytes = 4
+            * (usize::from(radius.is_stored())
+                + usize::from(weight.is_stored())
+                + usize::from(ingested.layout.has_color)
+                + ingested.layout.attributes);
+        let mut output = Output::create(context.output)?;
+        output.write(&[0; BLOCK_BYTES])?;
+        Ok(Self {
+            output,
+            page_bytes,
+            root: ingested.root,
+            column_bytes,
+            heads: Vec::new(),
+            data: Vec::new(),
+            point_pages: 0,
+            point_data_bytes: 0,
+            node_spill: context.spill()?,
+            node_page: vec![0; page_bytes],
+            nodes_in_page: 0,
+            node_pages: 0,
+            nodes: 0,
+            open: Vec::new(),
+            finished_root: None,
+            digest: 0,
+            temp_dir: context.temp_dir.clone(),
+        })
+    }
+
+    /// Places runs one after another; returns where the first of them went.
+    fn place_runs(&mut self, runs: &[DraftRun], data: &[u8]) -> Result<Vec<RunRange>, BuildError> {
+        let mut places = Vec::with_capacity(runs.len());
+        for run in runs {
+            let heads = PAGE_HEAD_BYTES + (self.heads.len() + 1) * RUN_HEAD_BYTES;
+            let bytes = &data[run.data.clone()];
+            debug_assert_eq!(bytes.len(), run.head.data_bytes(self.column_bytes));
+            if heads + self.data.len() + bytes.len() > self.page_bytes {
+                self.finish_point_page()?;
+            }
+            places.push(RunRange {
+                first_page: self.point_pages,
+                first_run: self.heads.len() as u16,
+                runs: 1,
+            });
+            self.heads.push(run.head.placed_at(self.data.len() / 4));
+            self.data.extend_from_slice(bytes);
+        }
+        Ok(places)
+    }
+
+    fn finish_point_page(&mut self) -> Result<(), BuildError> {
+        let mut page = vec![0; self.page_bytes];
+        let data_at = PAGE_HEAD_BYTES + self.heads.len() * RUN_HEAD_BYTES;
+        for (index, head) in self.heads.iter().enumerate() {
+            let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
+            head.placed_at(head.place() + data_at / 4).encode(&mut page[at..at + RUN_HEAD_BYTES]);
+        }
+        page[data_at..data_at + self.data.len()].copy_from_slice(&self.data);
+        PageHead {
+            kind: PageKind::Points,
+            page: self.point_pages,
+            records: self.heads.len() as u32,
+            used_bytes: (data_at + self.data.len()) as u32,
+        }
+        .seal(&mut page);
+        self.point_data_bytes += self.data.len() as u64;
+        self.point_pages += 1;
+        self.heads.clear();
+        self.data.clear();
+        self.write_page(&page)
+    }
+
+    fn write_page(&mut self, page: &[u8]) -> Result<(), BuildError> {
+        self.digest = crc32c::crc32c_append(self.digest, &stored_page_checksum(page).to_le_bytes());
+        self.output.write(page)
+    }
+
+    fn node(&self, summary: &Summary, level: u32, own: RunRange, children: &[(u8, Node)], first_child: NodeRef) -> Node {
+        let (bounds_min, bounds_max) = to_cell_units(&summary.influence, self.root);
+        let centroid = if summary.mass > 0.0 {
+            summary.moment / summary.mass / self.root.size
+        } else {
+            (summary.influence.center() - self.root.min) / self.root.size
+        };
+        Node {
+            bounds_min,
+            bounds_max,
+            points: summary.points,
+            weight_sum: summary.weight_sum,
+            centroid: centroid.to_array().map(|v| v as f32),
+            radius_min: summary.radius_min,
+            radius_max: summary.radius_max,
+            own,
+            child_mask: children.iter().fold(0, |mask, (octant, _)| mask | 1 << octant),
+            level: level as u8,
+            first_child,
+        }
+    }
+
+    /// Writes siblings side by side; returns where the first of them went.
+    fn place_siblings(&mut self, siblings: &[(u8, Node)]) -> Result<NodeRef, BuildError> {
+        if siblings.is_empty() {
+            return Ok(NodeRef::default());
+        }
+        if self.nodes_in_page + siblings.len() > nodes_per_page(self.page_bytes) {
+            self.finish_node_page()?;
+        }
+        let place = NodeRef { page: self.node_pages, index: self.nodes_in_page as u16 };
+        for (_, node) in siblings {
+            let at = PAGE_HEAD_BYTES + self.nodes_in_page * NODE_BYTES;
+            node.encode(&mut self.node_page[at..at + NODE_BYTES]);
+            self.nodes_in_page += 1;
+        }
+        self.nodes += siblings.len() as u64;
+        Ok(place)
+    }
+
+    /// Puts the node page aside. Its number is known only at the end, so it is sealed then.
+    fn finish_node_page(&mut self) -> Result<(), BuildError> {
+        self.node_page[..4].copy_from_slice(&(self.nodes_in_page as u32).to_le_bytes());
+        let at = u64::from(self.node_pages) * self.page_bytes as u64;
+        self.node_spill
+            .write_at(&self.node_page, at)
+            .map_err(|source| BuildError::Io { action: "write temporary files in", path: self.temp_dir.clone(), source })?;
+        self.node_page.fill(0);
+        self.nodes_in_page = 0;
+        self.node_pages += 1;
+        Ok(())
+    }
+
+    /// Turns a piece into placed runs and nodes; returns its root.
+    fn place_piece(&mut self, piece: &Piece) -> Result<(Node, Summary), BuildError> {
+        let places = self.place_runs(&piece.runs, &piece.data)?;
+        let mut done: Vec<Option<Node>> = vec![None; piece.nodes.len()];
+        for (index, draft) in piece.nodes.iter().enumerate() {
+            let own = range_of(&places[draft.own.clone()]);
+            let children: Vec<(u8, Node)> =
+                draft.children.iter().filter_map(|&(octant, i)| done[i].take().map(|n| (octant, n))).collect();
+            let first_child = self.place_siblings(&children)?;
+            done[index] = Some(self.node(&draft.summary, draft.level, own, &children, first_child));
+        }
+        let root = done.pop().flatten().expect("a piece ends with its root");
+        Ok((root, piece.nodes[piece.nodes.len() - 1].summary))
+    }
+
+    fn attach(&mut self, cell: Cell, node: Node, summary: Summary) {
+        match self.open.last_mut() {
+            Some(parent) => {
+                parent.summary.merge(&summary);
+                parent.children.push((cell.octant(), node));
+            }
+            None => self.finished_root = Some((node, summary)),
+        }
+    }
+
+    pub(super) fn finish(mut self, context: &Context<'_>, ingested: &Ingested) -> Result<Header, BuildError> {
+        if !self.heads.is_empty() {
+            self.finish_point_page()?;
+        }
+        let root = match self.finished_root.take() {
+            Some((node, summary)) => Some((self.place_siblings(&[(0, node)])?, summary)),
+            None => None,
+        };
+        if self.nodes_in_page > 0 {
+            self.finish_node_page()?;
+        }
+        self.copy_node_pages()?;
+        let header = self.header(context, ingested, root);
+        let block = header.encode();
+        let footer = Footer::new(&block, self.digest).encode();
+        self.output.write(&footer)?;
+        self.output.with(|file| {
+            file.seek(SeekFrom::Start(0))?;
+            file.write_all(&block)
+        })?;
+        self.output.publish(context.output)?;
+        Ok(header)
+    }
+
+    fn copy_node_pages(&mut self) -> Result<(), BuildError> {
+        let mut page = vec![0; self.page_bytes];
+        for number in 0..self.node_pages {
+            let at = u64::from(number) * self.page_bytes as u64;
+            self.node_spill.read_at(&mut page, at).map_err(|source| BuildError::Io {
+                action: "read temporary files in",
+                path: self.temp_dir.clone(),
+                source,
+            })?;
+            let records = u32::from_le_bytes([page[0], page[1], page[2], page[3]]);
+            PageHead {
+                kind: PageKind::Octree,
+                page: self.point_pages + number,
+                records,
+                used_bytes: (PAGE_HEAD_BYTES + records as usize * NODE_BYTES) as u32,
+            }
+            .seal(&mut page);
+            self.write_page(&page)?;
+        }
+        Ok(())
+    }
+
+    fn header(&self, context: &Context<'_>, ingested: &Ingested, root: Option<(NodeRef, Summary)>) -> Header {
+        let (radius, weight) = ingested.columns();
+        let (root, summary) = root.unwrap_or((NodeRef::default(), Summary::EMPTY));
+        let mut header = Header {
+            page_bytes: self.page_bytes as u32,
+            point_pages: self.point_pages,
+            node_pages: self.node_pages,
+            file_bytes: 0,
+            points: ingested.count,
+            skipped: ingested.skipped.total(),
+            nodes: self.nodes,
+            root,
+            root_min: self.root.min,
+            root_size: self.root.size,
+            bounds: ingested.bounds.inflated(summary.position_error),
+            radius,
+            radius_mean: if ingested.count > 0 { ingested.radius_sum / ingested.count as f64 } else { 1.0 },
+            weight,
+            position_error: summary.position_error,
+            position_error_radii: summary.position_error_radii,
+            has_color: ingested.layout.has_color,
+            attributes: (ingested.attribute_ranges.iter())
+                .map(|(name, min, max)| AttributeInfo { name: name.clone(), min: *min, max: *max })
+                .collect(),
+            point_data_bytes: self.point_data_bytes,
+            render_memory: context.options.render_memory.unwrap_or(0),
+        };
+        if ingested.count == 0 {
+            header.bounds = crate::geometry::Aabb::new(DVec3::ZERO, DVec3::ZERO);
+        }
+        header.file_bytes = header.expected_file_bytes();
+        header
+    }
+}
+
+/// The range that consecutive places make.
+fn range_of(places: &[RunRange]) -> RunRange {
+    places.first().map_or(RunRange::default(), |first| RunRange { runs: places.len() as u32, ..*first })
+}
+
+impl Assemble<Piece> for Assembler {
+    fn open(&mut self, cell: Cell) {
+        self.open.push(OpenNode { cell, own: RunRange::default(), summary: Summary::EMPTY, children: Vec::new() });
+    }
+
+    fn own(&mut self, piece: Piece) -> Result<(), BuildError> {
+        let places = self.place_runs(&piece.runs, &piece.data)?;
+        let node = self.open.last_mut().expect("own points come after their node is opened");
+        if node.own.runs == 0 {
+            node.own = range_of(&places);
+        } else {
+            node.own.runs += places.len() as u32;
+        }
+        piece.runs.iter().for_each(|r| node.summary.merge(&r.summary));
+        Ok(())
+    }
+
+    fn subtree(&mut self, cell: Cell, piece: Piece) -> Result<(), BuildError> {
+        let (node, summary) = self.place_piece(&piece)?;
+        self.attach(cell, node, summary);
+        Ok(())
+    }
+
+    fn close(&mut self) -> Result<(), BuildError> {
+        let open = self.open.pop().expect("closed as often as opened");
+        let first_child = self.place_siblings(&open.children)?;
+        let node = self.node(&open.summary, open.cell.level, open.own, &open.children, first_child);
+        self.attach(open.cell, node, open.summary);
+        Ok(())
+    }
+}

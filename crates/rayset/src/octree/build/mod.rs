@@ -1,0 +1,370 @@
+//! From points to a cloud file, in bounded memory.
+//!
+//! [`run`] is the table of contents: records are read and checked (`ingest`), given a radius where they have none
+//! (`spacing`), put in the order of the file by buckets that fit in memory (`partition`), turned into runs and nodes
+//! (`subtree`), and laid out in pages (`assemble`). The result depends on the input and on [`BuildOptions`] apart
+//! from `memory_bytes`, `threads` and `temp_dir`, and on nothing else.
+
+mod assemble;
+mod ingest;
+mod partition;
+mod pipeline;
+mod plan;
+mod record;
+mod spacing;
+mod spill;
+mod subtree;
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use self::assemble::Assembler;
+use self::ingest::Ingested;
+use self::partition::{Partition, Region};
+use self::record::KeyMaker;
+use super::format::{Column, MAX_ATTRIBUTES, MAX_PAGE_BYTES};
+use crate::points::{PointSource, ReadError};
+
+/// Where a number of each point comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Rule {
+    /// The same for every point.
+    Number(f64),
+    /// A column of the input, times `scale`.
+    Attribute {
+        /// Name of the column.
+        name: String,
+        /// Factor.
+        scale: f64,
+    },
+    /// Radius only: from the local spacing of the points, times `scale`.
+    Auto {
+        /// Factor.
+        scale: f64,
+    },
+}
+
+/// What to do with a record whose position, radius or weight is no usable number.
+///
+/// A record is invalid where a coordinate is not finite or exceeds 1e18 in size, a radius is not between 1e-18 and
+/// 1e18 (zero and negative ones included), or a weight is not finite or exceeds 1e18 in size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum InvalidPolicy {
+    /// Count it and go on.
+    #[default]
+    Skip,
+    /// Stop with an error that names the record.
+    Reject,
+}
+
+/// How exactly positions are stored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Precision {
+    /// Within this fraction of the smallest radius of the 128 points of a run.
+    Relative(f64),
+    /// As read, bit for bit.
+    Exact,
+}
+
+impl Default for Precision {
+    /// 1/4096 of the radius: the error of the density stays about 1e-5 of its maximum where supports overlap.
+    fn default() -> Self {
+        Self::Relative(1.0 / 4096.0)
+    }
+}
+
+/// How to build a cloud.
+#[derive(Clone, Debug)]
+pub struct BuildOptions {
+    /// Radius of influence. `None`: the column `radius` where every input has one, else [`Rule::Auto`].
+    pub radius: Option<Rule>,
+    /// Weight. `None`: the column `weight` where every input has one, else 1.
+    pub weight: Option<Rule>,
+    /// Further columns to keep.
+    pub attributes: Vec<String>,
+    /// Whether to keep colours where every input has them.
+    pub keep_color: bool,
+    /// What to do with invalid records.
+    pub invalid: InvalidPolicy,
+    /// How exactly to store positions.
+    pub precision: Precision,
+    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 65536, or 16384 below 500 000 points.
+    pub page_bytes: Option<u32>,
+    /// Memory to render with, stored in the file as a default.
+    pub render_memory: Option<u64>,
+    /// Bytes that the build may allocate. Changes nothing in the file.
+    pub memory_bytes: u64,
+    /// Threads. Changes nothing in the file.
+    pub threads: usize,
+    /// Where temporary files go; beside the output by default. Changes nothing in the file.
+    pub temp_dir: Option<PathBuf>,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        Self {
+            radius: None,
+            weight: None,
+            attributes: Vec::new(),
+            keep_color: true,
+            invalid: InvalidPolicy::Skip,
+            precision: Precision::default(),
+            page_bytes: None,
+            render_memory: None,
+            memory_bytes: 256 << 20,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            temp_dir: None,
+        }
+    }
+}
+
+/// Smallest `memory_bytes` a build with `threads` threads runs in.
+#[must_use]
+pub fn minimum_memory(threads: usize) -> u64 {
+    (4 << 20) + (threads as u64) * (2 << 20)
+}
+
+/// The parts of a build, for progress.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Reading and checking the input.
+    Read,
+    /// Measuring the spacing of points.
+    Spacing,
+    /// Ordering points and writing pages.
+    Write,
+}
+
+/// Hears how a build gets on. Called from one thread at a time, a few times a second.
+pub trait Progress: Sync {
+    /// `done` of `total` points (0 where unknown) have passed a stage.
+    fn update(&self, stage: Stage, done: u64, total: u64);
+}
+
+/// Hears nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoProgress;
+
+impl Progress for NoProgress {
+    fn update(&self, _: Stage, _: u64, _: u64) {}
+}
+
+/// What a build did.
+#[derive(Clone, Debug)]
+pub struct BuildReport {
+    /// Points stored.
+    pub points: u64,
+    /// Invalid records, by reason.
+    pub skipped: Skipped,
+    /// The header of the file written.
+    pub header: super::format::Header,
+    /// Time of each stage.
+    pub times: Vec<(Stage, Duration)>,
+}
+
+/// Invalid records that were counted and skipped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Skipped {
+    /// Position not finite, or too large.
+    pub position: u64,
+    /// Radius not a positive number in range.
+    pub radius: u64,
+    /// Weight not finite, or too large.
+    pub weight: u64,
+}
+
+impl Skipped {
+    /// All of them.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.position + self.radius + self.weight
+    }
+}
+
+/// Why a build failed. Nothing is left under the name of the output, except what stood there before.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// The input could not be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The output or a temporary file could not be written.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// What was attempted.
+        action: &'static str,
+        /// The file, or the folder of the temporary files.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// No input was given.
+    #[error("no input files")]
+    NoInput,
+    /// A named column is missing.
+    #[error("input {input} has no column `{name}`; it has: {available}")]
+    NoSuchColumn {
+        /// Which input, from 1.
+        input: usize,
+        /// The name asked for.
+        name: String,
+        /// The columns there are.
+        available: String,
+    },
+    /// An option out of its range.
+    #[error("{option}: {what}")]
+    Option {
+        /// The option.
+        option: &'static str,
+        /// What is wrong with its value, and what is expected.
+        what: String,
+    },
+    /// An invalid record, under [`InvalidPolicy::Reject`].
+    #[error("record {index} of input {input}: {what}")]
+    InvalidRecord {
+        /// Which input, from 1.
+        input: usize,
+        /// Which record of it, from 0.
+        index: u64,
+        /// What is wrong.
+        what: String,
+    },
+    /// The budget is too small.
+    #[error("a memory budget of {given} bytes is too small: this build needs at least {needed}")]
+    Memory {
+        /// The budget.
+        given: u64,
+        /// The smallest that would do.
+        needed: u64,
+    },
+}
+
+/// What every stage of one build shares.
+struct Context<'a> {
+    output: &'a Path,
+    temp_dir: PathBuf,
+    options: &'a BuildOptions,
+    progress: &'a dyn Progress,
+}
+
+impl Context<'_> {
+    fn io(&self, action: &'static str) -> impl Fn(io::Error) -> BuildError + use<'_> {
+        move |source| BuildError::Io { action, path: self.temp_dir.clone(), source }
+    }
+
+    fn spill(&self) -> Result<spill::Spill, BuildError> {
+        spill::Spill::create(self.output, &self.temp_dir).map_err(self.io("create a temporary file in"))
+    }
+}
+
+/// Builds a cloud from `sources`, which together make one cloud, at `output`.
+///
+/// # Errors
+/// [`BuildError`]; the output is then as it was before.
+pub fn run(
+    sources: Vec<Box<dyn PointSource>>,
+    output: &Path,
+    options: &BuildOptions,
+    progress: &dyn Progress,
+) -> Result<BuildReport, BuildError> {
+    check_options(options, &sources)?;
+    let parent = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let temp_dir = options.temp_dir.clone().unwrap_or_else(|| parent.to_owned());
+    let context = Context { output, temp_dir, options, progress };
+    spill::remove_leftovers(output, &context.temp_dir).map_err(context.io("clean up temporary files in"))?;
+
+    let mut clock = StageClock::start();
+    let ingested = ingest::run(&context, sources)?;
+    clock.lap(Stage::Read);
+    let ingested = if ingested.radius.is_none() && !ingested.layout.has_radius {
+        let with_radius = spacing::assign_radii(&context, ingested)?;
+        clock.lap(Stage::Spacing);
+        with_radius
+    } else {
+        ingested
+    };
+    let mut assembler = Assembler::create(&context, &ingested)?;
+    order_and_pack(&context, &ingested, &mut assembler)?;
+    let header = assembler.finish(&context, &ingested)?;
+    clock.lap(Stage::Write);
+    Ok(BuildReport { points: header.points, skipped: ingested.skipped, header, times: clock.laps })
+}
+
+/// Puts the records in the order of the file, bucket by bucket, and hands runs and nodes to the assembler.
+fn order_and_pack(
+    context: &Context<'_>,
+    ingested: &Ingested,
+    assembler: &mut Assembler,
+) -> Result<(), BuildError> {
+    let keys = KeyMaker { root: ingested.root, radius: ingested.radius };
+    let packer = subtree::Packer::new(ingested, keys, context.options.precision);
+    let partition = Partition::new(context, ingested.layout.stride(), keys, ingested.count, Stage::Write);
+    partition.run(Region::all(&ingested.spill, ingested.count), &packer, assembler)
+}
+
+fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Result<(), BuildError> {
+    let wrong = |option, what: String| Err(BuildError::Option { option, what });
+    if sources.is_empty() {
+        return Err(BuildError::NoInput);
+    }
+    let needed = minimum_memory(options.threads.max(1));
+    if options.memory_bytes < needed {
+        return Err(BuildError::Memory { given: options.memory_bytes, needed });
+    }
+    if let Some(page) = options.page_bytes
+        && (page == 0 || page % 4096 != 0 || page as usize > MAX_PAGE_BYTES || page < 16384)
+    {
+        return wrong("page size", format!("{page} is no multiple of 4096 between 16384 and {MAX_PAGE_BYTES}"));
+    }
+    if options.attributes.len() > MAX_ATTRIBUTES {
+        return wrong("attributes", format!("at most {MAX_ATTRIBUTES} can be kept"));
+    }
+    if let Some(name) = options.attributes.iter().find(|a| a.len() > super::format::NAME_BYTES) {
+        return wrong("attributes", format!("`{name}` is longer than {} bytes", super::format::NAME_BYTES));
+    }
+    if let Precision::Relative(p) = options.precision
+        && !(p > 0.0 && p <= 0.5)
+    {
+        return wrong("precision", format!("{p} is not in (0, 0.5] of a radius"));
+    }
+    for (option, rule) in [("radius", &options.radius), ("weight", &options.weight)] {
+        match rule {
+            Some(Rule::Number(v)) if option == "radius" && !(1e-18..=1e18).contains(v) => {
+                return wrong(option, format!("{v} is not between 1e-18 and 1e18"));
+            }
+            Some(Rule::Number(v)) if v.abs() > 1e18 || v.is_nan() => {
+                return wrong(option, format!("{v} is not a number of at most 1e18"));
+            }
+            Some(Rule::Attribute { scale, .. } | Rule::Auto { scale }) if !(*scale > 0.0 && scale.is_finite()) => {
+                return wrong(option, format!("the scale {scale} is not a positive number"));
+            }
+            Some(Rule::Auto { .. }) if option == "weight" => {
+                return wrong(option, "only a radius can be `auto`".into());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// A column that turned out to be the same everywhere is stored once.
+fn settled(min: f32, max: f32) -> Column {
+    if min == max { Column::Constant(min) } else { Column::Varying { min, max } }
+}
+
+struct StageClock {
+    last: std::time::Instant,
+    laps: Vec<(Stage, Duration)>,
+}
+
+impl StageClock {
+    fn start() -> Self {
+        Self { last: std::time::Instant::now(), laps: Vec::new() }
+    }
+
+    fn lap(&mut self, stage: Stage) {
+        self.laps.push((stage, self.last.elapsed()));
+        self.last = std::time::Instant::now();
+    }
+}

@@ -1,0 +1,141 @@
+//! Points between input and pages: fixed-size records in temporary files, and the key that orders them.
+//!
+//! The order of the file is that of (Morton prefix at the owner's level, owner's level, Morton code, record bytes):
+//! a node's own points stand before those of its children, and records that tie are identical, so the order is the
+//! same whatever thread or bucket a record went through.
+
+use crate::geometry::DVec3;
+use crate::geometry::curve::{MAX_LEVEL, morton};
+use crate::octree::page::RootCell;
+
+/// Bits of a Morton code.
+const MORTON_BITS: u32 = 3 * MAX_LEVEL;
+
+/// Where the fields of a record are. Positions come first, as three `f64`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct RecordLayout {
+    pub(super) has_radius: bool,
+    pub(super) has_weight: bool,
+    pub(super) has_color: bool,
+    pub(super) attributes: usize,
+}
+
+impl RecordLayout {
+    /// Bytes of a record.
+    pub(super) fn stride(&self) -> usize {
+        24 + 4 * self.columns()
+    }
+
+    /// Number of `f32` columns: radius, weight, three of colour, attributes.
+    pub(super) fn columns(&self) -> usize {
+        usize::from(self.has_radius) + usize::from(self.has_weight) + 3 * usize::from(self.has_color) + self.attributes
+    }
+
+    pub(super) fn weight_column(&self) -> usize {
+        usize::from(self.has_radius)
+    }
+
+    pub(super) fn color_column(&self) -> usize {
+        self.weight_column() + usize::from(self.has_weight)
+    }
+
+    pub(super) fn attribute_column(&self, index: usize) -> usize {
+        self.color_column() + 3 * usize::from(self.has_color) + index
+    }
+
+    /// The same layout with a radius in front of the other columns.
+    pub(super) fn with_radius(&self) -> Self {
+        Self { has_radius: true, ..self.clone() }
+    }
+}
+
+pub(super) fn position(record: &[u8]) -> [f64; 3] {
+    std::array::from_fn(|axis| {
+        let b = &record[8 * axis..8 * axis + 8];
+        f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]])
+    })
+}
+
+pub(super) fn column(record: &[u8], index: usize) -> f32 {
+    let b = &record[24 + 4 * index..28 + 4 * index];
+    f32::from_le_bytes([b[0], b[1], b[2], b[3]])
+}
+
+/// Orders records as the file does, save for ties: Morton prefix at the owner's level (60 bits), level (5), Morton
+/// code (60).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Key(u128);
+
+impl Key {
+    fn new(code: u64, level: u32) -> Self {
+        let below = MORTON_BITS - 3 * level;
+        let prefix = code >> below << below;
+        Self(u128::from(prefix) << (MORTON_BITS + 5) | u128::from(level) << MORTON_BITS | u128::from(code))
+    }
+
+    /// The deepest level whose cell is not smaller than the point's radius.
+    pub(super) fn level(self) -> u32 {
+        (self.0 >> MORTON_BITS) as u32 & 31
+    }
+
+    pub(super) fn code(self) -> u64 {
+        self.0 as u64 & ((1 << MORTON_BITS) - 1)
+    }
+
+    /// Number, among all cells of `level`, of the cell that holds the point; for levels not below the owner's.
+    pub(super) fn cell_at(self, level: u32) -> u64 {
+        self.code() >> (MORTON_BITS - 3 * level)
+    }
+}
+
+/// Computes keys.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct KeyMaker {
+    pub(super) root: RootCell,
+    /// The radius of all points, or `None` where the first column holds it.
+    pub(super) radius: Option<f32>,
+}
+
+impl KeyMaker {
+    pub(super) fn key(&self, record: &[u8]) -> Key {
+        let cells = f64::from(1_u32 << MAX_LEVEL);
+        let p = (DVec3::from_array(position(record)) - self.root.min) * (cells / self.root.size);
+        let cell = p.to_array().map(|v| v.clamp(0.0, cells - 1.0) as u32);
+        Key::new(morton(cell), owner_level(self.radius(record), self.root.size))
+    }
+
+    pub(super) fn radius(&self, record: &[u8]) -> f32 {
+        self.radius.unwrap_or_else(|| column(record, 0))
+    }
+}
+
+/// The deepest level whose cell is not smaller than `radius`.
+fn owner_level(radius: f32, root_size: f64) -> u32 {
+    let ratio = root_size / f64::from(radius).max(f64::MIN_POSITIVE);
+    if ratio < 1.0 {
+        return 0;
+    }
+    // The exponent of a normal f64 is the floor of its binary logarithm.
+    let exponent = (ratio.to_bits() >> 52) as u32 - 1023;
+    exponent.min(MAX_LEVEL)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_is_owned_by_the_deepest_cell_not_smaller_than_its_radius() {
+        assert_eq!(owner_level(1.0, 8.0), 3);
+        assert_eq!(owner_level(1.01, 8.0), 2);
+        assert_eq!(owner_level(9.0, 8.0), 0);
+        assert_eq!(owner_level(1e-18, 8.0), MAX_LEVEL);
+    }
+
+    #[test]
+    fn own_points_of_a_node_come_before_those_of_its_children() {
+        let (wide, narrow) = (Key::new(0b111_000 << (MORTON_BITS - 6), 1), Key::new(0b111_000 << (MORTON_BITS - 6), 2));
+        let earlier = Key::new(0b110_111 << (MORTON_BITS - 6), MAX_LEVEL);
+        assert!(earlier < wide && wide < narrow);
+    }
+}

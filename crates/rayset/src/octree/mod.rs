@@ -1,0 +1,13 @@
+//! A cloud on disk: a loose octree and its pages, in one checked file, and the builder that makes it.
+//!
+//! [`format`] and [`page`] know bytes and do no input or output; [`file`] opens and checks a file; [`build`] makes
+//! one from points, in bounded memory. The layout is described byte by byte in `docs/format.md`.
+
+pub mod build;
+pub mod file;
+pub mod format;
+pub mod node;
+pub mod page;
+pub mod verify;
+
+pub use file::{Cloud, OpenError};

@@ -1,0 +1,187 @@
+//! Node records: tight bounds of influence, what level of detail needs, and where children and points are.
+
+use super::format::{Header, NodeRef, PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
+use super::page::RootCell;
+use crate::geometry::{Aabb, DVec3};
+
+/// Bytes of a record.
+pub const NODE_BYTES: usize = 80;
+
+/// Runs that a node owns, which may continue over several pages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct RunRange {
+    /// Page of the first run.
+    pub first_page: u32,
+    /// Its index there.
+    pub first_run: u16,
+    /// Number of runs; the range goes on at run 0 of the next page where a page ends.
+    pub runs: u32,
+}
+
+/// One node of the loose octree.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Node {
+    /// Bounds of influence of all points at and below the node, in units of the root cell, rounded outward.
+    pub bounds_min: [f32; 3],
+    /// See `bounds_min`.
+    pub bounds_max: [f32; 3],
+    /// Points at and below the node.
+    pub points: u64,
+    /// Sum of their weights.
+    pub weight_sum: f64,
+    /// Their mean position, each counted by the size of its weight, in units of the root cell.
+    pub centroid: [f32; 3],
+    /// Smallest radius at and below the node.
+    pub radius_min: f32,
+    /// Largest radius at and below the node.
+    pub radius_max: f32,
+    /// The node's own points.
+    pub own: RunRange,
+    /// Bit k is set where child k exists.
+    pub child_mask: u8,
+    /// Level of the node, the root's being 0.
+    pub level: u8,
+    /// The first child; its siblings follow it in the same page, in the order of their numbers.
+    pub first_child: NodeRef,
+}
+
+impl Node {
+    /// Bounds of influence in world space.
+    #[must_use]
+    pub fn bounds(&self, root: RootCell) -> Aabb {
+        let corner = |c: [f32; 3]| root.min + DVec3::from_array(c.map(f64::from)) * root.size;
+        Aabb::new(corner(self.bounds_min), corner(self.bounds_max))
+    }
+
+    /// Writes the record into its 80 bytes.
+    pub fn encode(&self, bytes: &mut [u8]) {
+        let mut at = 0;
+        let mut put = |b: &[u8]| {
+            bytes[at..at + b.len()].copy_from_slice(b);
+            at += b.len();
+        };
+        for v in self.bounds_min.iter().chain(&self.bounds_max) {
+            put(&v.to_le_bytes());
+        }
+        put(&self.points.to_le_bytes());
+        put(&self.weight_sum.to_le_bytes());
+        for v in &self.centroid {
+            put(&v.to_le_bytes());
+        }
+        put(&self.radius_min.to_le_bytes());
+        put(&self.radius_max.to_le_bytes());
+        put(&self.own.first_page.to_le_bytes());
+        put(&self.own.runs.to_le_bytes());
+        put(&self.own.first_run.to_le_bytes());
+        put(&[self.child_mask, self.level]);
+        put(&self.first_child.page.to_le_bytes());
+        put(&self.first_child.index.to_le_bytes());
+        put(&[0; 2]);
+    }
+
+    fn decode(bytes: &[u8]) -> Self {
+        let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let u32_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        let u64_at = |at: usize| u64::from(u32_at(at)) | u64::from(u32_at(at + 4)) << 32;
+        let f32_at = |at: usize| f32::from_bits(u32_at(at));
+        Self {
+            bounds_min: [f32_at(0), f32_at(4), f32_at(8)],
+            bounds_max: [f32_at(12), f32_at(16), f32_at(20)],
+            points: u64_at(24),
+            weight_sum: f64::from_bits(u64_at(32)),
+            centroid: [f32_at(40), f32_at(44), f32_at(48)],
+            radius_min: f32_at(52),
+            radius_max: f32_at(56),
+            own: RunRange { first_page: u32_at(60), runs: u32_at(64), first_run: u16_at(68) },
+            child_mask: bytes[70],
+            level: bytes[71],
+            first_child: NodeRef { page: u32_at(72), index: u16_at(76) },
+        }
+    }
+}
+
+/// Most records in a page.
+#[must_use]
+pub fn nodes_per_page(page_bytes: usize) -> usize {
+    (page_bytes - PAGE_HEAD_BYTES) / NODE_BYTES
+}
+
+/// A node page whose records have been checked.
+#[derive(Clone, Copy, Debug)]
+pub struct NodePage<'a> {
+    bytes: &'a [u8],
+    nodes: usize,
+}
+
+impl<'a> NodePage<'a> {
+    /// Checks a page: its head, and that every record refers to pages that exist, and only to nodes written before
+    /// it, so that no cycle can be followed.
+    ///
+    /// # Errors
+    /// [`PageError`] that says what is wrong.
+    pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
+        let head = PageHead::check(bytes, PageKind::Octree, page)?;
+        let this = Self::trusted(bytes);
+        let wrong = |what| Err(PageError::Content { what });
+        if this.nodes != head.records as usize || this.nodes > nodes_per_page(bytes.len()) {
+            return wrong("more nodes than fit the page");
+        }
+        for index in 0..this.nodes {
+            let node = this.node(index);
+            let numbers = node.bounds_min.iter().chain(&node.bounds_max).chain(&node.centroid);
+            if !numbers.copied().all(f32::is_finite) || !(node.radius_min > 0.0 && node.radius_max.is_finite()) {
+                return wrong("a node whose bounds or radii are not finite");
+            }
+            let own_end = u64::from(node.own.first_page) + u64::from(node.own.runs.min(1));
+            if own_end > u64::from(header.point_pages) {
+                return wrong("a node whose points are in no point page");
+            }
+            let (c, here) = (node.first_child, page - header.point_pages);
+            let last = usize::from(c.index) + node.child_mask.count_ones() as usize;
+            let before = c.page < here || (c.page == here && last <= index);
+            if node.child_mask != 0 && (!before || last > nodes_per_page(bytes.len())) {
+                return wrong("a node whose children are not before it");
+            }
+        }
+        Ok(this)
+    }
+
+    /// A page that [`check`](Self::check) has passed before.
+    #[must_use]
+    pub fn trusted(bytes: &'a [u8]) -> Self {
+        Self { bytes, nodes: u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize }
+    }
+
+    /// Number of nodes.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.nodes
+    }
+
+    /// Whether the page holds no node.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.nodes == 0
+    }
+
+    /// A record, or `None` where `index` is beyond the page.
+    #[must_use]
+    pub fn get(&self, index: usize) -> Option<Node> {
+        (index < self.nodes).then(|| self.node(index))
+    }
+
+    fn node(&self, index: usize) -> Node {
+        let at = PAGE_HEAD_BYTES + index * NODE_BYTES;
+        Node::decode(&self.bytes[at..at + NODE_BYTES])
+    }
+}
+
+/// Rounds world bounds outward to the units of the root cell.
+#[must_use]
+pub fn to_cell_units(bounds: &Aabb, root: RootCell) -> ([f32; 3], [f32; 3]) {
+    // Two steps of f32 cover the rounding of the division and of the conversion.
+    let down = |v: f64| (v as f32).next_down().next_down();
+    let up = |v: f64| (v as f32).next_up().next_up();
+    let (min, max) = ((bounds.min - root.min) / root.size, (bounds.max - root.min) / root.size);
+    (min.to_array().map(down), max.to_array().map(up))
+}

@@ -1,0 +1,88 @@
+//! LAS and LAZ through the `las` crate, in batches; scale and offset stay `f64`.
+
+use std::path::{Path, PathBuf};
+
+use las::{PointData, Reader};
+
+use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+
+/// The scalar columns that every point format has.
+const COMMON: [&str; 6] =
+    ["intensity", "classification", "return_number", "number_of_returns", "user_data", "point_source_id"];
+
+/// The points of a LAS or LAZ file.
+pub struct LasSource {
+    path: PathBuf,
+    reader: Reader,
+    data: PointData,
+    schema: Schema,
+    selected: Vec<usize>,
+    next: u64,
+}
+
+impl LasSource {
+    /// Opens a file and reads its header.
+    ///
+    /// # Errors
+    /// [`ReadError`] where the file cannot be opened or its header is refused.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        std::fs::File::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        let reader = Reader::from_path(path)
+            .map_err(|e| ReadError::Las { path: path.to_owned(), point: 0, source: Box::new(e) })?;
+        let header = reader.header();
+        let mut attributes: Vec<String> = COMMON.map(str::to_owned).to_vec();
+        if header.point_format().has_color {
+            attributes.extend(["red", "green", "blue"].map(str::to_owned));
+        }
+        let data = las::PointDataBuilder::new().for_header(header).build();
+        // The specification wants 16-bit colours, and many writers store 8-bit ones.
+        let schema = Schema { attributes, color_depth: ColorDepth::Guess };
+        Ok(Self { path: path.to_owned(), reader, data, schema, selected: Vec::new(), next: 0 })
+    }
+}
+
+impl PointSource for LasSource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.reader.header().number_of_points())
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(self.selected.len());
+        let left = self.reader.header().number_of_points().saturating_sub(self.next);
+        if left == 0 {
+            return Ok(());
+        }
+        self.reader.fill_points(left.min(limit as u64), &mut self.data).map_err(|e| ReadError::Las {
+            path: self.path.clone(),
+            point: self.next,
+            source: Box::new(e),
+        })?;
+        let data = &self.data;
+        self.next += data.len() as u64;
+        batch.position.extend(data.x().zip(data.y()).zip(data.z()).map(|((x, y), z)| [x, y, z]));
+        for (column, &attribute) in batch.columns.iter_mut().zip(&self.selected) {
+            match attribute {
+                0 => column.extend(data.intensity().map(f32::from)),
+                1 => column.extend(data.classification().map(f32::from)),
+                2 => column.extend(data.return_number().map(f32::from)),
+                3 => column.extend(data.number_of_returns().map(f32::from)),
+                4 => column.extend(data.user_data().map(f32::from)),
+                5 => column.extend(data.point_source_id().map(f32::from)),
+                channel => {
+                    let rgb = data.rgb().into_iter().flatten();
+                    column.extend(rgb.map(|(r, g, b)| f32::from([r, g, b][(channel - 6).min(2)])));
+                }
+            }
+            column.resize(data.len(), f32::NAN);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,183 @@
+//! Points in: streaming readers for the files people have, and generators for the standard workloads.
+//!
+//! A [`PointSource`] hands out points in batches and never holds a whole file. Positions are `f64` in the file's own
+//! coordinates; everything else is an `f32` column with a name. What a column means (radius, weight, colour) is
+//! decided by the builder, and so is what happens to invalid records.
+
+mod las;
+mod ply;
+mod ply_header;
+mod ply_write;
+mod synthetic;
+mod text;
+
+use std::path::{Path, PathBuf};
+use std::{fmt, io};
+
+pub use self::las::LasSource;
+pub use self::ply::PlySource;
+pub use self::ply_write::PlyWriter;
+pub use self::synthetic::{UnknownWorkload, View, Workload};
+pub use self::text::TextSource;
+
+/// How the numbers of the colour columns of a source are to be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColorDepth {
+    /// 0 to 1.
+    Unit,
+    /// 0 to 255.
+    Byte,
+    /// 0 to 65535.
+    Word,
+    /// Not stated by the format: decided from the largest value of the whole input (≤ 1, ≤ 255, or larger).
+    Guess,
+}
+
+/// What a source offers besides positions.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Schema {
+    /// Column names, in the order of [`PointBatch::columns`] before any selection. Colours are `red`, `green`, `blue`.
+    pub attributes: Vec<String>,
+    /// How to read the colour columns, if there are any.
+    pub color_depth: ColorDepth,
+}
+
+impl Schema {
+    /// Index of the column called `name`.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.attributes.iter().position(|a| a == name)
+    }
+}
+
+/// A batch of points in columns; buffers are reused from one fill to the next.
+#[derive(Clone, Debug, Default)]
+pub struct PointBatch {
+    /// Positions in the coordinates of the file, possibly not finite: readers pass on what they find.
+    pub position: Vec<[f64; 3]>,
+    /// One column for each selected attribute, each as long as `position`.
+    pub columns: Vec<Vec<f32>>,
+}
+
+impl PointBatch {
+    /// Empties the batch and gives it `columns` columns, keeping the buffers.
+    pub fn reset(&mut self, columns: usize) {
+        self.position.clear();
+        self.columns.resize_with(columns, Vec::new);
+        self.columns.iter_mut().for_each(Vec::clear);
+    }
+
+    /// Number of points.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+
+    /// Whether there are no points.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+}
+
+/// A stream of points.
+pub trait PointSource {
+    /// What the source offers.
+    fn schema(&self) -> &Schema;
+    /// Number of points that the file claims to hold; a claim, never trusted for an allocation.
+    fn count_hint(&self) -> Option<u64>;
+    /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema. Initially none.
+    fn select(&mut self, columns: &[usize]);
+    /// Replaces the contents of `batch` by up to `limit` further points; leaves it empty at the end.
+    ///
+    /// # Errors
+    /// [`ReadError`] where the file cannot be read or breaks its format.
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError>;
+}
+
+/// A position in a file, for messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// One-based line of a text file.
+    Line(u64),
+    /// Byte offset from the start of the file.
+    Byte(u64),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Line(n) => write!(f, "line {n}"),
+            Self::Byte(n) => write!(f, "byte {n}"),
+        }
+    }
+}
+
+/// Why points could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// The operating system refused.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file breaks the rules of its own format.
+    #[error("{}, {place}: {what}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Where in it.
+        place: Place,
+        /// What was found and what was expected.
+        what: String,
+    },
+    /// The LAS or LAZ decoder refused.
+    #[error("{}, point {point}: {source}", path.display())]
+    Las {
+        /// The file.
+        path: PathBuf,
+        /// Index of the first point of the batch that failed.
+        point: u64,
+        /// The decoder's reason.
+        source: Box<::las::Error>,
+    },
+    /// The extension names no format that can be read.
+    #[error(
+        "{}: unknown kind of file; expected .ply, .las, .laz, .xyz, .txt, .csv, .asc or .pts", path.display()
+    )]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl ReadError {
+    fn malformed(path: &Path, place: Place, what: impl Into<String>) -> Self {
+        Self::Malformed { path: path.to_owned(), place, what: what.into() }
+    }
+}
+
+/// What a reader needs to be told because some formats do not say it.
+#[derive(Clone, Debug, Default)]
+pub struct ReadOptions {
+    /// Column names of text files, overriding their header; `-` or an empty name skips a column.
+    pub text_columns: Option<Vec<String>>,
+}
+
+/// Opens a file by its extension.
+///
+/// # Errors
+/// [`ReadError`] where the file cannot be opened, its header is malformed, or its extension is unknown.
+pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    Ok(match extension.as_str() {
+        "ply" => Box::new(PlySource::open(path)?),
+        "las" | "laz" => Box::new(LasSource::open(path)?),
+        "xyz" | "txt" | "csv" | "asc" | "pts" => Box::new(TextSource::open(path, options.text_columns.as_deref())?),
+        _ => return Err(ReadError::UnknownFormat { path: path.to_owned() }),
+    })
+}

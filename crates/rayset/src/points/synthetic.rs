@@ -1,0 +1,276 @@
+//! Generated clouds: the standard workloads, the same in code, benchmarks and documents, and two handsome ones.
+//!
+//! Random numbers are splitmix64 from state 42, u = (next >> 40) / 2²⁴ in draw order, so that anyone can make the
+//! same points.
+
+use std::f64::consts::{PI, TAU};
+use std::fmt;
+use std::str::FromStr;
+
+use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+use crate::geometry::DVec3;
+
+/// What a workload's points are spread over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Shape {
+    Sphere,
+    Cube,
+    Knot,
+    Galaxy,
+}
+
+/// A generated cloud: `sphere-100k`, `cube-1m`, `knot-2m`, `galaxy-500k`, with any number of points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Workload {
+    shape: Shape,
+    points: u64,
+}
+
+/// A viewpoint that suits a workload.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Eye position.
+    pub position: DVec3,
+    /// What the eye looks at.
+    pub look_at: DVec3,
+    /// Up direction.
+    pub up: DVec3,
+    /// Vertical field of view, degrees.
+    pub fovy_degrees: f64,
+}
+
+impl Workload {
+    /// The standard workloads of the benchmark.
+    pub const STANDARD: [&str; 4] = ["sphere-100k", "sphere-1m", "sphere-10m", "cube-1m"];
+
+    /// Number of points.
+    #[must_use]
+    pub fn points(&self) -> u64 {
+        self.points
+    }
+
+    /// The radius that all points share, or `None` where each has its own (column `radius`).
+    #[must_use]
+    pub fn radius(&self) -> Option<f64> {
+        let n = self.points.max(1) as f64;
+        match self.shape {
+            // About 40 supports overlap at the surface.
+            Shape::Sphere => Some((160.0 / n).sqrt()),
+            Shape::Cube => Some((30.0 * 3.0 / (4.0 * PI * n)).cbrt()),
+            Shape::Knot | Shape::Galaxy => None,
+        }
+    }
+
+    /// The viewpoint of the standard benchmark, or one that shows a handsome cloud well.
+    #[must_use]
+    pub fn view(&self) -> View {
+        let (position, up) = match self.shape {
+            Shape::Sphere | Shape::Cube => (DVec3::new(0.0, 0.0, 3.0), DVec3::Y),
+            Shape::Knot => (DVec3::new(-1.5, -6.2, 4.4), DVec3::Z),
+            Shape::Galaxy => (DVec3::new(0.0, -2.1, 1.5), DVec3::Z),
+        };
+        View { position, look_at: DVec3::ZERO, up, fovy_degrees: 45.0 }
+    }
+
+    /// The stream of points.
+    #[must_use]
+    pub fn source(&self) -> Box<dyn PointSource> {
+        let attributes: &[&str] = match self.shape {
+            Shape::Sphere | Shape::Cube => &[],
+            Shape::Knot | Shape::Galaxy => &["radius", "weight", "red", "green", "blue"],
+        };
+        Box::new(SyntheticSource {
+            workload: *self,
+            schema: Schema {
+                attributes: attributes.iter().map(|&a| a.to_owned()).collect(),
+                color_depth: ColorDepth::Unit,
+            },
+            selected: Vec::new(),
+            random: SplitMix(42),
+            next: 0,
+        })
+    }
+}
+
+impl fmt::Display for Workload {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shape = match self.shape {
+            Shape::Sphere => "sphere",
+            Shape::Cube => "cube",
+            Shape::Knot => "knot",
+            Shape::Galaxy => "galaxy",
+        };
+        match self.points {
+            n if n >= 1_000_000 && n % 1_000_000 == 0 => write!(f, "{shape}-{}m", n / 1_000_000),
+            n if n >= 1000 && n % 1000 == 0 => write!(f, "{shape}-{}k", n / 1000),
+            n => write!(f, "{shape}-{n}"),
+        }
+    }
+}
+
+/// A name that is no workload.
+#[derive(Debug, thiserror::Error)]
+#[error("unknown workload `{0}`; expected sphere-N, cube-N, knot-N or galaxy-N, N as 5000, 100k or 1m")]
+pub struct UnknownWorkload(String);
+
+impl FromStr for Workload {
+    type Err = UnknownWorkload;
+
+    fn from_str(s: &str) -> Result<Self, Self::Err> {
+        let unknown = || UnknownWorkload(s.to_owned());
+        let (shape, count) = s.split_once('-').ok_or_else(unknown)?;
+        let shape = match shape {
+            "sphere" => Shape::Sphere,
+            "cube" => Shape::Cube,
+            "knot" => Shape::Knot,
+            "galaxy" => Shape::Galaxy,
+            _ => return Err(unknown()),
+        };
+        let (digits, unit) = match count.strip_suffix('k') {
+            Some(d) => (d, 1000),
+            None => count.strip_suffix('m').map_or((count, 1), |d| (d, 1_000_000)),
+        };
+        let points = digits.parse::<u64>().ok().and_then(|n| n.checked_mul(unit)).ok_or_else(unknown)?;
+        Ok(Self { shape, points })
+    }
+}
+
+#[derive(Debug)]
+struct SplitMix(u64);
+
+impl SplitMix {
+    /// Uniform in [0, 1), 24 bits.
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        (z >> 40) as f64 / f64::from(1 << 24)
+    }
+
+    /// Normal with mean 0 and deviation 1 (Box–Muller, one of the pair).
+    fn normal(&mut self) -> f64 {
+        let (u, v) = (1.0 - self.unit(), self.unit());
+        (-2.0 * u.ln()).sqrt() * (TAU * v).cos()
+    }
+}
+
+#[derive(Debug)]
+struct SyntheticSource {
+    workload: Workload,
+    schema: Schema,
+    selected: Vec<usize>,
+    random: SplitMix,
+    next: u64,
+}
+
+impl SyntheticSource {
+    /// Position and the five columns of the next point.
+    fn point(&mut self) -> ([f64; 3], [f64; 5]) {
+        let random = &mut self.random;
+        match self.workload.shape {
+            Shape::Sphere => {
+                let (z, phi) = (2.0 * random.unit() - 1.0, TAU * random.unit());
+                let ring = (1.0 - z * z).max(0.0).sqrt();
+                ([ring * phi.cos(), ring * phi.sin(), z], [0.0; 5])
+            }
+            Shape::Cube => ([random.unit() - 0.5, random.unit() - 0.5, random.unit() - 0.5], [0.0; 5]),
+            Shape::Knot => knot(random, self.workload.points),
+            Shape::Galaxy => galaxy(random, self.workload.points),
+        }
+    }
+}
+
+/// A (2, 3) torus knot: a fluted tube whose colour runs along its length.
+fn knot(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
+    let (u, v) = (TAU * random.unit(), TAU * random.unit());
+    let curve = |u: f64| {
+        let ring = 2.0 + (3.0 * u).cos();
+        DVec3::new(ring * (2.0 * u).cos(), ring * (2.0 * u).sin(), (3.0 * u).sin())
+    };
+    let center = curve(u);
+    let tangent = (curve(u + 1e-4) - curve(u - 1e-4)).normalize();
+    let side = tangent.cross(DVec3::Z).normalize();
+    let across = tangent.cross(side);
+    let flute = 0.06 * (8.0 * v + 24.0 * u).sin();
+    let tube = 0.42 + flute;
+    let p = center + (side * v.cos() + across * v.sin()) * tube;
+    // Tube area over the number of points is the square of the spacing; the radius covers about 2½ spacings.
+    let radius = 2.5 * (2.7 * TAU * TAU * 0.42 / points.max(1) as f64).sqrt();
+    let shade = 0.75 + 3.0 * flute;
+    let [r, g, b] = hue(2.0 * u / TAU);
+    (p.to_array(), [radius, 1.0, r * shade, g * shade, b * shade])
+}
+
+/// A two-armed spiral with a bulge: translucent, with radii over two orders of magnitude.
+fn galaxy(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
+    let scale = (2e5 / points.max(1) as f64).cbrt();
+    if random.unit() < 0.25 {
+        let p = DVec3::new(random.normal(), random.normal(), 0.6 * random.normal()) * 0.13;
+        let radius = scale * (0.008 + 0.02 * random.unit());
+        return (p.to_array(), [radius, 1.0, 1.0, 0.82, 0.55]);
+    }
+    let along = -(1.0 - 0.98 * random.unit()).ln() / 3.0;
+    let arm = if random.unit() < 0.5 { 0.0 } else { PI };
+    let angle = arm + 4.0 * (along + 0.1).ln() + 0.35 * random.normal();
+    let z = 0.02 * random.normal();
+    let young = random.unit();
+    let radius = scale * (0.004 + 0.06 * along * young.powi(4));
+    let p = [along * angle.cos(), along * angle.sin(), z];
+    (p, [radius, 0.7, 0.45 + 0.5 * young, 0.6 + 0.2 * young, 1.0 - 0.2 * young])
+}
+
+/// A saturated colour of the wheel, `turn` in turns.
+fn hue(turn: f64) -> [f64; 3] {
+    [0.0, 1.0 / 3.0, 2.0 / 3.0].map(|shift| 0.55 + 0.4 * (TAU * (turn - shift)).cos())
+}
+
+impl PointSource for SyntheticSource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.workload.points)
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(self.selected.len());
+        let count = (self.workload.points - self.next).min(limit as u64);
+        for _ in 0..count {
+            let (position, columns) = self.point();
+            batch.position.push(position);
+            for (column, &attribute) in batch.columns.iter_mut().zip(&self.selected) {
+                column.push(columns[attribute] as f32);
+            }
+        }
+        self.next += count;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_generator_is_the_published_one() {
+        // splitmix64 from state 42: 13679457532755275413 is the first output.
+        let mut random = SplitMix(42);
+        assert_eq!(random.unit(), (13_679_457_532_755_275_413_u64 >> 40) as f64 / f64::from(1 << 24));
+    }
+
+    #[test]
+    fn names_round_trip() {
+        for name in ["sphere-100k", "cube-1m", "knot-1234", "galaxy-2m"] {
+            assert_eq!(name.parse::<Workload>().map(|w| w.to_string()).ok().as_deref(), Some(name));
+        }
+        assert!("sphere".parse::<Workload>().is_err());
+        assert!("sphere-99999999999999999m".parse::<Workload>().is_err());
+    }
+}

@@ -1,0 +1,138 @@
+//! Cameras: where rays start and where they go.
+
+use crate::geometry::{Aabb, DVec3, Ray};
+
+/// How points of the image plane become rays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// All rays start at the eye.
+    Perspective {
+        /// Vertical field of view in radians, between 0 and π.
+        fovy: f64,
+    },
+    /// All rays are parallel.
+    Orthographic {
+        /// Height of the picture in world units.
+        height: f64,
+    },
+}
+
+/// A camera; names follow ANARI.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Eye, or the centre of an orthographic picture; world space.
+    pub position: DVec3,
+    /// Viewing direction; any length but zero.
+    pub direction: DVec3,
+    /// A direction that points up in the picture; not parallel to `direction`.
+    pub up: DVec3,
+    /// How rays diverge.
+    pub projection: Projection,
+}
+
+/// Why a camera makes no rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CameraError {
+    /// A direction is zero or not finite.
+    #[error("the camera's position or direction is zero or not finite")]
+    Direction,
+    /// Up says nothing about the roll.
+    #[error("the camera's up direction is parallel to its viewing direction, zero or not finite")]
+    Up,
+    /// The field of view or height is out of range.
+    #[error("the camera's field of view must lie between 0 and 180 degrees, its height above 0")]
+    Projection,
+}
+
+/// A camera for a picture of a certain size: makes the ray of a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RayMaker {
+    camera: Camera,
+    forward: DVec3,
+    right: DVec3,
+    up: DVec3,
+    size: [f64; 2],
+}
+
+impl Camera {
+    /// A perspective camera at `position` that looks at `target`.
+    #[must_use]
+    pub fn look_at(position: DVec3, target: DVec3, up: DVec3, fovy: f64) -> Self {
+        Self { position, direction: target - position, up, projection: Projection::Perspective { fovy } }
+    }
+
+    /// A camera that sees all of `bounds` from the side that `toward` points away from.
+    #[must_use]
+    pub fn framing(bounds: &Aabb, toward: DVec3, up: DVec3, fovy: f64, aspect: f64, orthographic: bool) -> Self {
+        let direction = toward.normalize_or(DVec3::NEG_Z);
+        let right = direction.cross(up).normalize_or(direction.any_orthonormal_vector());
+        let upward = right.cross(direction);
+        let (center, half) = (bounds.center(), bounds.size() * 0.5);
+        let half_extent = |axis: DVec3| axis.abs().dot(half).max(1e-300);
+        let (width, height) = (half_extent(right), half_extent(upward));
+        /// Part of the picture that stays free around the object.
+        const MARGIN: f64 = 1.04;
+        let half_height = MARGIN * height.max(width / aspect);
+        let tangent = (fovy * 0.5).tan();
+        // Corners nearer to the eye look larger: stand back far enough for each.
+        let mut distance = 0.0_f64;
+        for corner in 0..8 {
+            let sign = |bit: i32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+            let offset = half * DVec3::new(sign(0), sign(1), sign(2));
+            let spread = (offset.dot(upward).abs()).max(offset.dot(right).abs() / aspect) * MARGIN;
+            distance = distance.max(spread / tangent - offset.dot(direction));
+        }
+        let projection = if orthographic {
+            Projection::Orthographic { height: 2.0 * half_height }
+        } else {
+            Projection::Perspective { fovy }
+        };
+        let depth = half_extent(direction);
+        let distance = if orthographic { 2.0 * depth + half_height } else { distance.max(depth * 1e-3) };
+        Self { position: center - direction * distance, direction, up: upward, projection }
+    }
+
+    /// Checks the camera and prepares it for a picture.
+    pub(crate) fn ray_maker(&self, width: u32, height: u32) -> Result<RayMaker, CameraError> {
+        let forward = self.direction.normalize_or_zero();
+        if forward == DVec3::ZERO || !self.position.is_finite() {
+            return Err(CameraError::Direction);
+        }
+        let right = forward.cross(self.up).try_normalize().ok_or(CameraError::Up)?;
+        let fits = match self.projection {
+            Projection::Perspective { fovy } => fovy > 0.0 && fovy < std::f64::consts::PI,
+            Projection::Orthographic { height } => height > 0.0 && height.is_finite(),
+        };
+        if !fits {
+            return Err(CameraError::Projection);
+        }
+        let up = right.cross(forward);
+        Ok(RayMaker { camera: *self, forward, right, up, size: [f64::from(width), f64::from(height)] })
+    }
+}
+
+impl RayMaker {
+    /// The ray through a point of the picture, in pixels from its upper left corner.
+    pub(crate) fn ray(&self, x: f64, y: f64) -> Ray {
+        let [width, height] = self.size;
+        // Picture coordinates in units of half the picture's height, up and right positive.
+        let (u, v) = ((2.0 * x - width) / height, 1.0 - 2.0 * y / height);
+        match self.camera.projection {
+            Projection::Perspective { fovy } => {
+                let tangent = (fovy * 0.5).tan();
+                let direction = self.forward + (self.right * u + self.up * v) * tangent;
+                Ray { origin: self.camera.position, direction: direction.normalize() }
+            }
+            Projection::Orthographic { height } => {
+                let origin = self.camera.position + (self.right * u + self.up * v) * (height * 0.5);
+                Ray { origin, direction: self.forward }
+            }
+        }
+    }
+
+    /// The ray through the centre of a pixel.
+    pub(crate) fn pixel_ray(&self, x: u32, y: u32) -> Ray {
+        self.ray(f64::from(x) + 0.5, f64::from(y) + 0.5)
+    }
+}

@@ -1,0 +1,339 @@
+//! The ray tracer: packets of rays through slabs of samples, over a working set of pages.
+//!
+//! [`render`] is the table of contents. [`RenderSettings`] (with scene and camera) decide the picture;
+//! [`ExecSettings`] never do.
+
+mod composite;
+mod frontier;
+pub mod judge;
+pub mod memory;
+mod packet_tracer;
+pub mod predict;
+mod steps;
+mod world;
+
+use std::ops::Range;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, PoisonError};
+
+pub use self::packet_tracer::RenderCounts;
+use self::packet_tracer::PacketTracer;
+use self::predict::{Lookahead, Predictor};
+use self::steps::StepRule;
+use self::world::World;
+use crate::field::{LANES, SLAB_SAMPLES, SimdLevel};
+use crate::geometry::curve::hilbert_order;
+use crate::image::Band;
+use crate::scene::{Camera, CameraError, RenderSettings, Scene, TransferError};
+use crate::working_set::{Object, PageFault, WorkingSet};
+
+/// How the work is done. Nothing here can change a pixel.
+#[derive(Clone)]
+pub struct ExecSettings {
+    /// Threads that trace.
+    pub threads: usize,
+    /// What brings pages in before they are needed.
+    pub predictor: Arc<dyn Predictor>,
+    /// Vector instructions. Those with and without fused multiply–add differ in last bits.
+    pub simd: SimdLevel,
+    /// Edge of a tile in pixels, 1 to 8.
+    pub tile_pixels: u32,
+    /// Samples worked on at a time, 1 to 32.
+    pub slab_samples: usize,
+    /// Rows of the picture held at a time.
+    pub band_rows: u32,
+}
+
+impl Default for ExecSettings {
+    fn default() -> Self {
+        Self {
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            predictor: Arc::new(predict::PacketPredictor),
+            simd: SimdLevel::default(),
+            tile_pixels: 8,
+            slab_samples: SLAB_SAMPLES,
+            band_rows: u32::MAX,
+        }
+    }
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RenderError {
+    /// A page could not be had.
+    #[error(transparent)]
+    Page(#[from] PageFault),
+    /// The camera makes no rays.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// The transfer function is none.
+    #[error(transparent)]
+    Transfer(#[from] TransferError),
+    /// A setting out of its range.
+    #[error("{setting}: {what}")]
+    Setting {
+        /// The setting.
+        setting: &'static str,
+        /// What is wrong with it, and what is expected.
+        what: String,
+    },
+    /// The receiver of the picture refused it.
+    #[error("the picture could not be written: {0}")]
+    Sink(String),
+    /// The render was cancelled.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// Takes a picture, band by band, and hears how it gets on.
+pub trait Sink: Send {
+    /// A finished band; bands come from the top.
+    ///
+    /// # Errors
+    /// A sentence for the user; it ends the render.
+    fn band(&mut self, band: &Band) -> Result<(), String>;
+
+    /// `done` of `total` pixels are finished. Returning false cancels the render.
+    fn progress(&mut self, _done: u64, _total: u64) -> bool {
+        true
+    }
+}
+
+/// Keeps the whole picture.
+#[derive(Debug, Default)]
+pub struct WholePicture {
+    /// The bands joined.
+    pub pixels: Vec<[f32; 4]>,
+}
+
+impl Sink for WholePicture {
+    fn band(&mut self, band: &Band) -> Result<(), String> {
+        self.pixels.extend_from_slice(&band.pixels);
+        Ok(())
+    }
+}
+
+/// Pixels of a picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Columns.
+    pub columns: Range<u32>,
+    /// Rows.
+    pub rows: Range<u32>,
+}
+
+/// Renders a whole picture.
+///
+/// # Errors
+/// [`RenderError`] where settings are out of range, a page cannot be had, or the sink refuses.
+pub fn render(
+    scene: &Scene,
+    camera: &Camera,
+    settings: &RenderSettings,
+    exec: &ExecSettings,
+    pages: &WorkingSet,
+    object: &Arc<Object>,
+    sink: &mut dyn Sink,
+) -> Result<RenderCounts, RenderError> {
+    let whole = Region { columns: 0..settings.width, rows: 0..settings.height };
+    render_region(scene, camera, settings, &whole, exec, pages, object, sink)
+}
+
+/// Renders a part of a picture; each of its pixels is the same, bit for bit, as in the whole.
+///
+/// # Errors
+/// As [`render`].
+#[expect(clippy::too_many_arguments, reason = "the description of a picture and the means to make it")]
+pub fn render_region(
+    scene: &Scene,
+    camera: &Camera,
+    settings: &RenderSettings,
+    region: &Region,
+    exec: &ExecSettings,
+    pages: &WorkingSet,
+    object: &Arc<Object>,
+    sink: &mut dyn Sink,
+) -> Result<RenderCounts, RenderError> {
+    check(scene, settings, region, exec)?;
+    let rays = camera.ray_maker(settings.width, settings.height)?;
+    let world = World::compile(scene, settings, exec, pages, object);
+    let steps = StepRule::new(scene, settings)?;
+    let total = u64::from(region.columns.end - region.columns.start) * region.rows.len() as u64;
+    let job = Job { world: &world, rays: &rays, settings, steps: &steps, exec, total };
+    let mut counts = RenderCounts::default();
+    let mut done = 0;
+    let mut row = region.rows.start;
+    while row < region.rows.end {
+        let rows = exec.band_rows.clamp(1, region.rows.end - row);
+        let band = Region { columns: region.columns.clone(), rows: row..row + rows };
+        counts += job.band(&band, &mut done, sink)?;
+        row += rows;
+    }
+    Ok(counts)
+}
+
+fn check(
+    scene: &Scene,
+    settings: &RenderSettings,
+    region: &Region,
+    exec: &ExecSettings,
+) -> Result<(), RenderError> {
+    scene.transfer.check()?;
+    let wrong = |setting, what: String| Err(RenderError::Setting { setting, what });
+    let (width, height) = (settings.width, settings.height);
+    if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
+        return wrong("size", format!("{width}x{height} is not between 1x1 and 1048576x1048576"));
+    }
+    if region.columns.is_empty() || region.rows.is_empty() || region.columns.end > width || region.rows.end > height {
+        return wrong("region", "empty, or not within the picture".into());
+    }
+    if !(settings.stop_transmittance >= 0.0 && settings.stop_transmittance < 1.0) {
+        return wrong("stop transmittance", format!("{} is not in [0, 1)", settings.stop_transmittance));
+    }
+    if !(1..=8).contains(&exec.tile_pixels) || !(1..=SLAB_SAMPLES).contains(&exec.slab_samples) {
+        return wrong("tile or slab", "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into());
+    }
+    scene.check_channels()?;
+    Ok(())
+}
+
+/// What all bands of one render share.
+struct Job<'a> {
+    world: &'a World<'a>,
+    rays: &'a crate::scene::RayMaker,
+    settings: &'a RenderSettings,
+    steps: &'a StepRule,
+    exec: &'a ExecSettings,
+    total: u64,
+}
+
+/// A tile: its upper left pixel and its size.
+#[derive(Clone, Copy, Debug)]
+struct Tile {
+    x: u32,
+    y: u32,
+    width: u32,
+    height: u32,
+}
+
+impl Job<'_> {
+    /// Renders a band of rows: threads take its tiles along a Hilbert curve, so that they work side by side on the
+    /// same pages.
+    fn band(&self, region: &Region, done: &mut u64, sink: &mut dyn Sink) -> Result<RenderCounts, RenderError> {
+        let tiles = tiles_of(region, self.exec.tile_pixels);
+        let lookahead = Lookahead::new(self.world, self.rays, region, self.steps.typical_step());
+        let next = AtomicUsize::new(0);
+        let failed = AtomicBool::new(false);
+        let width = region.columns.len() as u32;
+        let shared = Mutex::new(Shared {
+            band: Band::new(region.rows.start, width, region.rows.len() as u32),
+            counts: RenderCounts::default(),
+            done: *done,
+            sink,
+            error: None,
+        });
+        let work = || {
+            let mut tracer = PacketTracer::new(self.world, self.exec.slab_samples);
+            loop {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                let (Some(tile), false) = (tiles.get(index), failed.load(Ordering::Relaxed)) else { break };
+                self.exec.predictor.ahead(&lookahead, tile.x, tile.y);
+                let outcome = self.tile(*tile, &mut tracer);
+                let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
+                match outcome {
+                    Ok((pixels, depth)) => {
+                        lookahead.finished(tile.x, tile.y, depth);
+                        if !shared.store(region, *tile, &pixels, self.total) {
+                            failed.store(true, Ordering::Relaxed);
+                        }
+                    }
+                    Err(e) => {
+                        failed.store(true, Ordering::Relaxed);
+                        shared.error.get_or_insert(e);
+                    }
+                }
+            }
+            shared.lock().unwrap_or_else(PoisonError::into_inner).counts += tracer.counts();
+        };
+        if self.exec.threads <= 1 {
+            work();
+        } else {
+            std::thread::scope(|scope| (0..self.exec.threads).for_each(|_| drop(scope.spawn(work))));
+        }
+        let shared = shared.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if let Some(error) = shared.error {
+            return Err(error);
+        }
+        *done = shared.done;
+        shared.sink.band(&shared.band).map_err(RenderError::Sink)?;
+        Ok(shared.counts)
+    }
+
+    /// Traces the rays of a tile; returns its pixels and how deep any of them went.
+    fn tile(&self, tile: Tile, tracer: &mut PacketTracer<'_>) -> Result<([[f32; 4]; LANES], f64), RenderError> {
+        let mut rays = Vec::with_capacity(LANES);
+        for y in tile.y..tile.y + tile.height {
+            for x in tile.x..tile.x + tile.width {
+                rays.push((self.rays.pixel_ray(x, y), self.settings.phase_of(x, y)));
+            }
+        }
+        let mut pixels = [[0.0; 4]; LANES];
+        let mut depth = 0.0_f64;
+        for group in self.steps.groups(self.world, &rays)? {
+            depth = depth.max(tracer.trace(&rays, &group, &mut pixels)?);
+        }
+        Ok((pixels, depth))
+    }
+}
+
+/// What threads of a band hand in.
+struct Shared<'a> {
+    band: Band,
+    counts: RenderCounts,
+    done: u64,
+    sink: &'a mut dyn Sink,
+    error: Option<RenderError>,
+}
+
+impl Shared<'_> {
+    /// Stores the pixels of a tile; false where the render is cancelled.
+    fn store(&mut self, region: &Region, tile: Tile, pixels: &[[f32; 4]; LANES], total: u64) -> bool {
+        let width = self.band.width as usize;
+        for row in 0..tile.height as usize {
+            let from = row * tile.width as usize;
+            let to = (tile.y - region.rows.start) as usize + row;
+            let to = to * width + (tile.x - region.columns.start) as usize;
+            self.band.pixels[to..to + tile.width as usize]
+                .copy_from_slice(&pixels[from..from + tile.width as usize]);
+        }
+        self.done += u64::from(tile.width * tile.height);
+        let go_on = self.sink.progress(self.done, total);
+        if !go_on {
+            self.error.get_or_insert(RenderError::Cancelled);
+        }
+        go_on
+    }
+}
+
+/// The tiles of a region in Hilbert order. Tiles lie on a lattice of the whole picture; those at the edges of the
+/// region are cut.
+fn tiles_of(region: &Region, edge: u32) -> Vec<Tile> {
+    let (x0, y0) = (region.columns.start / edge, region.rows.start / edge);
+    let (x1, y1) = (region.columns.end.div_ceil(edge), region.rows.end.div_ceil(edge));
+    hilbert_order(x1 - x0, y1 - y0)
+        .into_iter()
+        .map(|(i, j)| {
+            let x = ((x0 + i) * edge).max(region.columns.start);
+            let y = ((y0 + j) * edge).max(region.rows.start);
+            let (end_x, end_y) = ((x0 + i + 1) * edge, (y0 + j + 1) * edge);
+            Tile {
+                x,
+                y,
+                width: end_x.min(region.columns.end) - x,
+                height: end_y.min(region.rows.end) - y,
+            }
+        })
+        .collect()
+}

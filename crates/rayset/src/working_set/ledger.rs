@@ -1,0 +1,351 @@
+//! The budget: who has how many bytes, and who gives way.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::buffer::PageBuffer;
+use super::{Kind, Object, ObjectId, Resident, Slot, lock};
+
+/// Hard limits in bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// For all pages together.
+    pub total: u64,
+    /// For each kind, in the order of [`Kind::ALL`].
+    pub by_kind: [u64; 3],
+    /// For single objects.
+    pub by_object: Vec<(ObjectId, u64)>,
+}
+
+impl Limits {
+    /// A limit for all pages together and none besides.
+    #[must_use]
+    pub fn total(bytes: u64) -> Self {
+        Self { total: bytes, by_kind: [u64::MAX; 3], by_object: Vec::new() }
+    }
+
+    /// The same with a limit for one kind.
+    #[must_use]
+    pub fn with_kind(mut self, kind: Kind, bytes: u64) -> Self {
+        self.by_kind[kind.index()] = bytes;
+        self
+    }
+
+    /// The same with a limit for one object.
+    #[must_use]
+    pub fn with_object(mut self, object: ObjectId, bytes: u64) -> Self {
+        self.by_object.retain(|(id, _)| *id != object);
+        self.by_object.push((object, bytes));
+        self
+    }
+
+    fn object(&self, object: ObjectId) -> u64 {
+        self.by_object.iter().find(|(id, _)| *id == object).map_or(u64::MAX, |&(_, bytes)| bytes)
+    }
+}
+
+/// Books of the working set. `used` counts every page from the moment its room is reserved.
+struct Books {
+    limits: Limits,
+    used: u64,
+    used_by_kind: [u64; 3],
+    used_by_object: Vec<u64>,
+    peak: u64,
+    peak_by_kind: [u64; 3],
+    residents: Vec<Arc<Resident>>,
+    /// Candidates for eviction from the last search, worst last, each with what it looked like then.
+    candidates: Vec<(u8, u64, Arc<Object>, u32)>,
+    /// Memory of evicted pages, to be used again by the reservation that caused the eviction.
+    spare: Vec<PageBuffer>,
+}
+
+pub(super) struct Ledger {
+    books: Mutex<Books>,
+    changed: Condvar,
+    waiting: AtomicUsize,
+}
+
+/// Which limit stands in the way of a page.
+#[derive(Clone, Copy)]
+enum Obstacle {
+    Total,
+    Kind(Kind),
+    Object(ObjectId),
+}
+
+impl Obstacle {
+    fn concerns(self, object: &Object, page: u32) -> bool {
+        match self {
+            Self::Total => true,
+            Self::Kind(kind) => object.kind(page) == kind,
+            Self::Object(id) => object.id == id,
+        }
+    }
+}
+
+impl Ledger {
+    pub(super) fn new(limits: Limits) -> Self {
+        let books = Books {
+            limits,
+            used: 0,
+            used_by_kind: [0; 3],
+            used_by_object: Vec::new(),
+            peak: 0,
+            peak_by_kind: [0; 3],
+            residents: Vec::new(),
+            candidates: Vec::new(),
+            spare: Vec::new(),
+        };
+        Self { books: Mutex::new(books), changed: Condvar::new(), waiting: AtomicUsize::new(0) }
+    }
+
+    pub(super) fn add_object(&self) -> ObjectId {
+        let mut books = lock(&self.books);
+        books.used_by_object.push(0);
+        books.used_by_object.len() - 1
+    }
+
+    pub(super) fn limits(&self) -> Limits {
+        lock(&self.books).limits.clone()
+    }
+
+    /// Sets new limits and evicts until they hold, as far as pages are not retained. Returns the kinds evicted.
+    pub(super) fn set_limits(&self, limits: Limits) -> Vec<Kind> {
+        let mut books = lock(&self.books);
+        books.limits = limits;
+        let mut evicted = Vec::new();
+        while let Some(obstacle) = books.excess() {
+            match books.evict(obstacle, None) {
+                Some(kind) => evicted.push(kind),
+                None => break,
+            }
+        }
+        books.spare.clear();
+        evicted
+    }
+
+    /// Room for one page, or nothing where that would mean evicting a page whose priority is not below `priority`
+    /// (any, where it is `None`). Also returns the kinds evicted on the way.
+    pub(super) fn try_reserve(
+        &self,
+        kind: Kind,
+        object: &Object,
+        priority: Option<u8>,
+    ) -> (Option<PageBuffer>, Vec<Kind>) {
+        lock(&self.books).reserve(kind, object, priority)
+    }
+
+    /// Room for one page that a thread waits for: waits for releases and reads to end if it must, but not longer
+    /// than `patience`.
+    pub(super) fn reserve(
+        &self,
+        kind: Kind,
+        object: &Object,
+        patience: Duration,
+    ) -> (Option<PageBuffer>, Vec<Kind>) {
+        let deadline = Instant::now() + patience;
+        let mut books = lock(&self.books);
+        let mut all_evicted = Vec::new();
+        loop {
+            let (room, evicted) = books.reserve(kind, object, None);
+            all_evicted.extend(evicted);
+            let left = deadline.saturating_duration_since(Instant::now());
+            let impossible = object.bytes() > books.limits.total;
+            if room.is_some() || left.is_zero() || impossible {
+                return (room, all_evicted);
+            }
+            // A release that happens between the search and the wait notifies only if it sees us waiting, and
+            // notifies without the lock; a short wait bounds what a missed one costs.
+            self.waiting.fetch_add(1, Ordering::SeqCst);
+            books = self.wait(books, left.min(Duration::from_millis(2)));
+            self.waiting.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+
+    fn wait<'a>(&self, books: MutexGuard<'a, Books>, limit: Duration) -> MutexGuard<'a, Books> {
+        self.changed.wait_timeout(books, limit).unwrap_or_else(PoisonError::into_inner).0
+    }
+
+    /// Waits until `ready` gives something. It is asked under the lock of the books, which every change of a slot
+    /// from loading takes before it notifies, so no change is missed.
+    pub(super) fn wait_until<T>(&self, ready: impl Fn() -> Option<T>) -> T {
+        let mut books = lock(&self.books);
+        loop {
+            if let Some(result) = ready() {
+                return result;
+            }
+            books = self.changed.wait(books).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    pub(super) fn loaded(&self, resident: Arc<Resident>) {
+        lock(&self.books).residents.push(resident);
+        self.changed.notify_all();
+    }
+
+    pub(super) fn failed(&self, kind: Kind, object: &Object, buffer: PageBuffer) {
+        drop(buffer);
+        lock(&self.books).give_back(kind, object);
+        self.changed.notify_all();
+    }
+
+    pub(super) fn notify(&self) {
+        drop(lock(&self.books));
+        self.changed.notify_all();
+    }
+
+    pub(super) fn released(&self) {
+        if self.waiting.load(Ordering::SeqCst) > 0 {
+            self.changed.notify_all();
+        }
+    }
+
+    pub(super) fn retained_bytes(&self) -> u64 {
+        let books = lock(&self.books);
+        let retained = books.residents.iter().filter(|r| r.retained.load(Ordering::Relaxed) > 0);
+        retained.map(|r| r.object.bytes()).sum()
+    }
+
+    pub(super) fn peaks(&self) -> (u64, [u64; 3]) {
+        let books = lock(&self.books);
+        (books.peak, books.peak_by_kind)
+    }
+
+    pub(super) fn reset_peak(&self) {
+        let mut books = lock(&self.books);
+        (books.peak, books.peak_by_kind) = (books.used, books.used_by_kind);
+    }
+}
+
+impl Books {
+    fn obstacle(&self, kind: Kind, object: &Object) -> Option<Obstacle> {
+        let bytes = object.bytes();
+        if self.used + bytes > self.limits.total {
+            Some(Obstacle::Total)
+        } else if self.used_by_kind[kind.index()] + bytes > self.limits.by_kind[kind.index()] {
+            Some(Obstacle::Kind(kind))
+        } else if self.used_by_object[object.id].saturating_add(bytes) > self.limits.object(object.id) {
+            Some(Obstacle::Object(object.id))
+        } else {
+            None
+        }
+    }
+
+    /// A limit that is exceeded now.
+    fn excess(&self) -> Option<Obstacle> {
+        if self.used > self.limits.total {
+            return Some(Obstacle::Total);
+        }
+        let kind = Kind::ALL.into_iter().find(|k| self.used_by_kind[k.index()] > self.limits.by_kind[k.index()]);
+        let object = || (0..self.used_by_object.len()).find(|&o| self.used_by_object[o] > self.limits.object(o));
+        kind.map(Obstacle::Kind).or_else(|| object().map(Obstacle::Object))
+    }
+
+    fn reserve(&mut self, kind: Kind, object: &Object, priority: Option<u8>) -> (Option<PageBuffer>, Vec<Kind>) {
+        let mut evicted = Vec::new();
+        while let Some(obstacle) = self.obstacle(kind, object) {
+            match self.evict(obstacle, priority) {
+                Some(kind) => evicted.push(kind),
+                None => return (None, evicted),
+            }
+        }
+        let bytes = object.bytes();
+        self.used += bytes;
+        self.used_by_kind[kind.index()] += bytes;
+        self.used_by_object[object.id] += bytes;
+        self.peak = self.peak.max(self.used);
+        let peak = &mut self.peak_by_kind[kind.index()];
+        *peak = (*peak).max(self.used_by_kind[kind.index()]);
+        let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
+        let buffer = match self.spare.iter().position(fits) {
+            Some(at) => self.spare.swap_remove(at),
+            None => PageBuffer::new(bytes as usize),
+        };
+        // Memory of other sizes goes back to the system, or the process would exceed what the books say.
+        self.spare.clear();
+        (Some(buffer), evicted)
+    }
+
+    fn give_back(&mut self, kind: Kind, object: &Object) {
+        let bytes = object.bytes();
+        self.used -= bytes;
+        self.used_by_kind[kind.index()] -= bytes;
+        self.used_by_object[object.id] -= bytes;
+    }
+
+    /// Evicts one page that stands in the way: of lowest priority, least recently used among equals, and of a
+    /// priority below `below` if that is given. Returns its kind, or nothing where no page may go.
+    fn evict(&mut self, obstacle: Obstacle, below: Option<u8>) -> Option<Kind> {
+        let allowed = |priority: u8| below.is_none_or(|b| priority < b);
+        for searched in [false, true] {
+            if searched {
+                self.search(obstacle);
+            }
+            while let Some((priority, last_use, object, page)) = self.candidates.pop() {
+                if !obstacle.concerns(&object, page) {
+                    continue;
+                }
+                if !allowed(priority) {
+                    self.candidates.push((priority, last_use, object, page));
+                    // The best candidate is not allowed; older searches may have missed pages released since.
+                    if searched {
+                        return None;
+                    }
+                    break;
+                }
+                if self.drop_page(&object, page, priority, last_use) {
+                    return Some(object.kind(page));
+                }
+            }
+        }
+        None
+    }
+
+    /// Finds the pages to evict next, worst last. Searching for several at a time keeps the cost of an eviction
+    /// independent of the number of pages; up to 256 pages the order is exact.
+    fn search(&mut self, obstacle: Obstacle) {
+        let keep = (self.residents.len() / 256).max(1);
+        let mut found: Vec<(u8, u64, usize)> = (self.residents.iter().enumerate())
+            .filter(|(_, r)| r.retained.load(Ordering::Relaxed) == 0 && obstacle.concerns(&r.object, r.page))
+            .map(|(i, r)| (r.priority.load(Ordering::Relaxed), r.last_use.load(Ordering::Relaxed), i))
+            .collect();
+        if found.len() > keep {
+            found.select_nth_unstable(keep - 1);
+            found.truncate(keep);
+        }
+        found.sort_unstable_by(|a, b| b.cmp(a));
+        self.candidates = (found.into_iter())
+            .map(|(p, t, i)| (p, t, self.residents[i].object.clone(), self.residents[i].page))
+            .collect();
+    }
+
+    /// Evicts a page unless it has been used or retained since it became a candidate.
+    fn drop_page(&mut self, object: &Arc<Object>, page: u32, priority: u8, last_use: u64) -> bool {
+        let mut slot = object.slot(page);
+        let Slot::Resident(resident) = &*slot else { return false };
+        // Guards are made under the lock of the slot, which we hold; one being dropped may still read `retained`.
+        let unchanged = resident.priority.load(Ordering::Relaxed) == priority
+            && resident.last_use.load(Ordering::Relaxed) == last_use;
+        if resident.retained.load(Ordering::Acquire) > 0 || !unchanged {
+            return false;
+        }
+        let Some(at) = self.residents.iter().position(|r| Arc::ptr_eq(r, resident)) else { return false };
+        self.residents.swap_remove(at);
+        let Slot::Resident(mut resident) = std::mem::replace(&mut *slot, Slot::Absent) else { return false };
+        drop(slot);
+        // The last guard may be between its decrement and the end of its drop: a few instructions.
+        let resident = loop {
+            match Arc::try_unwrap(resident) {
+                Ok(owned) => break owned,
+                Err(shared) => {
+                    resident = shared;
+                    std::hint::spin_loop();
+                }
+            }
+        };
+        self.give_back(object.kind(page), object);
+        self.spare.push(resident.buffer);
+        true
+    }
+}

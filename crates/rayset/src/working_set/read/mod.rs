@@ -1,0 +1,90 @@
+//! Reading pages: what is read from ([`Storage`]), and how ([`ReadBackend`]).
+//!
+//! A backend takes batches and answers each read on whatever thread it likes. None of this can change a picture.
+
+mod delayed;
+mod pool;
+mod storage;
+#[cfg(target_os = "linux")]
+#[expect(unsafe_code, reason = "requests handed to the kernel point into memory that this module keeps alive")]
+mod uring;
+
+use std::io;
+use std::sync::Arc;
+
+pub use self::delayed::Delayed;
+pub use self::pool::Pool;
+pub use self::storage::{FileStorage, Storage};
+#[cfg(target_os = "linux")]
+pub use self::uring::Uring;
+use super::PageBuffer;
+
+/// What is called when a read has ended, with the buffer and the outcome.
+pub type Completion = Box<dyn FnOnce(PageBuffer, io::Result<()>) + Send>;
+
+/// A request to fill a buffer.
+pub struct Read {
+    /// What to read from.
+    pub storage: Arc<dyn Storage>,
+    /// Where.
+    pub offset: u64,
+    /// Where to; all of it is filled.
+    pub buffer: PageBuffer,
+    /// Whom to tell. Must be called exactly once.
+    pub done: Completion,
+}
+
+impl Read {
+    /// Carries the request out on the calling thread.
+    pub fn run(mut self) {
+        let outcome = self.storage.read_exact_at(self.buffer.bytes_mut(), self.offset);
+        (self.done)(self.buffer, outcome);
+    }
+}
+
+/// A way to carry out reads.
+pub trait ReadBackend: Send + Sync {
+    /// Starts a batch of reads, in the order of their urgency, and returns without waiting for them.
+    fn submit(&self, batch: Vec<Read>);
+    /// What to call it in reports.
+    fn name(&self) -> String;
+}
+
+/// The backends that a user can choose from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum BackendKind {
+    /// io_uring where the system has it, else the pool.
+    #[default]
+    Auto,
+    /// io_uring or an error.
+    Uring,
+    /// Threads that read at positions.
+    Pool,
+}
+
+/// Reads in flight at once, and threads of the pool.
+pub const DEPTH: usize = 32;
+/// Threads of the pool: enough to keep a disk busy, few enough to cost no memory.
+const POOL_THREADS: usize = 16;
+
+/// Makes a backend.
+///
+/// # Errors
+/// What the system says to io_uring, where that was asked for by name.
+pub fn backend(kind: BackendKind) -> io::Result<Arc<dyn ReadBackend>> {
+    let pool = || Arc::new(Pool::new(POOL_THREADS)) as Arc<dyn ReadBackend>;
+    #[cfg(target_os = "linux")]
+    {
+        let uring = || Uring::new(DEPTH as u32).map(|u| Arc::new(u) as Arc<dyn ReadBackend>);
+        match kind {
+            BackendKind::Auto => Ok(uring().unwrap_or_else(|_| pool())),
+            BackendKind::Uring => uring(),
+            BackendKind::Pool => Ok(pool()),
+        }
+    }
+    #[cfg(not(target_os = "linux"))]
+    match kind {
+        BackendKind::Uring => Err(io::Error::new(io::ErrorKind::Unsupported, "io_uring is a Linux facility")),
+        BackendKind::Auto | BackendKind::Pool => Ok(pool()),
+    }
+}

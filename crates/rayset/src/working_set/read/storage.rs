@@ -1,0 +1,72 @@
+//! What pages are read from.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+/// Bytes that can be read at a position, by several threads at once: a file, or an object store.
+pub trait Storage: Send + Sync {
+    /// Fills `buffer` from `offset` on.
+    ///
+    /// # Errors
+    /// What the system says, or `UnexpectedEof`.
+    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()>;
+
+    /// The file behind it, where there is one that the kernel may read from by itself.
+    fn file(&self) -> Option<&File> {
+        None
+    }
+}
+
+/// A file, through the page cache or past it.
+#[derive(Debug)]
+pub struct FileStorage {
+    file: File,
+}
+
+impl FileStorage {
+    /// Opens a file. With `direct`, reads bypass the page cache where the system and the file system can.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn open(path: &Path, direct: bool) -> io::Result<Self> {
+        let mut options = File::options();
+        options.read(true);
+        #[cfg(target_os = "linux")]
+        if direct {
+            use std::os::unix::fs::OpenOptionsExt;
+            let flag = rustix::fs::OFlags::DIRECT.bits() as i32;
+            match options.clone().custom_flags(flag).open(path) {
+                // Some file systems (tmpfs among them) refuse the flag.
+                Err(e) if e.raw_os_error() == Some(rustix::io::Errno::INVAL.raw_os_error()) => {}
+                result => return result.map(|file| Self { file }),
+            }
+        }
+        let _ = direct;
+        options.open(path).map(|file| Self { file })
+    }
+}
+
+impl Storage for FileStorage {
+    #[cfg(unix)]
+    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        std::os::unix::fs::FileExt::read_exact_at(&self.file, buffer, offset)
+    }
+
+    #[cfg(not(unix))]
+    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        let mut done = 0;
+        while done < buffer.len() {
+            let at = offset + done as u64;
+            match std::os::windows::fs::FileExt::seek_read(&self.file, &mut buffer[done..], at)? {
+                0 => return Err(io::ErrorKind::UnexpectedEof.into()),
+                n => done += n,
+            }
+        }
+        Ok(())
+    }
+
+    fn file(&self) -> Option<&File> {
+        Some(&self.file)
+    }
+}

@@ -1,0 +1,161 @@
+//! io_uring: one thread, one ring, whole batches a system call.
+
+use std::collections::VecDeque;
+use std::io;
+use std::os::fd::AsRawFd;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use io_uring::{IoUring, opcode, types};
+
+use super::{Read, ReadBackend};
+
+#[derive(Default)]
+struct Queue {
+    reads: VecDeque<Read>,
+    closed: bool,
+}
+
+#[derive(Default)]
+struct Shared {
+    queue: Mutex<Queue>,
+    filled: Condvar,
+}
+
+/// Reads through io_uring.
+pub struct Uring {
+    shared: Arc<Shared>,
+    thread: Vec<JoinHandle<()>>,
+}
+
+impl Uring {
+    /// Opens a ring for `depth` reads in flight.
+    ///
+    /// # Errors
+    /// What the system says; old kernels and some containers have no io_uring.
+    pub fn new(depth: u32) -> io::Result<Self> {
+        let ring = IoUring::new(depth.next_power_of_two())?;
+        let mut probe = io_uring::Probe::new();
+        ring.submitter().register_probe(&mut probe)?;
+        if !probe.is_supported(opcode::Read::CODE) {
+            return Err(io::Error::new(io::ErrorKind::Unsupported, "this kernel's io_uring cannot read"));
+        }
+        let shared = Arc::new(Shared::default());
+        let queue = shared.clone();
+        let thread = std::thread::Builder::new()
+            .name("rayset-uring".into())
+            .stack_size(128 << 10)
+            .spawn(move || Driver { ring, flight: (0..depth).map(|_| None).collect(), flying: 0 }.serve(&queue))?;
+        Ok(Self { shared, thread: vec![thread] })
+    }
+}
+
+/// The thread's own state. Requests in `flight` own the memory that the kernel writes to.
+struct Driver {
+    ring: IoUring,
+    flight: Vec<Option<Read>>,
+    flying: usize,
+}
+
+impl Driver {
+    fn serve(mut self, shared: &Shared) {
+        loop {
+            let mut queue = shared.queue.lock().unwrap_or_else(PoisonError::into_inner);
+            while queue.reads.is_empty() && self.flying == 0 {
+                if queue.closed {
+                    return;
+                }
+                queue = shared.filled.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            }
+            let room = self.flight.len() - self.flying;
+            let count = room.min(queue.reads.len());
+            let batch: Vec<Read> = queue.reads.drain(..count).collect();
+            drop(queue);
+            batch.into_iter().for_each(|read| self.start(read));
+            if self.flying > 0 {
+                self.reap();
+            }
+        }
+    }
+
+    fn start(&mut self, mut read: Read) {
+        let place = self.flight.iter().position(Option::is_none);
+        let (Some(fd), Some(place)) = (read.storage.file().map(AsRawFd::as_raw_fd), place) else {
+            // Nothing that the kernel could read by itself.
+            return read.run();
+        };
+        let bytes = read.buffer.bytes_mut();
+        let entry = opcode::Read::new(types::Fd(fd), bytes.as_mut_ptr(), bytes.len() as u32)
+            .offset(read.offset)
+            .build()
+            .user_data(place as u64);
+        // The buffer's memory is on the heap, so moving `read` does not move it.
+        self.flight[place] = Some(read);
+        self.flying += 1;
+        // SAFETY: the entry points into the buffer and names the file of `self.flight[place]`, both of which stay
+        // alive and untouched until the completion of this very request is reaped: `flight[place]` is cleared only
+        // in `finish`, and `Driver` is dropped only when nothing is flying. The queue has room for `flight.len()`
+        // entries, and no more are ever unsubmitted.
+        let pushed = unsafe { self.ring.submission().push(&entry) };
+        if pushed.is_err() {
+            self.fall_back(place);
+        }
+    }
+
+    /// Submits what is queued, waits for at least one completion, and answers all there are.
+    fn reap(&mut self) {
+        loop {
+            match self.ring.submit_and_wait(1) {
+                Ok(_) => break,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                // The kernel has taken nothing or is short of memory for the moment: completions free some.
+                Err(_) if !self.ring.completion().is_empty() => break,
+                Err(_) => std::thread::yield_now(),
+            }
+        }
+        let done: Vec<(u64, i32)> = self.ring.completion().map(|c| (c.user_data(), c.result())).collect();
+        for (place, result) in done {
+            self.finish(place as usize, result);
+        }
+    }
+
+    fn finish(&mut self, place: usize, result: i32) {
+        let Some(read) = self.flight[place].take() else { return };
+        self.flying -= 1;
+        let wanted = read.buffer.bytes().len();
+        if result < 0 {
+            (read.done)(read.buffer, Err(io::Error::from_raw_os_error(-result)));
+        } else if (result as usize) < wanted {
+            // A short read: at the end of the file, or interrupted. Reading it again tells which.
+            read.run();
+        } else {
+            (read.done)(read.buffer, Ok(()));
+        }
+    }
+
+    fn fall_back(&mut self, place: usize) {
+        if let Some(read) = self.flight[place].take() {
+            self.flying -= 1;
+            read.run();
+        }
+    }
+}
+
+impl ReadBackend for Uring {
+    fn submit(&self, batch: Vec<Read>) {
+        self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner).reads.extend(batch);
+        self.shared.filled.notify_one();
+    }
+
+    fn name(&self) -> String {
+        "io_uring".into()
+    }
+}
+
+impl Drop for Uring {
+    fn drop(&mut self) {
+        self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner).closed = true;
+        self.shared.filled.notify_one();
+        super::pool::join(&mut self.thread);
+    }
+}

@@ -1,0 +1,117 @@
+//! What the working set did, by kind.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::Kind;
+use super::ledger::Ledger;
+
+/// Counters of one kind; all relaxed, so that counting never orders anything.
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    pub(super) hits: AtomicU64,
+    pub(super) misses: AtomicU64,
+    pub(super) late: AtomicU64,
+    pub(super) hinted: AtomicU64,
+    pub(super) hinted_in_time: AtomicU64,
+    pub(super) stalls: AtomicU64,
+    pub(super) stall_nanoseconds: AtomicU64,
+    pub(super) reads: AtomicU64,
+    pub(super) bytes_read: AtomicU64,
+    pub(super) bytes_unique: AtomicU64,
+    pub(super) evictions: AtomicU64,
+}
+
+impl Counters {
+    pub(super) fn reset(&self) {
+        for counter in [
+            &self.hits,
+            &self.misses,
+            &self.late,
+            &self.hinted,
+            &self.hinted_in_time,
+            &self.stalls,
+            &self.stall_nanoseconds,
+            &self.reads,
+            &self.bytes_read,
+            &self.bytes_unique,
+            &self.evictions,
+        ] {
+            counter.store(0, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What happened to the pages of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct KindStatistics {
+    /// Requests for a resident page.
+    pub hits: u64,
+    /// Requests for an absent page.
+    pub misses: u64,
+    /// Requests for a page that was being read, for a hint or for another thread.
+    pub late: u64,
+    /// Pages read because of a hint.
+    pub hinted: u64,
+    /// Of these, the ones that were there when they were first asked for, or were being read.
+    pub hinted_in_time: u64,
+    /// Requests that had to wait.
+    pub stalls: u64,
+    /// Time waited, of all threads together.
+    pub stall_nanoseconds: u64,
+    /// Pages read.
+    pub reads: u64,
+    /// Bytes of these pages.
+    pub bytes_read: u64,
+    /// The same, each page counted once.
+    pub bytes_unique: u64,
+    /// Pages evicted.
+    pub evictions: u64,
+    /// Most bytes at any time, pages being read included.
+    pub peak_bytes: u64,
+}
+
+/// What a working set did.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// By kind, in the order of [`Kind::ALL`].
+    pub by_kind: [KindStatistics; 3],
+    /// Most bytes at any time, of all kinds together.
+    pub peak_bytes: u64,
+}
+
+impl Statistics {
+    pub(super) fn collect(counters: &[Counters; 3], ledger: &Ledger) -> Self {
+        let (peak_bytes, peaks) = ledger.peaks();
+        let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
+        let by_kind = std::array::from_fn(|k| {
+            let c = &counters[k];
+            KindStatistics {
+                hits: get(&c.hits),
+                misses: get(&c.misses),
+                late: get(&c.late),
+                hinted: get(&c.hinted),
+                hinted_in_time: get(&c.hinted_in_time),
+                stalls: get(&c.stalls),
+                stall_nanoseconds: get(&c.stall_nanoseconds),
+                reads: get(&c.reads),
+                bytes_read: get(&c.bytes_read),
+                bytes_unique: get(&c.bytes_unique),
+                evictions: get(&c.evictions),
+                peak_bytes: peaks[k],
+            }
+        });
+        Self { by_kind, peak_bytes }
+    }
+
+    /// The numbers of one kind.
+    #[must_use]
+    pub fn kind(&self, kind: Kind) -> &KindStatistics {
+        &self.by_kind[kind.index()]
+    }
+
+    /// The sum over all kinds of one number.
+    #[must_use]
+    pub fn total(&self, number: impl Fn(&KindStatistics) -> u64) -> u64 {
+        self.by_kind.iter().map(number).sum()
+    }
+}
