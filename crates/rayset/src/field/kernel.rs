@@ -147,102 +147,96 @@ impl FromStr for Kernel {
 /// exp(−4.5): the Gaussian's value at the cut.
 const GAUSSIAN_CUT: f64 = 0.011_108_996_538_242_306;
 
-/// A kernel as a type, so that the inner loop is compiled once for each. Arguments are s = x²; results are exactly
-/// zero for s ≥ 1, which is what lets culling leave out any pair without changing a bit.
+/// A kernel as a type, so that the inner loop is compiled once for each. The argument is q = 1 − x², which the loop has
+/// at hand; results are exactly zero for q ≤ 0, which is what lets culling leave out any pair without changing a bit.
 pub(crate) trait LaneKernel: Copy {
-    /// ω(s) for sixteen samples.
-    fn value<S: Simd>(s: f32x16<S>) -> f32x16<S>;
+    /// ω for sixteen samples.
+    fn value<S: Simd>(q: f32x16<S>) -> f32x16<S>;
     /// ω'(x)/x for sixteen samples.
-    fn slope_over_x<S: Simd>(s: f32x16<S>) -> f32x16<S>;
+    fn slope_over_x<S: Simd>(q: f32x16<S>) -> f32x16<S>;
 }
 
-/// 1 − s, held at zero beyond the support.
+/// `value` where q > 0, else zero.
 #[inline(always)]
-fn remaining<S: Simd>(s: f32x16<S>) -> f32x16<S> {
-    (1.0 - s).max(0.0)
+fn within<S: Simd>(q: f32x16<S>, value: f32x16<S>) -> f32x16<S> {
+    q.simd_gt(0.0).select(value, f32x16::splat(q.simd, 0.0))
 }
 
-/// `value` where s < 1, else zero.
+/// x for q = 1 − x², 1 beyond the support.
 #[inline(always)]
-fn within<S: Simd>(s: f32x16<S>, value: f32x16<S>) -> f32x16<S> {
-    let simd = s.simd;
-    s.simd_lt(1.0).select(value, f32x16::splat(simd, 0.0))
+fn x_of<S: Simd>(q: f32x16<S>) -> f32x16<S> {
+    // Rounding may take q beyond 1 at the very centre.
+    (1.0 - q.max(0.0)).max(0.0).sqrt()
 }
 
 macro_rules! lane_kernels {
-    ($($name:ident { $s:ident : value $value:block slope $slope:block })*) => {$(
+    ($($name:ident { $q:ident : value $value:block slope $slope:block })*) => {$(
         #[derive(Clone, Copy)]
         pub(crate) struct $name;
         impl LaneKernel for $name {
             #[inline(always)]
-            fn value<S: Simd>($s: f32x16<S>) -> f32x16<S> $value
+            fn value<S: Simd>($q: f32x16<S>) -> f32x16<S> $value
             #[inline(always)]
-            fn slope_over_x<S: Simd>($s: f32x16<S>) -> f32x16<S> $slope
+            fn slope_over_x<S: Simd>($q: f32x16<S>) -> f32x16<S> $slope
         }
     )*};
 }
 
 lane_kernels! {
-    Wyvill { s:
-        value { {
-            // The polynomial has a double root at s = 1: (1 − s)²·(1 − 4/9 s), which holds zero exactly there.
-            let q = remaining(s);
-            q * q * (1.0 - s * (4.0 / 9.0))
-        } }
-        slope { {
-            let q = remaining(s);
-            q * (s * (24.0 / 9.0) - 44.0 / 9.0)
-        } }
+    Wyvill { q:
+        // The polynomial has a double root at x = 1: (1 − x²)²·(1 − 4/9 x²).
+        value { let q = q.max(0.0); q * q * (q * (4.0 / 9.0) + 5.0 / 9.0) }
+        slope { let q = q.max(0.0); q * (q * (-24.0 / 9.0) - 20.0 / 9.0) }
     }
-    Chen { s:
-        value { { let q = remaining(s); q * q } }
-        slope { { remaining(s) * -4.0 } }
+    Chen { q:
+        value { let q = q.max(0.0); q * q }
+        slope { q.max(0.0) * -4.0 }
     }
-    Gaussian { s:
-        value { { within(s, (exp_minus_4_5(s) - GAUSSIAN_CUT as f32) * (1.0 / (1.0 - GAUSSIAN_CUT)) as f32) } }
-        slope { { within(s, exp_minus_4_5(s) * (-9.0 / (1.0 - GAUSSIAN_CUT)) as f32) } }
+    Gaussian { q:
+        value { within(q, (exp_minus_4_5(1.0 - q) - GAUSSIAN_CUT as f32) * (1.0 / (1.0 - GAUSSIAN_CUT)) as f32) }
+        slope { within(q, exp_minus_4_5(1.0 - q) * (-9.0 / (1.0 - GAUSSIAN_CUT)) as f32) }
     }
-    CubicSpline { s:
-        value { {
-            // ¼[(2−q)³₊ − 4(1−q)³₊], q = 2x: both halves of the spline without a branch.
-            let q = s.sqrt() * 2.0;
-            let (outer, inner) = ((2.0 - q).max(0.0), (1.0 - q).max(0.0));
+    CubicSpline { q:
+        value {
+            // ¼[(2−p)³₊ − 4(1−p)³₊], p = 2x: both halves of the spline without a branch.
+            let p = x_of(q) * 2.0;
+            let (outer, inner) = ((2.0 - p).max(0.0), (1.0 - p).max(0.0));
             (outer * outer * outer - inner * inner * inner * 4.0) * 0.25
-        } }
-        slope { {
-            let q = s.sqrt() * 2.0;
-            let outer = (2.0 - q).max(0.0);
-            let inside = q * 9.0 - 12.0;
-            let outside = outer * outer * -3.0 / q.max(1.0);
-            q.simd_lt(1.0).select(inside, outside)
-        } }
+        }
+        slope {
+            let p = x_of(q) * 2.0;
+            let outer = (2.0 - p).max(0.0);
+            let inside = p * 9.0 - 12.0;
+            let outside = outer * outer * -3.0 / p.max(1.0);
+            p.simd_lt(1.0).select(inside, outside)
+        }
     }
-    WendlandC2 { s:
-        value { {
-            let x = s.sqrt();
-            let q = (1.0 - x).max(0.0);
-            let q2 = q * q;
-            q2 * q2 * (x * 4.0 + 1.0)
-        } }
-        slope { {
-            let q = (1.0 - s.sqrt()).max(0.0);
-            q * q * q * -20.0
-        } }
+    WendlandC2 { q:
+        value {
+            let x = x_of(q);
+            let y = (1.0 - x).max(0.0);
+            let y2 = y * y;
+            y2 * y2 * (x * 4.0 + 1.0)
+        }
+        slope {
+            let y = (1.0 - x_of(q)).max(0.0);
+            y * y * y * -20.0
+        }
     }
-    Epanechnikov { s:
-        value { { remaining(s) } }
-        slope { { within(s, f32x16::splat(s.simd, -2.0)) } }
+    Epanechnikov { q:
+        value { q.max(0.0) }
+        slope { within(q, f32x16::splat(q.simd, -2.0)) }
     }
-    Triweight { s:
-        value { { let q = remaining(s); q * q * q } }
-        slope { { let q = remaining(s); q * q * -6.0 } }
+    Triweight { q:
+        value { let q = q.max(0.0); q * q * q }
+        slope { let q = q.max(0.0); q * q * -6.0 }
     }
 }
 
 /// exp(−4.5 s) for 0 ≤ s ≤ 1 as the eighth power of a Taylor polynomial, relative error below 2e-6; clamped beyond.
 #[inline(always)]
 fn exp_minus_4_5<S: Simd>(s: f32x16<S>) -> f32x16<S> {
-    let y = s.min(1.0) * -0.5625;
+    let y = s.max(0.0).min(1.0) * -0.5625;
     let mut p = y * (1.0 / 5040.0) + 1.0 / 720.0;
     p = p * y + 1.0 / 120.0;
     p = p * y + 1.0 / 24.0;
@@ -261,8 +255,8 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     #[inline(always)]
-    fn lanes<S: Simd, K: LaneKernel>(simd: S, s: [f32; 16]) -> ([f32; 16], [f32; 16]) {
-        let v = f32x16::from_slice(simd, &s);
+    fn lanes<S: Simd, K: LaneKernel>(simd: S, q: [f32; 16]) -> ([f32; 16], [f32; 16]) {
+        let v = f32x16::from_slice(simd, &q);
         let (mut a, mut b) = ([0.0; 16], [0.0; 16]);
         K::value(v).store_slice(&mut a);
         K::slope_over_x(v).store_slice(&mut b);
@@ -270,6 +264,7 @@ mod tests {
     }
 
     fn both(kernel: Kernel, s: [f32; 16]) -> ([f32; 16], [f32; 16]) {
+        let s = s.map(|s| 1.0 - s);
         let level = Level::new();
         match kernel {
             Kernel::Wyvill => dispatch!(level, simd => lanes::<_, Wyvill>(simd, s)),

@@ -18,6 +18,8 @@ pub struct Packet {
     /// Offset of the lattice, ξ in [0, 1).
     pub(super) phase: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
+    /// 1 / direction, large and of the right sign where the direction has no extent along an axis.
+    pub(super) inverse_direction: [[f32; LANES]; 3],
     rays: usize,
     step: f64,
     /// At distance t, every ray is within `origin_min + t·direction_min` and `origin_max + t·direction_max`.
@@ -39,6 +41,7 @@ impl Packet {
             direction: [[0.0; LANES]; 3],
             phase: [0.0; LANES],
             direction_f32: [[0.0; LANES]; 3],
+            inverse_direction: [[0.0; LANES]; 3],
             rays: rays.len(),
             step: step_world,
             origin_min: DVec3::INFINITY,
@@ -52,7 +55,9 @@ impl Packet {
             for axis in 0..3 {
                 packet.origin[axis][lane] = ray.origin[axis];
                 packet.direction[axis][lane] = ray.direction[axis];
-                packet.direction_f32[axis][lane] = ray.direction[axis] as f32;
+                let direction = ray.direction[axis] as f32;
+                packet.direction_f32[axis][lane] = direction;
+                packet.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
             }
             packet.phase[lane] = phase;
             packet.origin_min = packet.origin_min.min(ray.origin);

@@ -1,6 +1,10 @@
 //! A run of points, decoded for the inner loop.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{dispatch, f32x16};
+
 use super::kernel::Kernel;
+use super::simd::SimdLevel;
 use crate::geometry::DVec3;
 use crate::octree::format::Header;
 use crate::octree::page::{RUN_POINTS, RootCell, Run};
@@ -8,6 +12,8 @@ use crate::octree::page::{RUN_POINTS, RootCell, Run};
 /// Above this ratio of a run's extent to its smallest radius, single precision about the run's centre would cost more
 /// than a few 1e-5 of a radius, and the run is evaluated in double precision instead.
 const WIDEST_IN_F32: f64 = 128.0;
+/// Places for the spheres of a run's chunks: eight chunks of sixteen points, padded to a whole vector.
+pub(super) const CHUNKS: usize = 16;
 
 /// Up to 128 points in columns, about the centre of their bounds.
 #[derive(Clone, Debug)]
@@ -18,9 +24,10 @@ pub struct DecodedRun {
     /// Half edges of the bounds of influence about the centre, rounded up.
     pub(super) reach: [f32; 3],
     pub(super) position: [[f32; RUN_POINTS]; 3],
-    /// Squared radius with a little to spare, for culling; negative beyond the last point.
-    pub(super) radius_squared: [f32; RUN_POINTS],
-    pub(super) inverse_radius_squared: [f32; RUN_POINTS],
+    pub(super) inverse_radius: [f32; RUN_POINTS],
+    /// Spheres of influence of sixteen points each, which cull them together.
+    pub(super) chunk_center: [[f32; CHUNKS]; 3],
+    pub(super) chunk_reach_squared: [f32; CHUNKS],
     /// Weight, with the kernel's normalisation where that is asked for.
     pub(super) weight: [f32; RUN_POINTS],
     /// Colour (linear), or one attribute in the first column.
@@ -33,7 +40,7 @@ pub struct DecodedRun {
 #[derive(Clone, Debug)]
 pub(super) struct WideRun {
     pub(super) position: [[f64; RUN_POINTS]; 3],
-    pub(super) inverse_radius_squared: [f64; RUN_POINTS],
+    pub(super) inverse_radius: [f64; RUN_POINTS],
 }
 
 /// What the third and following channels of a cloud's field are made from.
@@ -75,8 +82,12 @@ impl RunDecoder {
     }
 
     /// Decodes a run.
+    pub fn decode(&self, run: &Run<'_>, header: &Header, simd: SimdLevel, out: &mut DecodedRun) {
+        dispatch!(simd.level(), simd => self.decode_with(simd, run, header, out));
+    }
+
     #[inline(always)]
-    pub fn decode(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+    fn decode_with<S: Simd>(&self, simd: S, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
         let n = run.head.len();
         out.len = n;
         let bounds = run.head.position_bounds(self.root);
@@ -85,26 +96,21 @@ impl RunDecoder {
         let half = bounds.size() * 0.5 + radius_max;
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
         run.decode_local(self.root, &mut out.position);
-        let padded = n.next_multiple_of(16);
         let mut radius_min = f64::INFINITY;
         match self.radius {
             Some(r) => {
                 radius_min = f64::from(r);
-                out.radius_squared[..n].fill(culling_square(r));
-                out.inverse_radius_squared[..n].fill(inverse_square(r));
+                out.inverse_radius[..n].fill(1.0 / r);
             }
             None => {
                 for (i, r) in run.radii(header).into_iter().flatten().enumerate() {
                     radius_min = radius_min.min(f64::from(r));
-                    out.radius_squared[i] = culling_square(r);
-                    out.inverse_radius_squared[i] = inverse_square(r);
+                    out.inverse_radius[i] = 1.0 / r;
                 }
             }
         }
-        for axis in 0..3 {
-            out.position[axis][n..padded].fill(0.0);
-        }
-        out.radius_squared[n..padded].fill(-1.0);
+        out.pad_last_chunk();
+        out.bound_chunks(simd);
         self.decode_weights(run, header, out);
         self.decode_attributes(run, header, out);
         let is_wide = bounds.size().max_element() > WIDEST_IN_F32 * radius_min;
@@ -119,9 +125,9 @@ impl RunDecoder {
             None => run.weights(header).into_iter().flatten().zip(&mut out.weight).for_each(|(w, o)| *o = w),
         }
         if let Some(factor) = self.normalisation {
-            for (w, inverse) in out.weight[..n].iter_mut().zip(&out.inverse_radius_squared) {
-                let inverse = f64::from(*inverse);
-                *w = (f64::from(*w) * factor * inverse * inverse.sqrt()) as f32;
+            for (w, inverse) in out.weight[..n].iter_mut().zip(&out.inverse_radius) {
+                // Held where an f32 can hold it: beyond, a picture has no use for more.
+                *w = (f64::from(*w) * factor * f64::from(*inverse).powi(3)).clamp(-1e30, 1e30) as f32;
             }
         }
     }
@@ -147,15 +153,6 @@ impl RunDecoder {
     }
 }
 
-/// The radius squared, with enough to spare that no pair that contributes is culled by rounding.
-fn culling_square(r: f32) -> f32 {
-    r * r * 1.000_01
-}
-
-fn inverse_square(r: f32) -> f32 {
-    (1.0 / (f64::from(r) * f64::from(r))) as f32
-}
-
 /// Decodes a display-encoded (sRGB) value of 0 to 1 (IEC 61966-2-1).
 #[must_use]
 pub fn linear_from_srgb(v: f64) -> f64 {
@@ -169,8 +166,9 @@ impl Default for DecodedRun {
             center: DVec3::ZERO,
             reach: [0.0; 3],
             position: [[0.0; RUN_POINTS]; 3],
-            radius_squared: [-1.0; RUN_POINTS],
-            inverse_radius_squared: [0.0; RUN_POINTS],
+            inverse_radius: [0.0; RUN_POINTS],
+            chunk_center: [[0.0; CHUNKS]; 3],
+            chunk_reach_squared: [-1.0; CHUNKS],
             weight: [0.0; RUN_POINTS],
             attribute: [[0.0; RUN_POINTS]; 3],
             wide: None,
@@ -180,6 +178,33 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
+    /// Fills the last chunk up with copies of its first point, which bound nothing new. They are never evaluated.
+    #[inline(always)]
+    fn pad_last_chunk(&mut self) {
+        let (n, padded) = (self.len, self.len.next_multiple_of(16));
+        for column in self.position.iter_mut().chain([&mut self.inverse_radius]) {
+            let first = column[padded - 16];
+            column[n..padded].fill(first);
+        }
+    }
+
+    #[inline(always)]
+    fn bound_chunks<S: Simd>(&mut self, simd: S) {
+        for chunk in 0..self.len.div_ceil(16) {
+            let range = 16 * chunk..16 * chunk + 16;
+            let mut distance_squared = f32x16::splat(simd, 0.0);
+            for axis in 0..3 {
+                let p = f32x16::from_slice(simd, &self.position[axis][range.clone()]);
+                let center = 0.5 * (p.reduce_min() + p.reduce_max());
+                self.chunk_center[axis][chunk] = center;
+                distance_squared += (p - center) * (p - center);
+            }
+            let radius = 1.0 / f32x16::from_slice(simd, &self.inverse_radius[range]).reduce_min();
+            let reach = distance_squared.reduce_max().sqrt() + radius;
+            self.chunk_reach_squared[chunk] = reach * reach * 1.0001;
+        }
+    }
+
     fn set_wide(&mut self, source: Option<(&Run<'_>, RootCell)>) {
         let spare = self.wide.take().or_else(|| self.spare_wide.take());
         let Some((run, root)) = source else {
@@ -187,10 +212,10 @@ impl DecodedRun {
             return;
         };
         let mut wide = spare.unwrap_or_else(|| {
-            Box::new(WideRun { position: [[0.0; RUN_POINTS]; 3], inverse_radius_squared: [0.0; RUN_POINTS] })
+            Box::new(WideRun { position: [[0.0; RUN_POINTS]; 3], inverse_radius: [0.0; RUN_POINTS] })
         });
         run.decode_local_f64(root, &mut wide.position);
-        for (o, i) in wide.inverse_radius_squared.iter_mut().zip(&self.inverse_radius_squared) {
+        for (o, i) in wide.inverse_radius.iter_mut().zip(&self.inverse_radius) {
             *o = f64::from(*i);
         }
         self.wide = Some(wide);

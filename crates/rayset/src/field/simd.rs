@@ -18,10 +18,10 @@ impl Default for SimdLevel {
 }
 
 impl SimdLevel {
-    /// No vector instructions.
+    /// What every processor of the architecture has: SSE2 on x86-64, NEON on 64-bit ARM, else no vectors at all.
     #[must_use]
-    pub fn scalar() -> Self {
-        Self(Level::fallback())
+    pub fn baseline() -> Self {
+        Self(Level::baseline())
     }
 
     /// Every level that this processor has, the best first.
@@ -33,9 +33,9 @@ impl SimdLevel {
         {
             let lower = [best.as_avx2().map(Level::Avx2), best.as_sse4_2().map(Level::Sse4_2)];
             levels.extend(lower.into_iter().flatten().map(Self));
-            levels.dedup_by_key(|l| l.name());
         }
-        levels.push(Self::scalar());
+        levels.push(Self::baseline());
+        levels.dedup_by_key(|l| l.name());
         levels
     }
 

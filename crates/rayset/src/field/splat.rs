@@ -202,17 +202,16 @@ impl Frames {
         let step = packet.step() as f32;
         let last = (samples - 1) as f32;
         for chunk in 0..LANES / 16 {
-            let load = |column: &[f32; LANES]| f32x16::from_slice(simd, &column[16 * chunk..16 * chunk + 16]);
-            let start = load(&self.first_sample) * step + load(&self.sample_zero);
+            let start = lanes_of(simd, &self.first_sample, chunk) * step + lanes_of(simd, &self.sample_zero, chunk);
             // Half a step of slack on either side covers the rounding of this test.
             let (mut enter, mut exit) = (start - 0.5 * step, start + (last + 0.5) * step);
             for axis in 0..3 {
-                let (foot, direction) = (load(&self.foot[axis]), load(&packet.direction_f32[axis]));
+                let foot = lanes_of(simd, &self.foot[axis], chunk);
+                let inverse = lanes_of(simd, &packet.inverse_direction[axis], chunk);
                 let reach = run.reach[axis];
-                // A direction without extent along this axis neither enters nor leaves: the quotients are huge and
+                // A direction without extent along this axis neither enters nor leaves: the products are huge and
                 // of opposite sign inside, of the same sign outside.
-                let steep = direction.abs().max(1e-30).copysign(direction);
-                let (a, b) = ((-reach - foot) / steep, (reach - foot) / steep);
+                let (a, b) = ((-reach - foot) * inverse, (reach - foot) * inverse);
                 enter = enter.max(a.min(b));
                 exit = exit.min(a.max(b));
             }
@@ -221,6 +220,12 @@ impl Frames {
         }
         mask
     }
+}
+
+/// Sixteen lanes of a column. A closure would do, but closures are not always inlined where vectors must be.
+#[inline(always)]
+fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x16<S> {
+    f32x16::from_slice(simd, &column[16 * chunk..16 * chunk + 16])
 }
 
 #[inline(always)]
@@ -235,167 +240,238 @@ fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: boo
     }
     let frames = Frames::new(job.run, job.packet, job.slab);
     let mut lanes = job.lanes & frames.lanes_that_meet(simd, job.run, job.packet, job.slab.samples);
+    let mut pairs = Pairs::new();
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;
-        let mut pairs = Pairs::default();
-        pairs.test::<S, GRADIENT>(simd, job, &frames, lane);
-        counts.pairs_tested += job.run.len as u64;
-        if pairs.hits != [0; 2] {
+        let ray = LaneRay::new(simd, job, &frames, lane);
+        let chunks = ray.chunks_in_reach(simd, job.run);
+        counts.pairs_tested += 16 * u64::from(chunks.count_ones());
+        if chunks != 0 && pairs.test::<S, GRADIENT>(simd, &ray, job.run, chunks) {
             job.samples.begin::<GRADIENT, ATTRIBUTES>(lane);
-            let added = pairs.add::<S, K, GRADIENT, ATTRIBUTES>(simd, job, &frames, lane);
+            let added = pairs.add::<S, K, GRADIENT, ATTRIBUTES>(simd, &ray, job.run, lane, job.samples);
             counts.pairs_added += added;
-            counts.kernel_evaluations += added * SLAB_SAMPLES as u64;
+            counts.kernel_evaluations += added * 16;
         }
     }
     counts
 }
 
-/// One ray against all points of a run.
-struct Pairs {
-    /// Distance along the ray from the foot to the point nearest on the ray.
-    nearest: [f32; RUN_POINTS],
-    /// Squared distance of the point from the ray.
-    distance_squared: [f32; RUN_POINTS],
-    /// The vector from the ray to the point, where gradients are wanted.
-    across: [[f32; RUN_POINTS]; 3],
-    /// Points that reach the ray within the slab.
-    hits: [u64; 2],
+/// One ray as a run sees it.
+struct LaneRay<S: Simd> {
+    foot: [f32; 3],
+    direction: [f32; 3],
+    /// Distances along the ray, from its foot, of the samples of the slab.
+    t: [f32x16<S>; BLOCKS],
+    /// The same for the first and the last sample of each block, with a little to spare, so that culling is never
+    /// stricter than the evaluation.
+    block_start: [f32; BLOCKS],
+    block_end: [f32; BLOCKS],
 }
 
-impl Default for Pairs {
+impl<S: Simd> LaneRay<S> {
     #[inline(always)]
-    fn default() -> Self {
-        Self {
-            nearest: [0.0; RUN_POINTS],
-            distance_squared: [0.0; RUN_POINTS],
-            across: [[0.0; RUN_POINTS]; 3],
-            hits: [0; 2],
+    fn new(simd: S, job: &Job<'_>, frames: &Frames, lane: usize) -> Self {
+        let step = job.packet.step() as f32;
+        let (first, zero) = (frames.first_sample[lane], frames.sample_zero[lane]);
+        let count = f32x16::from_slice(simd, &COUNT);
+        let mut ray = Self {
+            foot: [frames.foot[0][lane], frames.foot[1][lane], frames.foot[2][lane]],
+            direction: job.packet.direction_f32(lane),
+            t: [f32x16::splat(simd, zero); BLOCKS],
+            block_start: [0.0; BLOCKS],
+            block_end: [0.0; BLOCKS],
+        };
+        for b in 0..BLOCKS {
+            let block_first = first + (16 * b) as f32;
+            ray.t[b] = (count + block_first).mul_add(step, ray.t[b]);
+            ray.block_start[b] = (block_first - 0.01) * step + zero;
+            ray.block_end[b] = (block_first + 15.01) * step + zero;
         }
+        ray
     }
+
+    /// Distance along the ray to where points are nearest, and the vectors from the ray to them.
+    #[inline(always)]
+    fn project(&self, simd: S, position: [f32x16<S>; 3]) -> (f32x16<S>, [f32x16<S>; 3]) {
+        let (x, y, z) = (position[0] - self.foot[0], position[1] - self.foot[1], position[2] - self.foot[2]);
+        let dx = f32x16::splat(simd, self.direction[0]);
+        let dy = f32x16::splat(simd, self.direction[1]);
+        let dz = f32x16::splat(simd, self.direction[2]);
+        let nearest = z.mul_add(dz, y.mul_add(dy, x * dx));
+        let back = -nearest;
+        (nearest, [back.mul_add(dx, x), back.mul_add(dy, y), back.mul_add(dz, z)])
+    }
+
+    /// Chunks of sixteen points whose sphere of influence the ray meets within the slab.
+    #[inline(always)]
+    fn chunks_in_reach(&self, simd: S, run: &DecodedRun) -> u64 {
+        let center = [
+            f32x16::from_slice(simd, &run.chunk_center[0]),
+            f32x16::from_slice(simd, &run.chunk_center[1]),
+            f32x16::from_slice(simd, &run.chunk_center[2]),
+        ];
+        let (nearest, [x, y, z]) = self.project(simd, center);
+        let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
+        let gap = (self.block_start[0] - nearest).max(nearest - self.block_end[BLOCKS - 1]).max(0.0);
+        let within = gap.mul_add(gap, distance_squared).simd_le(f32x16::from_slice(simd, &run.chunk_reach_squared));
+        within.to_bitmask() & ((1 << run.len.div_ceil(16)) - 1)
+    }
+}
+
+/// One ray against points of a run, in units of their radii.
+struct Pairs {
+    /// Distance along the ray from the foot to where the point is nearest, over the radius.
+    nearest: [f32; RUN_POINTS],
+    /// 1 − d⊥²/r².
+    inside: [f32; RUN_POINTS],
+    /// The vector from the ray to the point, world units, where gradients are wanted.
+    across: [[f32; RUN_POINTS]; 3],
+    /// For each block of samples, the points that reach it.
+    hits: [[u64; 2]; BLOCKS],
 }
 
 impl Pairs {
     #[inline(always)]
-    fn test<S: Simd, const GRADIENT: bool>(&mut self, simd: S, job: &Job<'_>, frames: &Frames, lane: usize) {
-        let (run, step) = (job.run, job.packet.step() as f32);
-        let splat = |v: f32| f32x16::splat(simd, v);
-        let foot = frames.foot.each_ref().map(|f| splat(f[lane]));
-        let direction = job.packet.direction_f32.each_ref().map(|d| splat(d[lane]));
-        let start = frames.first_sample[lane] * step + frames.sample_zero[lane];
-        // The slack keeps culling from ever being stricter than the evaluation.
-        let slab_start = splat(start - 0.01 * step);
-        let slab_end = splat(start + (job.slab.samples as f32 - 0.99) * step);
-        for chunk in 0..run.len.div_ceil(16) {
+    fn new() -> Self {
+        Self {
+            nearest: [0.0; RUN_POINTS],
+            inside: [0.0; RUN_POINTS],
+            across: [[0.0; RUN_POINTS]; 3],
+            hits: [[0; 2]; BLOCKS],
+        }
+    }
+
+    /// Finds the points that reach samples of the slab; false where there are none.
+    #[inline(always)]
+    fn test<S: Simd, const GRADIENT: bool>(
+        &mut self,
+        simd: S,
+        ray: &LaneRay<S>,
+        run: &DecodedRun,
+        mut chunks: u64,
+    ) -> bool {
+        let mut hits = [[0_u64; 2]; BLOCKS];
+        while chunks != 0 {
+            let chunk = chunks.trailing_zeros() as usize & 7;
+            chunks &= chunks - 1;
             let range = 16 * chunk..16 * chunk + 16;
-            let load = |column: &[f32; RUN_POINTS]| f32x16::from_slice(simd, &column[range.clone()]);
-            let x = load(&run.position[0]) - foot[0];
-            let y = load(&run.position[1]) - foot[1];
-            let z = load(&run.position[2]) - foot[2];
-            let nearest = z.mul_add(direction[2], y.mul_add(direction[1], x * direction[0]));
-            let back = -nearest;
-            let x = back.mul_add(direction[0], x);
-            let y = back.mul_add(direction[1], y);
-            let z = back.mul_add(direction[2], z);
+            let position = [
+                f32x16::from_slice(simd, &run.position[0][range.clone()]),
+                f32x16::from_slice(simd, &run.position[1][range.clone()]),
+                f32x16::from_slice(simd, &run.position[2][range.clone()]),
+            ];
+            let (nearest, [x, y, z]) = ray.project(simd, position);
+            let inverse = f32x16::from_slice(simd, &run.inverse_radius[range.clone()]);
             let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
-            let gap = (slab_start - nearest).max(nearest - slab_end).max(0.0);
-            let reach = load(&run.radius_squared) - distance_squared;
-            let hits = (gap * gap).simd_lt(reach).to_bitmask();
-            self.hits[chunk / 4] |= hits << (16 * (chunk % 4));
+            let nearest = nearest * inverse;
+            let inside = (-distance_squared).mul_add(inverse * inverse, f32x16::splat(simd, 1.0));
+            // What rounding may take from a pair that just contributes is far below this.
+            let reach = inside + 1e-5;
+            for b in 0..BLOCKS {
+                let before = inverse * ray.block_start[b] - nearest;
+                let behind = nearest - inverse * ray.block_end[b];
+                let gap = before.max(behind).max(0.0);
+                hits[b][chunk / 4] |= (gap * gap).simd_lt(reach).to_bitmask() << (16 * (chunk % 4));
+            }
             nearest.store_slice(&mut self.nearest[range.clone()]);
-            distance_squared.store_slice(&mut self.distance_squared[range.clone()]);
+            inside.store_slice(&mut self.inside[range.clone()]);
             if GRADIENT {
                 x.store_slice(&mut self.across[0][range.clone()]);
                 y.store_slice(&mut self.across[1][range.clone()]);
                 z.store_slice(&mut self.across[2][range.clone()]);
             }
         }
+        let valid = [u64::MAX >> 64_usize.saturating_sub(run.len).min(63), high_mask(run.len)];
+        let mut any = 0;
+        for b in 0..BLOCKS {
+            self.hits[b] = [hits[b][0] & valid[0], hits[b][1] & valid[1]];
+            any |= self.hits[b][0] | self.hits[b][1];
+        }
+        any != 0
     }
 
-    /// Adds all hits to the samples of the lane, in the order of the points; returns their number.
+    /// Adds all hits to the samples of the lane, in the order of the points; returns how many vectors of samples.
     #[inline(always)]
     fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: bool>(
         &self,
         simd: S,
-        job: &mut Job<'_>,
-        frames: &Frames,
+        ray: &LaneRay<S>,
+        run: &DecodedRun,
         lane: usize,
+        samples: &mut FieldSamples,
     ) -> u64 {
-        let run = job.run;
-        let step = job.packet.step() as f32;
-        let direction = job.packet.direction_f32.each_ref().map(|d| d[lane]);
         let zero = f32x16::splat(simd, 0.0);
-        let count = f32x16::from_slice(simd, &COUNT);
-        let sample_zero = f32x16::splat(simd, frames.sample_zero[lane]);
-        let mut t = [zero; BLOCKS];
-        for (block, t) in t.iter_mut().enumerate() {
-            let number = count + (frames.first_sample[lane] + (16 * block) as f32);
-            *t = number.mul_add(step, sample_zero);
-        }
-        let load = |row: &SampleRow, b: usize| f32x16::from_slice(simd, &row.0[16 * b..16 * b + 16]);
-        let mut density = [zero; BLOCKS];
-        let mut gradient = [[zero; BLOCKS]; 3];
-        let mut attribute = [[zero; BLOCKS]; 3];
+        let mut added = 0;
         for b in 0..BLOCKS {
-            density[b] = load(&job.samples.density[lane], b);
-            for channel in 0..3 {
-                if GRADIENT {
-                    gradient[channel][b] = load(&job.samples.gradient[channel][lane], b);
-                }
-                if ATTRIBUTES {
-                    attribute[channel][b] = load(&job.samples.attribute[channel][lane], b);
+            let [low, high] = self.hits[b];
+            if low | high == 0 {
+                continue;
+            }
+            let at = 16 * b..16 * b + 16;
+            let mut density = f32x16::from_slice(simd, &samples.density[lane].0[at.clone()]);
+            let mut attribute = [zero; 3];
+            if ATTRIBUTES {
+                for channel in 0..3 {
+                    attribute[channel] = f32x16::from_slice(simd, &samples.attribute[channel][lane].0[at.clone()]);
                 }
             }
-        }
-        let mut added = 0;
-        for (half, mut hits) in self.hits.into_iter().enumerate() {
-            added += u64::from(hits.count_ones());
-            while hits != 0 {
-                let i = 64 * half + hits.trailing_zeros() as usize;
-                hits &= hits - 1;
-                // `i` is below RUN_POINTS by construction; the mask lets the compiler see it.
-                let i = i & (RUN_POINTS - 1);
-                let nearest = self.nearest[i];
-                let distance_squared = f32x16::splat(simd, self.distance_squared[i]);
-                let inverse = run.inverse_radius_squared[i];
-                let weight = run.weight[i];
-                for b in 0..BLOCKS {
-                    let along = t[b] - nearest;
-                    let s = along.mul_add(along, distance_squared) * inverse;
-                    let value = K::value(s);
+            // The gradient along the ray and against `across`, of this run alone.
+            let mut along_sum = zero;
+            let mut across_sum = [zero; 3];
+            for half in 0..2 {
+                let mut hits = self.hits[b][half];
+                added += u64::from(hits.count_ones());
+                while hits != 0 {
+                    // Below RUN_POINTS by construction; the mask lets the compiler see it.
+                    let i = (64 * half + hits.trailing_zeros() as usize) & (RUN_POINTS - 1);
+                    hits &= hits - 1;
+                    let (inverse, weight) = (run.inverse_radius[i], run.weight[i]);
+                    let along = ray.t[b] * inverse - self.nearest[i];
+                    let q = (-along).mul_add(along, f32x16::splat(simd, self.inside[i]));
+                    let value = K::value(q);
                     if ATTRIBUTES {
                         let weighted = value * weight;
-                        density[b] += weighted;
+                        density += weighted;
                         for channel in 0..3 {
-                            let a = run.attribute[channel][i];
-                            attribute[channel][b] = weighted.mul_add(a, attribute[channel][b]);
+                            attribute[channel] =
+                                weighted.mul_add(run.attribute[channel][i], attribute[channel]);
                         }
                     } else {
-                        density[b] = value.mul_add(weight, density[b]);
+                        density = value.mul_add(weight, density);
                     }
                     if GRADIENT {
-                        let slope = K::slope_over_x(s) * (weight * inverse);
+                        let slope = K::slope_over_x(q) * (weight * inverse);
+                        along_sum = slope.mul_add(along, along_sum);
+                        let slope = slope * inverse;
                         for channel in 0..3 {
-                            let offset = along * direction[channel] - self.across[channel][i];
-                            gradient[channel][b] = slope.mul_add(offset, gradient[channel][b]);
+                            across_sum[channel] = slope.mul_add(self.across[channel][i], across_sum[channel]);
                         }
                     }
                 }
             }
-        }
-        for b in 0..BLOCKS {
-            let range = 16 * b..16 * b + 16;
-            density[b].store_slice(&mut job.samples.density[lane].0[range.clone()]);
+            density.store_slice(&mut samples.density[lane].0[at.clone()]);
             for channel in 0..3 {
-                if GRADIENT {
-                    gradient[channel][b].store_slice(&mut job.samples.gradient[channel][lane].0[range.clone()]);
-                }
                 if ATTRIBUTES {
-                    attribute[channel][b].store_slice(&mut job.samples.attribute[channel][lane].0[range.clone()]);
+                    attribute[channel].store_slice(&mut samples.attribute[channel][lane].0[at.clone()]);
+                }
+                if GRADIENT {
+                    let row = &mut samples.gradient[channel][lane].0[at.clone()];
+                    let run_gradient = along_sum * ray.direction[channel] - across_sum[channel];
+                    (f32x16::from_slice(simd, row) + run_gradient).store_slice(row);
                 }
             }
         }
         added
+    }
+}
+
+/// The bits of points 64 to 127 of a run of `len` points.
+#[inline(always)]
+fn high_mask(len: usize) -> u64 {
+    match len.saturating_sub(64) {
+        0 => 0,
+        more => u64::MAX >> (64 - more),
     }
 }
 
@@ -423,7 +499,7 @@ fn splat_wide<const GRADIENT: bool, const ATTRIBUTES: bool>(
             let nearest = c[0] * d[0] + c[1] * d[1] + c[2] * d[2];
             let across: [f64; 3] = std::array::from_fn(|axis| c[axis] - nearest * d[axis]);
             let distance_squared = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
-            let inverse = wide.inverse_radius_squared[i];
+            let inverse = wide.inverse_radius[i] * wide.inverse_radius[i];
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
             let number = |t: f64| t / packet.step() - packet.phase[lane];
             // Samples in reach, one to spare on either side.

@@ -1,6 +1,6 @@
-//! Space-filling curves: Morton codes for the octree, a Hilbert curve for the order of image tiles.
+//! Space-filling curves: Hilbert curves for the order of points in the octree and of tiles in the picture.
 
-/// Octree levels below the root that a Morton code resolves; a code has `3 * MAX_LEVEL` bits.
+/// Octree levels below the root that a place along the curve resolves; it has `3 * MAX_LEVEL` bits.
 pub const MAX_LEVEL: u32 = 20;
 
 /// Spreads the low 20 bits of `v` so that two zero bits follow each.
@@ -14,9 +14,57 @@ fn spread(v: u32) -> u64 {
 }
 
 /// Morton code of a cell at [`MAX_LEVEL`], x in the lowest bit of each triple.
-#[must_use]
-pub fn morton(cell: [u32; 3]) -> u64 {
+fn morton(cell: [u32; 3]) -> u64 {
     spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
+}
+
+/// For each of 24 orientations of the curve within a cell (entry corner and direction) and each octant: the octant's
+/// rank along the curve in the low three bits, and the orientation within it above.
+const TURNS: [[u8; 8]; 24] = turns();
+
+/// Works out [`TURNS`] from Gray codes (Hamilton, *Compact Hilbert Indices*, 2006, section 2).
+const fn turns() -> [[u8; 8]; 24] {
+    const fn rotate_left(v: u32, by: u32) -> u32 {
+        let by = by % 3;
+        (v << by | v >> (3 - by)) & 7
+    }
+    let mut table = [[0; 8]; 24];
+    let mut state = 0;
+    while state < 24 {
+        let (entry, direction) = (state as u32 & 7, state as u32 >> 3);
+        let mut octant = 0;
+        while octant < 8 {
+            let gray = rotate_left(octant ^ entry, 3 - (direction + 1) % 3);
+            let rank = gray ^ gray >> 1 ^ gray >> 2;
+            let (sub_entry, sub_direction) = if rank == 0 {
+                (0, 0)
+            } else {
+                let even = (rank - 1) / 2 * 2;
+                let odd = if rank % 2 == 0 { rank - 1 } else { rank };
+                (even ^ even >> 1, odd.trailing_ones() % 3)
+            };
+            let next_entry = entry ^ rotate_left(sub_entry, direction + 1);
+            let next_direction = (direction + sub_direction + 1) % 3;
+            table[state][octant as usize] = (rank | (next_entry | next_direction << 3) << 3) as u8;
+            octant += 1;
+        }
+        state += 1;
+    }
+    table
+}
+
+/// Place of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits number the cell of
+/// level `l` that holds it, so the curve orders an octree as a Morton code does, without its jumps.
+#[must_use]
+pub fn hilbert(cell: [u32; 3]) -> u64 {
+    let interleaved = morton(cell);
+    let (mut state, mut place) = (0_usize, 0_u64);
+    for level in (0..MAX_LEVEL).rev() {
+        let turn = TURNS[state][(interleaved >> (3 * level)) as usize & 7];
+        place = place << 3 | u64::from(turn & 7);
+        state = usize::from(turn >> 3);
+    }
+    place
 }
 
 /// Column and row of step `index` along a Hilbert curve over a square of `side` cells (a power of two).
@@ -62,6 +110,29 @@ mod tests {
         assert_eq!(morton([0, 1, 0]), 2);
         assert_eq!(morton([0, 0, 1]), 4);
         assert_eq!(morton([(1 << MAX_LEVEL) - 1; 3]), (1 << (3 * MAX_LEVEL)) - 1);
+    }
+
+    #[test]
+    fn hilbert_neighbours_touch_and_prefixes_number_cells() {
+        let side = 8_u32;
+        let shift = MAX_LEVEL - 3;
+        let mut cells: Vec<(u64, [u32; 3])> = Vec::new();
+        for x in 0..side {
+            for y in 0..side {
+                for z in 0..side {
+                    let corner = [x << shift, y << shift, z << shift];
+                    let inside = [(x << shift) + 12_345, (y << shift) + 99_999, (z << shift) + 7];
+                    assert_eq!(hilbert(corner) >> (3 * shift), hilbert(inside) >> (3 * shift));
+                    cells.push((hilbert(corner) >> (3 * shift), [x, y, z]));
+                }
+            }
+        }
+        cells.sort_unstable();
+        for (place, pair) in cells.windows(2).enumerate() {
+            assert_eq!(pair[0].0, place as u64);
+            let steps: u32 = (0..3).map(|axis| pair[0].1[axis].abs_diff(pair[1].1[axis])).sum();
+            assert_eq!(steps, 1, "from {:?} to {:?}", pair[0].1, pair[1].1);
+        }
     }
 
     #[test]

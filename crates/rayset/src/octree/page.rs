@@ -9,9 +9,9 @@ use crate::geometry::{Aabb, DVec3};
 /// Most points in a run.
 pub const RUN_POINTS: usize = 128;
 /// Bytes of a run's record.
-pub const RUN_HEAD_BYTES: usize = 24;
+pub const RUN_HEAD_BYTES: usize = 18;
 /// Run corners lie on a lattice of this many steps along the root cell's edge.
-const ORIGIN_STEPS: f64 = 4_294_967_296.0;
+const ORIGIN_STEPS: f64 = 16_777_216.0;
 /// Exponent of the coarsest step: `root_size · 2^-COARSEST_STEP`.
 const COARSEST_STEP: i32 = 15;
 /// Largest exponent that fits the record.
@@ -41,6 +41,11 @@ impl Encoding {
         }
     }
 
+    /// Steps to one unit of a run's extent.
+    fn extent_steps(self) -> f64 {
+        if self == Self::U32 { 16_777_216.0 } else { 256.0 }
+    }
+
     /// Bytes of one point's position.
     #[must_use]
     pub fn position_bytes(self) -> usize {
@@ -55,8 +60,10 @@ impl Encoding {
 /// A run's record, as stored save for its place in the page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RunHead {
+    /// Corner, in units of the root cell's edge / 2²⁴.
     origin: [u32; 3],
-    extent: [u16; 3],
+    /// Edges of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding), rounded up.
+    extent: [u8; 3],
     radius_max: u16,
     count: u8,
     encoding: Encoding,
@@ -85,31 +92,31 @@ impl Header {
 impl RunHead {
     fn decode(bytes: &[u8]) -> Result<Self, PageError> {
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
-        let u32_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-        let shape = u16_at(20);
+        let u24_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]);
+        let shape = u16_at(14);
         let encoding = Encoding::from_code(shape >> 7 & 3)
             .ok_or(PageError::Content { what: "a run of unknown encoding" })?;
         Ok(Self {
-            origin: [u32_at(0), u32_at(4), u32_at(8)],
-            extent: [u16_at(12), u16_at(14), u16_at(16)],
-            radius_max: u16_at(18),
+            origin: [u24_at(0), u24_at(3), u24_at(6)],
+            extent: [bytes[9], bytes[10], bytes[11]],
+            radius_max: u16_at(12),
             count: (shape & 0x7f) as u8 + 1,
             encoding,
             step_code: (shape >> 9) as u8,
-            offset_words: u16_at(22),
+            offset_words: u16_at(16),
         })
     }
 
-    /// Writes the record into its 24 bytes.
+    /// Writes the record into its 18 bytes.
     pub(crate) fn encode(&self, bytes: &mut [u8]) {
         for axis in 0..3 {
-            bytes[4 * axis..4 * axis + 4].copy_from_slice(&self.origin[axis].to_le_bytes());
-            bytes[12 + 2 * axis..14 + 2 * axis].copy_from_slice(&self.extent[axis].to_le_bytes());
+            bytes[3 * axis..3 * axis + 3].copy_from_slice(&self.origin[axis].to_le_bytes()[..3]);
+            bytes[9 + axis] = self.extent[axis];
         }
         let shape = u16::from(self.count - 1) | self.encoding.code() << 7 | u16::from(self.step_code) << 9;
-        bytes[18..20].copy_from_slice(&self.radius_max.to_le_bytes());
-        bytes[20..22].copy_from_slice(&shape.to_le_bytes());
-        bytes[22..24].copy_from_slice(&self.offset_words.to_le_bytes());
+        bytes[12..14].copy_from_slice(&self.radius_max.to_le_bytes());
+        bytes[14..16].copy_from_slice(&shape.to_le_bytes());
+        bytes[16..18].copy_from_slice(&self.offset_words.to_le_bytes());
     }
 
     /// The same run with its data at another place, in units of four bytes.
@@ -155,7 +162,7 @@ impl RunHead {
     #[must_use]
     pub fn position_bounds(&self, root: RootCell) -> Aabb {
         let min = root.min + DVec3::from_array(self.origin.map(f64::from)) * (root.size / ORIGIN_STEPS);
-        let unit = self.step(root) * if self.encoding == Encoding::U32 { 65536.0 } else { 1.0 };
+        let unit = self.step(root) * self.encoding.extent_steps();
         Aabb::new(min, min + DVec3::from_array(self.extent.map(f64::from)) * unit)
     }
 
@@ -213,7 +220,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     let step = |code: u8| root.size * 2_f64.powi(-COARSEST_STEP - i32::from(code));
     let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
     let good = |code: u8| worst_error(code) <= precision * radius_min;
-    let (code_u16, code_u32) = (finest(65534.0), finest(4_294_901_000.0));
+    let (code_u16, code_u32) = (finest(65279.0), finest(4_278_000_000.0));
     let (encoding, step_code) = if precision > 0.0 && good(code_u16) {
         (Encoding::U16, code_u16)
     } else if precision > 0.0 && good(code_u32) {
@@ -221,7 +228,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     } else {
         (Encoding::F64, code_u16)
     };
-    let unit = step(step_code) * if encoding == Encoding::U32 { 65536.0 } else { 1.0 };
+    let unit = step(step_code) * encoding.extent_steps();
 
     let mut error_squared = 0.0_f64;
     let start = data.len();
@@ -258,10 +265,10 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     }
 
     // Rounded offsets may pass the exact extent by half a step, so the stored extent is rounded up.
-    let extent = (extent / unit + 0.5).ceil().min(DVec3::splat(65535.0));
+    let extent = (extent / unit + 0.5 / encoding.extent_steps()).ceil().min(DVec3::splat(255.0));
     let head = RunHead {
         origin: origin.to_array().map(|v| v as u32),
-        extent: extent.to_array().map(|v| v as u16),
+        extent: extent.to_array().map(|v| v as u8),
         radius_max: round_up_to_16_bits(radius_max),
         count: run.position.len() as u8,
         encoding,
@@ -409,7 +416,7 @@ impl<'a> Run<'a> {
             let n = self.head.len();
             let step = self.head.step(root) as f32;
             for axis in 0..3 {
-                let half = f32::from(self.head.extent[axis]) * 0.5;
+                let half = f32::from(self.head.extent[axis]) * 128.0;
                 let column = &self.data[2 * n * axis..2 * n * (axis + 1)];
                 for (o, b) in out[axis][..n].iter_mut().zip(column.chunks_exact(2)) {
                     *o = (f32::from(u16::from_le_bytes([b[0], b[1]])) - half) * step;

@@ -1,1 +1,227 @@
-//! Checking a whole file: every checksum and record, and with `deep` every bound and total that a render relies on.
+//! Checking a whole file: every checksum and record, and every bound and total that a render relies on.
+
+use super::file::{Cloud, ScanError};
+use super::format::{NodeRef, PageKind, stored_page_checksum};
+use super::node::{Node, NodePage};
+use super::page::{PointPage, Run};
+use crate::geometry::{Aabb, DVec3};
+
+/// How much to check.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Depth {
+    /// Header, footer and length: what opening a file checks.
+    Quick,
+    /// Every page: checksum, place, and that every record lies within its page.
+    #[default]
+    Pages,
+    /// Also every bound and total against the points themselves.
+    Deep,
+}
+
+/// What was found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct VerifyReport {
+    /// Pages checked.
+    pub pages: u32,
+    /// Runs checked.
+    pub runs: u64,
+    /// Points checked.
+    pub points: u64,
+    /// Nodes checked against their points.
+    pub nodes: u64,
+}
+
+/// What is wrong with a file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum VerifyError {
+    /// A page cannot be read or is damaged.
+    #[error(transparent)]
+    Scan(#[from] ScanError),
+    /// The pages are whole, but not the ones that the footer was written for.
+    #[error("the digest over all pages is {found:08x}, the footer says {expected:08x}; pages have been exchanged")]
+    Digest {
+        /// Of the pages.
+        found: u32,
+        /// In the footer.
+        expected: u32,
+    },
+    /// A bound or total does not hold.
+    #[error("node {index} of node page {page}: {what}")]
+    Node {
+        /// Node page, counted from the first.
+        page: u32,
+        /// Record in it.
+        index: u16,
+        /// What does not hold.
+        what: &'static str,
+    },
+    /// A total in the header does not hold.
+    #[error("the header says {expected} points, the pages hold {found}")]
+    Points {
+        /// In the header.
+        expected: u64,
+        /// In the pages.
+        found: u64,
+    },
+}
+
+/// Checks an open cloud. Holds one page at a time, and with [`Depth::Deep`] all nodes and one summary for each run.
+///
+/// # Errors
+/// [`VerifyError`] at the first thing that is wrong.
+pub fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
+    let mut report = VerifyReport::default();
+    if depth == Depth::Quick {
+        return Ok(report);
+    }
+    let header = cloud.header();
+    let mut digest = 0;
+    let mut runs: Vec<RunFacts> = Vec::new();
+    let mut first_run_of_page: Vec<usize> = Vec::new();
+    let mut nodes: Vec<Vec<Node>> = Vec::new();
+    cloud.for_each_page(|page, bytes| {
+        report.pages += 1;
+        digest = crc32c::crc32c_append(digest, &stored_page_checksum(bytes).to_le_bytes());
+        if cloud.page_kind(page) == PageKind::Octree {
+            if depth == Depth::Deep {
+                let records = NodePage::trusted(bytes);
+                nodes.push((0..records.len()).filter_map(|i| records.get(i)).collect());
+            }
+            return;
+        }
+        let points = PointPage::trusted(bytes, header);
+        first_run_of_page.push(runs.len());
+        for index in 0..points.len() {
+            let run = points.run(index);
+            report.runs += 1;
+            report.points += run.head.len() as u64;
+            if depth == Depth::Deep {
+                runs.push(RunFacts::of(&run, cloud));
+            }
+        }
+    })?;
+    let expected = cloud.footer().digest;
+    if digest != expected {
+        return Err(VerifyError::Digest { found: digest, expected });
+    }
+    if report.points != header.points {
+        return Err(VerifyError::Points { expected: header.points, found: report.points });
+    }
+    if depth == Depth::Deep && header.points > 0 {
+        let facts = Facts { cloud, runs, first_run_of_page, nodes };
+        let root = facts.check(header.root, &mut report)?;
+        if root.points != header.points {
+            return Err(VerifyError::Points { expected: header.points, found: root.points });
+        }
+    }
+    Ok(report)
+}
+
+/// What is true of some points.
+#[derive(Clone, Copy)]
+struct RunFacts {
+    influence: Aabb,
+    points: u64,
+    weight_sum: f64,
+    weight_size: f64,
+    radius_min: f32,
+    radius_max: f32,
+    within_own_bounds: bool,
+}
+
+impl RunFacts {
+    const NONE: Self = Self {
+        influence: Aabb::EMPTY,
+        points: 0,
+        weight_sum: 0.0,
+        weight_size: 0.0,
+        radius_min: f32::INFINITY,
+        radius_max: 0.0,
+        within_own_bounds: true,
+    };
+
+    fn of(run: &Run<'_>, cloud: &Cloud) -> Self {
+        let header = cloud.header();
+        let root = header.root_cell();
+        let n = run.head.len();
+        let radii: Vec<f32> =
+            run.radii(header).map_or_else(|| vec![header.radius.min(); n], Iterator::collect);
+        let weights: Vec<f32> =
+            run.weights(header).map_or_else(|| vec![header.weight.min(); n], Iterator::collect);
+        let bounds = run.head.position_bounds(root);
+        let mut facts = Self { points: n as u64, ..Self::NONE };
+        for ((p, r), w) in run.positions(root).into_iter().zip(radii).zip(weights) {
+            let reach = DVec3::splat(f64::from(r));
+            facts.influence = facts.influence.union(Aabb::new(p - reach, p + reach));
+            facts.weight_sum += f64::from(w);
+            facts.weight_size += f64::from(w).abs();
+            facts.radius_min = facts.radius_min.min(r);
+            facts.radius_max = facts.radius_max.max(r);
+            facts.within_own_bounds &= bounds.contains(p) && r <= run.head.radius_max();
+        }
+        facts
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.influence = self.influence.union(other.influence);
+        self.points += other.points;
+        self.weight_sum += other.weight_sum;
+        self.weight_size += other.weight_size;
+        self.radius_min = self.radius_min.min(other.radius_min);
+        self.radius_max = self.radius_max.max(other.radius_max);
+        self.within_own_bounds &= other.within_own_bounds;
+    }
+}
+
+struct Facts<'a> {
+    cloud: &'a Cloud,
+    runs: Vec<RunFacts>,
+    first_run_of_page: Vec<usize>,
+    nodes: Vec<Vec<Node>>,
+}
+
+impl Facts<'_> {
+    /// Checks a node and everything below it; returns what is true of its points. Children stand before their
+    /// parents, and levels grow, so the recursion ends.
+    fn check(&self, place: NodeRef, report: &mut VerifyReport) -> Result<RunFacts, VerifyError> {
+        let wrong = |what| VerifyError::Node { page: place.page, index: place.index, what };
+        let node = self.nodes.get(place.page as usize).and_then(|p| p.get(usize::from(place.index)));
+        let node = node.ok_or_else(|| wrong("the record is not there"))?;
+        report.nodes += 1;
+        let mut facts = RunFacts::NONE;
+        let own = node.own;
+        if own.runs > 0 {
+            let page = self.first_run_of_page.get(own.first_page as usize);
+            let first = page.ok_or_else(|| wrong("its points are in no page"))? + usize::from(own.first_run);
+            let range = first..first + own.runs as usize;
+            let runs = self.runs.get(range).ok_or_else(|| wrong("its runs go beyond the last page"))?;
+            runs.iter().for_each(|run| facts.merge(run));
+        }
+        for child in 0..node.child_mask.count_ones() as u16 {
+            let index = node.first_child.index + child;
+            let below = NodeRef { page: node.first_child.page, index };
+            let level = self.nodes.get(below.page as usize).and_then(|p| p.get(usize::from(index))).map(|n| n.level);
+            if level != Some(node.level + 1) {
+                return Err(wrong("a child is not one level further down"));
+            }
+            facts.merge(&self.check(below, report)?);
+        }
+        if !facts.within_own_bounds {
+            return Err(wrong("a point lies outside the bounds of its run"));
+        }
+        if !node.bounds(self.cloud.header().root_cell()).encloses(&facts.influence) {
+            return Err(wrong("a point reaches beyond its bounds"));
+        }
+        if facts.points != node.points {
+            return Err(wrong("its number of points is wrong"));
+        }
+        if facts.radius_min != node.radius_min || facts.radius_max != node.radius_max {
+            return Err(wrong("its smallest or largest radius is wrong"));
+        }
+        if (facts.weight_sum - node.weight_sum).abs() > 1e-9 * facts.weight_size {
+            return Err(wrong("its sum of weights is wrong"));
+        }
+        Ok(facts)
+    }
+}

@@ -131,6 +131,24 @@ impl RayMaker {
         }
     }
 
+    /// Where a position appears, in pixels from the upper left corner; nothing where it is not in front of the eye.
+    pub(crate) fn project(&self, p: DVec3) -> Option<(f64, f64)> {
+        let [width, height] = self.size;
+        let offset = p - self.camera.position;
+        let (u, v) = (offset.dot(self.right), offset.dot(self.up));
+        let half = match self.camera.projection {
+            Projection::Perspective { fovy } => {
+                let depth = offset.dot(self.forward);
+                if depth <= 0.0 {
+                    return None;
+                }
+                depth * (fovy * 0.5).tan()
+            }
+            Projection::Orthographic { height } => height * 0.5,
+        };
+        Some(((u / half * height + width) * 0.5, (1.0 - v / half) * height * 0.5))
+    }
+
     /// The ray through the centre of a pixel.
     pub(crate) fn pixel_ray(&self, x: u32, y: u32) -> Ray {
         self.ray(f64::from(x) + 0.5, f64::from(y) + 0.5)

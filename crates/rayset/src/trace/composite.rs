@@ -64,8 +64,18 @@ impl Compositor {
         }
     }
 
+    /// The one colour that every sample has, if so: a ray's colour then follows from its transmittance.
+    fn flat_color(&self) -> Option<[f32; 3]> {
+        match self.color {
+            Color::Uniform(color) if self.shading == Shading::None => Some(color),
+            _ => None,
+        }
+    }
+
     /// The pixel of a ray that has ended.
-    pub(super) fn pixel(&self, color: [f32; 3], transmittance: f32) -> [f32; 4] {
+    pub(super) fn pixel(&self, state: &RayState) -> [f32; 4] {
+        let RayState { color, transmittance } = *state;
+        let color = self.flat_color().map_or(color, |flat| flat.map(|v| v * (1.0 - transmittance)));
         match self.background {
             Some(background) => {
                 let behind = |c: usize| color[c] + transmittance * background[c];
@@ -132,10 +142,18 @@ impl Compositor {
         for (j, &p) in passed.0[..slab.samples].iter().enumerate() {
             opaque |= u32::from(p < 1.0) << j;
         }
+        let flat = self.flat_color().is_some();
         while opaque != 0 {
             let j = opaque.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
             opaque &= opaque - 1;
             *nonzero += 1;
+            if flat {
+                state.transmittance *= passed.0[j];
+                if state.transmittance < self.stop_transmittance {
+                    return false;
+                }
+                continue;
+            }
             let share = state.transmittance * (1.0 - passed.0[j]);
             let color = self.lit(packet, lane, j, samples, self.color(samples, lane, j));
             for channel in 0..3 {

@@ -78,8 +78,7 @@ impl<'a> PacketTracer<'a> {
         let packet = Packet::new(&members, group.step);
         let depth = self.march(&packet)?;
         for (lane, &pixel) in group.members.iter().enumerate() {
-            let RayState { color: [r, g, b], transmittance } = self.states[lane];
-            pixels[pixel] = self.world.compositor.pixel([r, g, b], transmittance);
+            pixels[pixel] = self.world.compositor.pixel(&self.states[lane]);
         }
         Ok(depth)
     }
@@ -130,7 +129,7 @@ impl<'a> PacketTracer<'a> {
             let points = PointPage::trusted(&guard, world.header);
             while let Some(active) = self.active.get(at).filter(|a| a.page == page) {
                 let run = points.run(usize::from(active.run));
-                world.decoder.decode(&run, world.header, &mut self.run);
+                world.decoder.decode(&run, world.header, world.splatter.simd, &mut self.run);
                 self.counts.runs += 1;
                 self.counts.splats += world.splatter.splat(&self.run, packet, slab, lanes, &mut self.samples);
                 at += 1;

@@ -1,6 +1,6 @@
 //! Bringing pages in before rays need them. A prediction can be wrong without harm to the picture.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -8,6 +8,7 @@ use super::Region;
 use super::world::World;
 use crate::field::Packet;
 use crate::geometry::curve::hilbert_order;
+use crate::geometry::{Aabb, DVec3};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
 
@@ -68,6 +69,8 @@ pub struct Lookahead<'a> {
     place: Vec<u32>,
     /// Greatest depth of any finished tile of a block, as the bits of an `f64`; 0 before the first.
     depth: Vec<AtomicU64>,
+    /// The same of the last finished tile anywhere.
+    recent_depth: AtomicU64,
     queue: Mutex<Queue>,
 }
 
@@ -77,6 +80,14 @@ struct Queue {
     next: usize,
     /// Blocks that could not be looked through because node pages were absent.
     again: VecDeque<usize>,
+    /// Pages seen ahead for which there was no room yet, each with the block they are for.
+    waiting: VecDeque<(usize, u32)>,
+    /// Pages hinted at, each with the block they are for.
+    hinted: VecDeque<(usize, u32)>,
+    /// For each page seen ahead, the place along the curve of the last block that may need it.
+    use_by: HashMap<u32, u32>,
+    /// Place of the last block for which pages were retired.
+    retired_at: u32,
 }
 
 /// A page ahead and the distance at which it is met.
@@ -97,7 +108,7 @@ impl<'a> Lookahead<'a> {
         }
         let depth = order.iter().map(|_| AtomicU64::new(0)).collect();
         let queue = Mutex::default();
-        Self { world, rays, region: region.clone(), columns, rows, step, order, place, depth, queue }
+        Self { world, rays, region: region.clone(), columns, rows, step, order, place, depth, recent_depth: AtomicU64::new(0), queue }
     }
 
     fn block(&self, x: u32, y: u32) -> usize {
@@ -110,32 +121,97 @@ impl<'a> Lookahead<'a> {
     pub(super) fn finished(&self, x: u32, y: u32, depth: f64) {
         // Positive floats compare like their bits.
         self.depth[self.block(x, y)].fetch_max(depth.to_bits(), Ordering::Relaxed);
+        self.recent_depth.store(depth.to_bits(), Ordering::Relaxed);
     }
 
     /// Looks at the blocks that come within reach with the tile at a pixel.
     fn scout(&self, x: u32, y: u32) {
         // One thread at a time; the others have tiles to trace.
         let Ok(mut queue) = self.queue.try_lock() else { return };
-        let until = (self.place[self.block(x, y)] as usize + 1 + BLOCKS_AHEAD).min(self.order.len());
-        if let Some(block) = queue.again.pop_front()
-            && !self.look(block)
-        {
-            queue.again.push_back(block);
-        }
-        while queue.next < until {
-            let block = queue.next;
-            queue.next += 1;
-            if !self.look(block) {
-                queue.again.push_back(block);
+        let here = self.place[self.block(x, y)];
+        self.retire(&mut queue, here);
+        let until = (here as usize + 1 + BLOCKS_AHEAD).min(self.order.len());
+        while self.hint(&mut queue, here as usize) {
+            // Blocks that have been traced meanwhile need no looking ahead.
+            let block = match queue.again.pop_front() {
+                Some(block) if block < here as usize => continue,
+                Some(block) => block,
+                // Before the first tile is done nothing is known of depths.
+                None if queue.next < until && self.recent_depth.load(Ordering::Relaxed) != 0 => {
+                    let block = queue.next.max(here as usize);
+                    queue.next = block + 1;
+                    block
+                }
+                None => return,
+            };
+            if !self.look(block, &mut queue) {
+                queue.again.push_front(block);
+                return;
             }
         }
     }
 
-    /// Hints at the pages of one block; false where node pages were absent, which are then on their way.
-    fn look(&self, at: usize) -> bool {
+    /// Hints at the pages that wait for room, and gives up those whose block has been traced without them; false
+    /// where some still wait.
+    fn hint(&self, queue: &mut Queue, here: usize) -> bool {
+        let object = &self.world.object;
+        let past = |list: &VecDeque<(usize, u32)>| list.iter().take_while(|(block, _)| *block < here).count();
+        let wrong: Vec<u32> = queue.hinted.drain(..past(&queue.hinted)).map(|(_, page)| page).collect();
+        self.world.pages.retire_unused(object, &wrong);
+        queue.waiting.drain(..past(&queue.waiting));
+        if queue.waiting.is_empty() {
+            return true;
+        }
+        let pages: Vec<u32> = queue.waiting.iter().map(|&(_, page)| page).collect();
+        let dealt_with = self.world.pages.hint(object, &pages, HINT_PRIORITY);
+        queue.hinted.extend(queue.waiting.drain(..dealt_with));
+        queue.waiting.is_empty()
+    }
+
+    /// Gives up the pages whose last block has been traced. Other threads may still be a block behind.
+    fn retire(&self, queue: &mut Queue, here: u32) {
+        if here <= queue.retired_at {
+            return;
+        }
+        queue.retired_at = here;
+        let mut finished = Vec::new();
+        queue.use_by.retain(|&page, &mut last| {
+            let keep = last + 1 >= here;
+            if !keep {
+                finished.push(page);
+            }
+            keep
+        });
+        self.world.pages.retire(&self.world.object, &finished);
+    }
+
+    /// Place along the curve of the last block whose rays may meet a box.
+    fn last_block(&self, bounds: &Aabb) -> u32 {
+        let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
+        for corner in 0..8 {
+            let pick = |bit: u32, axis: usize| if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] };
+            let Some((x, y)) = self.rays.project(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2))) else {
+                return self.order.len() as u32;
+            };
+            low = (low.0.min(x), low.1.min(y));
+            high = (high.0.max(x), high.1.max(y));
+        }
+        let index = |v: f64, start: u32, count: u32| {
+            let first = f64::from(start / BLOCK_PIXELS);
+            (v / f64::from(BLOCK_PIXELS) - first).clamp(0.0, f64::from(count - 1)) as u32
+        };
+        let columns = index(low.0, self.region.columns.start, self.columns)
+            ..=index(high.0, self.region.columns.start, self.columns);
+        let rows =
+            index(low.1, self.region.rows.start, self.rows)..=index(high.1, self.region.rows.start, self.rows);
+        rows.flat_map(|j| columns.clone().map(move |i| self.place[(j * self.columns + i) as usize])).max().unwrap_or(0)
+    }
+
+    /// Lists the pages of one block; false where node pages were absent, which are then on their way.
+    fn look(&self, at: usize, queue: &mut Queue) -> bool {
         let (i, j) = self.order[at];
         let packet = self.packet(i, j);
-        let limit = self.depth_limit(i, j).map_or(u64::MAX, |t| (t / self.step) as u64);
+        let limit = (self.depth_limit(i, j) / self.step) as u64;
         let (mut points, mut absent_nodes) = (Vec::new(), Vec::new());
         let mut stack: Vec<(Node, u64)> = Vec::new();
         let visit = |node: Node, stack: &mut Vec<(Node, u64)>| {
@@ -155,7 +231,11 @@ impl<'a> Lookahead<'a> {
                 let last = u64::from(own.first_run) + u64::from(own.runs);
                 let pages = (last / self.runs_per_page()) as u32;
                 let last_page = (own.first_page + pages).min(self.world.first_node_page - 1);
-                points.extend((own.first_page..=last_page).map(|page| Sight { sample, page }));
+                let last_block = self.last_block(&node.bounds(self.world.root_cell));
+                for page in own.first_page..=last_page {
+                    points.push(Sight { sample, page });
+                    queue.use_by.entry(page).and_modify(|b| *b = last_block.max(*b)).or_insert(last_block);
+                }
             }
             if node.child_mask == 0 {
                 continue;
@@ -173,13 +253,11 @@ impl<'a> Lookahead<'a> {
         let complete = absent_nodes.is_empty();
         self.world.pages.hint(&self.world.object, &absent_nodes, super::frontier::NODE_PRIORITY);
         points.sort_unstable_by(|a, b| (a.sample, a.page).cmp(&(b.sample, b.page)));
-        let mut pages: Vec<u32> = Vec::with_capacity(points.len());
         for sight in &points {
-            if !pages.contains(&sight.page) {
-                pages.push(sight.page);
+            if !queue.waiting.iter().any(|&(_, page)| page == sight.page) {
+                queue.waiting.push_back((at, sight.page));
             }
         }
-        self.world.pages.hint(&self.world.object, &pages, HINT_PRIORITY);
         complete
     }
 
@@ -199,16 +277,23 @@ impl<'a> Lookahead<'a> {
         (u64::from(self.world.header.page_bytes) / least_run as u64).max(1)
     }
 
-    /// How far rays of a block will go, from those around it that are finished; nothing where none is.
-    fn depth_limit(&self, i: u32, j: u32) -> Option<f64> {
+    /// How far rays of a block will go: as those around it that are finished and opaque, else as the last tile.
+    /// Beside the outline of an object some neighbours let light through; a page missed there is read on demand,
+    /// where following them would bring in everything behind the object.
+    fn depth_limit(&self, i: u32, j: u32) -> f64 {
         let mut deepest = 0.0_f64;
         for y in j.saturating_sub(1)..(j + 2).min(self.rows) {
             for x in i.saturating_sub(1)..(i + 2).min(self.columns) {
                 let bits = self.depth[(y * self.columns + x) as usize].load(Ordering::Relaxed);
-                deepest = deepest.max(f64::from_bits(bits));
+                if f64::from_bits(bits).is_finite() {
+                    deepest = deepest.max(f64::from_bits(bits));
+                }
             }
         }
-        (deepest > 0.0).then_some(deepest * DEEPER)
+        if deepest == 0.0 {
+            deepest = f64::from_bits(self.recent_depth.load(Ordering::Relaxed));
+        }
+        deepest * DEEPER
     }
 
     /// Rays on the edges and within a block, whose bounds are those of all its rays.

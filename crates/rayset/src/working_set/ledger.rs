@@ -66,6 +66,14 @@ pub(super) struct Ledger {
     waiting: AtomicUsize,
 }
 
+/// A page that went.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Evicted {
+    pub(super) kind: Kind,
+    /// Its bytes, where it had been hinted at and never asked for.
+    pub(super) unused_hint_bytes: u64,
+}
+
 /// Which limit stands in the way of a page.
 #[derive(Clone, Copy)]
 enum Obstacle {
@@ -110,14 +118,18 @@ impl Ledger {
         lock(&self.books).limits.clone()
     }
 
+    pub(super) fn total_limit(&self) -> u64 {
+        lock(&self.books).limits.total
+    }
+
     /// Sets new limits and evicts until they hold, as far as pages are not retained. Returns the kinds evicted.
-    pub(super) fn set_limits(&self, limits: Limits) -> Vec<Kind> {
+    pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut books = lock(&self.books);
         books.limits = limits;
         let mut evicted = Vec::new();
         while let Some(obstacle) = books.excess() {
             match books.evict(obstacle, None) {
-                Some(kind) => evicted.push(kind),
+                Some(page) => evicted.push(page),
                 None => break,
             }
         }
@@ -132,7 +144,7 @@ impl Ledger {
         kind: Kind,
         object: &Object,
         priority: Option<u8>,
-    ) -> (Option<PageBuffer>, Vec<Kind>) {
+    ) -> (Option<PageBuffer>, Vec<Evicted>) {
         lock(&self.books).reserve(kind, object, priority)
     }
 
@@ -143,7 +155,7 @@ impl Ledger {
         kind: Kind,
         object: &Object,
         patience: Duration,
-    ) -> (Option<PageBuffer>, Vec<Kind>) {
+    ) -> (Option<PageBuffer>, Vec<Evicted>) {
         let deadline = Instant::now() + patience;
         let mut books = lock(&self.books);
         let mut all_evicted = Vec::new();
@@ -242,11 +254,11 @@ impl Books {
         kind.map(Obstacle::Kind).or_else(|| object().map(Obstacle::Object))
     }
 
-    fn reserve(&mut self, kind: Kind, object: &Object, priority: Option<u8>) -> (Option<PageBuffer>, Vec<Kind>) {
+    fn reserve(&mut self, kind: Kind, object: &Object, priority: Option<u8>) -> (Option<PageBuffer>, Vec<Evicted>) {
         let mut evicted = Vec::new();
         while let Some(obstacle) = self.obstacle(kind, object) {
             match self.evict(obstacle, priority) {
-                Some(kind) => evicted.push(kind),
+                Some(page) => evicted.push(page),
                 None => return (None, evicted),
             }
         }
@@ -275,8 +287,8 @@ impl Books {
     }
 
     /// Evicts one page that stands in the way: of lowest priority, least recently used among equals, and of a
-    /// priority below `below` if that is given. Returns its kind, or nothing where no page may go.
-    fn evict(&mut self, obstacle: Obstacle, below: Option<u8>) -> Option<Kind> {
+    /// priority below `below` if that is given. Returns what went, or nothing where no page may go.
+    fn evict(&mut self, obstacle: Obstacle, below: Option<u8>) -> Option<Evicted> {
         let allowed = |priority: u8| below.is_none_or(|b| priority < b);
         for searched in [false, true] {
             if searched {
@@ -294,8 +306,8 @@ impl Books {
                     }
                     break;
                 }
-                if self.drop_page(&object, page, priority, last_use) {
-                    return Some(object.kind(page));
+                if let Some(evicted) = self.drop_page(&object, page, priority, last_use) {
+                    return Some(evicted);
                 }
             }
         }
@@ -321,18 +333,18 @@ impl Books {
     }
 
     /// Evicts a page unless it has been used or retained since it became a candidate.
-    fn drop_page(&mut self, object: &Arc<Object>, page: u32, priority: u8, last_use: u64) -> bool {
+    fn drop_page(&mut self, object: &Arc<Object>, page: u32, priority: u8, last_use: u64) -> Option<Evicted> {
         let mut slot = object.slot(page);
-        let Slot::Resident(resident) = &*slot else { return false };
+        let Slot::Resident(resident) = &*slot else { return None };
         // Guards are made under the lock of the slot, which we hold; one being dropped may still read `retained`.
         let unchanged = resident.priority.load(Ordering::Relaxed) == priority
             && resident.last_use.load(Ordering::Relaxed) == last_use;
         if resident.retained.load(Ordering::Acquire) > 0 || !unchanged {
-            return false;
+            return None;
         }
-        let Some(at) = self.residents.iter().position(|r| Arc::ptr_eq(r, resident)) else { return false };
+        let at = self.residents.iter().position(|r| Arc::ptr_eq(r, resident))?;
         self.residents.swap_remove(at);
-        let Slot::Resident(mut resident) = std::mem::replace(&mut *slot, Slot::Absent) else { return false };
+        let Slot::Resident(mut resident) = std::mem::replace(&mut *slot, Slot::Absent) else { return None };
         drop(slot);
         // The last guard may be between its decrement and the end of its drop: a few instructions.
         let resident = loop {
@@ -346,6 +358,7 @@ impl Books {
         };
         self.give_back(object.kind(page), object);
         self.spare.push(resident.buffer);
-        true
+        let hinted = resident.unused_hint.into_inner() != 0;
+        Some(Evicted { kind: object.kind(page), unused_hint_bytes: if hinted { object.bytes() } else { 0 } })
     }
 }

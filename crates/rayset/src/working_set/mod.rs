@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 
 pub use self::buffer::PageBuffer;
 pub use self::cloud::CloudPages;
-use self::ledger::Ledger;
+use self::ledger::{Evicted, Ledger};
 pub use self::ledger::Limits;
 use self::read::{Read, ReadBackend, Storage};
 pub use self::stats::{KindStatistics, Statistics};
@@ -149,8 +149,8 @@ pub struct Object {
     id: ObjectId,
     source: Arc<dyn PageSource>,
     slots: Vec<Mutex<Slot>>,
-    /// One bit a page: has it ever been read?
-    touched: Vec<AtomicU64>,
+    /// For each page, the period of the statistics in which it was last read.
+    touched: Vec<AtomicU32>,
 }
 
 impl std::fmt::Debug for Object {
@@ -178,10 +178,9 @@ impl Object {
         self.source.page_bytes() as u64
     }
 
-    /// Marks a page as read; true the first time.
-    fn touch(&self, page: u32) -> bool {
-        let bit = 1_u64 << (page % 64);
-        self.touched[page as usize / 64].fetch_or(bit, Ordering::Relaxed) & bit == 0
+    /// Marks a page as read in a period of the statistics; true the first time.
+    fn touch(&self, page: u32, period: u32) -> bool {
+        self.touched[page as usize].swap(period, Ordering::Relaxed) != period
     }
 }
 
@@ -193,6 +192,10 @@ struct Shared {
     ledger: Ledger,
     backend: Arc<dyn ReadBackend>,
     clock: AtomicU64,
+    /// Number of the current period of the statistics; pages of period 0 were never read.
+    period: AtomicU32,
+    /// Bytes of pages that were hinted at and not yet asked for.
+    unused_hint_bytes: AtomicU64,
     counters: [Counters; 3],
 }
 
@@ -242,6 +245,8 @@ impl WorkingSet {
             ledger: Ledger::new(limits),
             backend,
             clock: AtomicU64::new(1),
+            period: AtomicU32::new(1),
+            unused_hint_bytes: AtomicU64::new(0),
             counters: Default::default(),
         };
         Self { shared: Arc::new(shared) }
@@ -253,14 +258,14 @@ impl WorkingSet {
         let pages = source.pages() as usize;
         let id = self.shared.ledger.add_object();
         let slots = (0..pages).map(|_| Mutex::new(Slot::Absent)).collect();
-        let touched = (0..pages.div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
+        let touched = (0..pages).map(|_| AtomicU32::new(0)).collect();
         Arc::new(Object { id, source, slots, touched })
     }
 
     /// Bytes that the set itself takes for an object of `pages` pages, outside the budget.
     #[must_use]
     pub fn overhead_bytes(pages: u32) -> u64 {
-        u64::from(pages) * size_of::<Mutex<Slot>>() as u64 + u64::from(pages) / 8
+        u64::from(pages) * (size_of::<Mutex<Slot>>() + size_of::<AtomicU32>()) as u64
     }
 
     /// Changes the budget, also while other threads use the set; evicts what no longer fits and is not retained.
@@ -301,15 +306,23 @@ impl WorkingSet {
     }
 
     /// Asks for pages that will be wanted soon. Those that are absent are read in one batch, as far as there is room
-    /// without evicting a page of the same or a higher priority; those that are resident gain the priority.
-    pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8) {
+    /// without evicting a page of the same or a higher priority, and as long as pages that were hinted at and not
+    /// yet asked for take no more than an eighth of the budget. Those that are resident count as just used. Returns
+    /// how many of `pages`, from the first, were dealt with.
+    pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8) -> usize {
         let mut batch = Vec::new();
-        for &page in pages {
+        let mut dealt_with = pages.len();
+        let most_unused = self.shared.ledger.total_limit() / 8;
+        for (at, &page) in pages.iter().enumerate() {
+            let unused = self.shared.unused_hint_bytes.load(Ordering::Relaxed);
             let mut slot = object.slot(page);
             match &*slot {
+                Slot::Absent if unused + object.bytes() > most_unused => {
+                    dealt_with = at;
+                    break;
+                }
                 Slot::Absent => *slot = Slot::Loading,
                 Slot::Resident(resident) => {
-                    resident.priority.fetch_max(priority, Ordering::Relaxed);
                     resident.last_use.store(self.tick(), Ordering::Relaxed);
                     continue;
                 }
@@ -321,11 +334,13 @@ impl WorkingSet {
             self.count_evictions(&evicted);
             match room {
                 Some(buffer) => {
+                    self.shared.unused_hint_bytes.fetch_add(object.bytes(), Ordering::Relaxed);
                     self.shared.counters[kind.index()].hinted.fetch_add(1, Ordering::Relaxed);
                     batch.push(self.read_of(object, page, buffer, priority, true));
                 }
                 None => {
                     self.give_up(object, page);
+                    dealt_with = at;
                     break;
                 }
             }
@@ -333,6 +348,16 @@ impl WorkingSet {
         if !batch.is_empty() {
             self.shared.backend.submit(batch);
         }
+        dealt_with
+    }
+
+    /// Settles a hint: the page was asked for, or will not be. True where there was one to settle.
+    fn used_hint(&self, resident: &Resident) -> bool {
+        let hinted = resident.unused_hint.swap(0, Ordering::Relaxed) != 0;
+        if hinted {
+            self.shared.unused_hint_bytes.fetch_sub(resident.object.bytes(), Ordering::Relaxed);
+        }
+        hinted
     }
 
     /// Whether a page is resident now.
@@ -350,16 +375,37 @@ impl WorkingSet {
     /// Sets all counters to zero; the peak starts again from what is resident.
     pub fn reset_statistics(&self) {
         self.shared.counters.iter().for_each(Counters::reset);
+        self.shared.period.fetch_add(1, Ordering::Relaxed);
         self.shared.ledger.reset_peak();
     }
 
-    /// Evicts everything that is not retained, and forgets which pages were ever read.
-    pub fn clear(&self, objects: &[&Arc<Object>]) {
+    /// Evicts everything that is not retained.
+    pub fn clear(&self) {
         let limits = self.shared.ledger.limits();
         self.set_limits(Limits { total: 0, ..limits.clone() });
         self.shared.ledger.set_limits(limits);
-        for object in objects {
-            object.touched.iter().for_each(|t| t.store(0, Ordering::Relaxed));
+    }
+
+    /// Says that pages will hardly be wanted again: they are the first to go. Pages that are not resident, or
+    /// retained, are left as they are.
+    pub fn retire(&self, object: &Object, pages: &[u32]) {
+        self.retire_if(object, pages, |_| true);
+    }
+
+    /// Says that hints have turned out wrong: those of `pages` that were hinted at and never asked for are retired.
+    pub fn retire_unused(&self, object: &Object, pages: &[u32]) {
+        self.retire_if(object, pages, |resident| resident.unused_hint.load(Ordering::Relaxed) != 0);
+    }
+
+    fn retire_if(&self, object: &Object, pages: &[u32], wanted: impl Fn(&Resident) -> bool) {
+        for &page in pages {
+            if let Slot::Resident(resident) = &*object.slot(page)
+                && resident.retained.load(Ordering::Relaxed) == 0
+                && wanted(resident)
+            {
+                resident.priority.store(0, Ordering::Relaxed);
+                self.used_hint(resident);
+            }
         }
     }
 
@@ -372,7 +418,7 @@ impl WorkingSet {
         resident.retained.fetch_add(1, Ordering::Acquire);
         resident.priority.fetch_max(priority, Ordering::Relaxed);
         resident.last_use.store(self.tick(), Ordering::Relaxed);
-        if resident.unused_hint.swap(0, Ordering::Relaxed) != 0 {
+        if self.used_hint(resident) {
             counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
         }
         PageGuard { resident: resident.clone(), shared: self.shared.clone() }
@@ -431,9 +477,10 @@ impl WorkingSet {
         self.shared.ledger.notify();
     }
 
-    fn count_evictions(&self, evicted: &[Kind]) {
-        for kind in evicted {
-            self.shared.counters[kind.index()].evictions.fetch_add(1, Ordering::Relaxed);
+    fn count_evictions(&self, evicted: &[Evicted]) {
+        for e in evicted {
+            self.shared.counters[e.kind.index()].evictions.fetch_add(1, Ordering::Relaxed);
+            self.shared.unused_hint_bytes.fetch_sub(e.unused_hint_bytes, Ordering::Relaxed);
         }
     }
 
@@ -443,7 +490,7 @@ impl WorkingSet {
         let counters = &self.shared.counters[kind.index()];
         counters.reads.fetch_add(1, Ordering::Relaxed);
         counters.bytes_read.fetch_add(object.bytes(), Ordering::Relaxed);
-        if object.touch(page) {
+        if object.touch(page, self.shared.period.load(Ordering::Relaxed)) {
             counters.bytes_unique.fetch_add(object.bytes(), Ordering::Relaxed);
         }
         let (set, owner) = (self.clone(), object.clone());
@@ -486,6 +533,9 @@ impl WorkingSet {
                 self.shared.ledger.loaded(resident);
             }
             Err(fault) => {
+                if hint {
+                    self.shared.unused_hint_bytes.fetch_sub(object.bytes(), Ordering::Relaxed);
+                }
                 *object.slot(page) = Slot::Failed(fault);
                 self.shared.ledger.failed(object.kind(page), object, buffer);
             }

@@ -120,7 +120,7 @@ impl Output {
 impl Assembler {
     pub(super) fn create(context: &Context<'_>, ingested: &Ingested) -> Result<Self, BuildError> {
         let small = ingested.count < SMALL_CLOUD_POINTS;
-        let page_bytes = context.options.page_bytes.unwrap_or(if small { 16 << 10 } else { 64 << 10 }) as usize;
+        let page_bytes = context.options.page_bytes.unwrap_or(if small { 16 << 10 } else { 32 << 10 }) as usize;
         let (radius, weight) = ingested.columns();
         let column_bytes = 4
             * (usize::from(radius.is_stored())
@@ -154,7 +154,7 @@ impl Assembler {
     fn place_runs(&mut self, runs: &[DraftRun], data: &[u8]) -> Result<Vec<RunRange>, BuildError> {
         let mut places = Vec::with_capacity(runs.len());
         for run in runs {
-            let heads = PAGE_HEAD_BYTES + (self.heads.len() + 1) * RUN_HEAD_BYTES;
+            let heads = data_start(self.heads.len() + 1);
             let bytes = &data[run.data.clone()];
             debug_assert_eq!(bytes.len(), run.head.data_bytes(self.column_bytes));
             if heads + self.data.len() + bytes.len() > self.page_bytes {
@@ -173,7 +173,7 @@ impl Assembler {
 
     fn finish_point_page(&mut self) -> Result<(), BuildError> {
         let mut page = vec![0; self.page_bytes];
-        let data_at = PAGE_HEAD_BYTES + self.heads.len() * RUN_HEAD_BYTES;
+        let data_at = data_start(self.heads.len());
         for (index, head) in self.heads.iter().enumerate() {
             let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
             head.placed_at(head.place() + data_at / 4).encode(&mut page[at..at + RUN_HEAD_BYTES]);
@@ -355,6 +355,11 @@ impl Assembler {
         header.file_bytes = header.expected_file_bytes();
         header
     }
+}
+
+/// Where the data of a page of `runs` runs starts.
+fn data_start(runs: usize) -> usize {
+    (PAGE_HEAD_BYTES + runs * RUN_HEAD_BYTES).next_multiple_of(4)
 }
 
 /// The range that consecutive places make.

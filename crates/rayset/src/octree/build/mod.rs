@@ -89,7 +89,7 @@ pub struct BuildOptions {
     pub invalid: InvalidPolicy,
     /// How exactly to store positions.
     pub precision: Precision,
-    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 65536, or 16384 below 500 000 points.
+    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 32768, or 16384 below 500 000 points.
     pub page_bytes: Option<u32>,
     /// Memory to render with, stored in the file as a default.
     pub render_memory: Option<u64>,

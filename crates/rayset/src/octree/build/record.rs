@@ -5,7 +5,7 @@
 //! same whatever thread or bucket a record went through.
 
 use crate::geometry::DVec3;
-use crate::geometry::curve::{MAX_LEVEL, morton};
+use crate::geometry::curve::{MAX_LEVEL, hilbert};
 use crate::octree::page::RootCell;
 
 /// Bits of a Morton code.
@@ -101,7 +101,7 @@ impl KeyMaker {
         let cells = f64::from(1_u32 << MAX_LEVEL);
         let p = (DVec3::from_array(position(record)) - self.root.min) * (cells / self.root.size);
         let cell = p.to_array().map(|v| v.clamp(0.0, cells - 1.0) as u32);
-        Key::new(morton(cell), owner_level(self.radius(record), self.root.size))
+        Key::new(hilbert(cell), owner_level(self.radius(record), self.root.size))
     }
 
     pub(super) fn radius(&self, record: &[u8]) -> f32 {
