@@ -1,1 +1,67 @@
-fn main(){}
+//! `rayset`: ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
+
+mod bench;
+mod bench_cloud;
+mod build;
+mod demo;
+mod generate;
+mod info;
+mod memory;
+mod progress;
+mod render;
+mod report;
+mod values;
+mod verify;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
+///
+/// A cloud file is built once from scans, simulations or tables (`build`), and rendered any number of times (`render`)
+/// within the memory that you allow. Start with `rayset demo`.
+#[derive(Parser)]
+#[command(name = "rayset", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Make a cloud larger than its memory budget, build it, render it, and say what the working set did
+    Demo(demo::DemoArgs),
+    /// Write a generated cloud as a PLY file
+    Generate(generate::GenerateArgs),
+    /// Build a cloud file from points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC, PTS
+    Build(build::BuildArgs),
+    /// Say what is in a cloud file, and how much memory it wants
+    Info(info::InfoArgs),
+    /// Check a cloud file
+    Verify(verify::VerifyArgs),
+    /// Render a cloud to a PNG picture
+    Render(Box<render::RenderArgs>),
+    /// Build and render the standard workloads, and say how long it took
+    Bench(bench::BenchArgs),
+}
+
+fn main() -> ExitCode {
+    memory::tame_allocator();
+    let outcome = match Cli::parse().command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Generate(args) => generate::run(&args),
+        Command::Build(args) => build::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Bench(args) => bench::run(&args),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            report::fail(&error);
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 /// Alignment of buffers, offsets and lengths that direct I/O accepts on every file system in use.
-pub const ALIGNMENT: usize = 4096;
+pub(super) const ALIGNMENT: usize = 4096;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(4096))]

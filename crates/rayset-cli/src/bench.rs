@@ -1,0 +1,158 @@
+//! `rayset bench`
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use rayset::field::{BARE_SAMPLES, SimdLevel, bare_loop};
+use rayset::points::Workload;
+
+use crate::bench_cloud::{Case, Measured, Prepared};
+use crate::{report, values};
+
+/// Build and render the standard workloads, and say how long it took.
+///
+/// Each workload is written as a PLY file, built from that, and rendered several times in one process at 512x512 from
+/// (0, 0, 3), with the triweight kernel, steps of a quarter radius, no shading; opaque (extinction 2/r, rays end at
+/// 1 %) or translucent (0.02/r, every sample taken). Times are medians.
+#[derive(Args)]
+pub(crate) struct BenchArgs {
+    /// sphere-N or cube-N; the four standard ones by default
+    workloads: Vec<Workload>,
+    /// Every sample is taken
+    #[arg(long)]
+    translucent: bool,
+    /// Threads that render and build
+    #[arg(long, default_value_t = 1)]
+    threads: usize,
+    /// Memory for the whole process; enough for all pages by default
+    #[arg(long, value_parser = values::size)]
+    memory: Option<u64>,
+    /// Also out of core: a tenth of the pages, past the page cache, as the disk is and with 2 ms added to every read
+    #[arg(long)]
+    out_of_core: bool,
+    /// Renders of each case
+    #[arg(long, default_value_t = 5)]
+    repeat: usize,
+    /// Vector instructions: auto, or one of those that this processor has
+    #[arg(long, default_value = "auto")]
+    simd: SimdLevel,
+    /// Folder for the files, which are kept and used again; a temporary one by default
+    #[arg(long)]
+    dir: Option<PathBuf>,
+    /// Report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Everything measured in one run.
+#[derive(serde::Serialize)]
+struct Report {
+    processor: String,
+    simd: &'static str,
+    threads: usize,
+    /// Evaluations a second of the loop alone, one thread.
+    bare_evaluations_per_second: f64,
+    results: Vec<Measured>,
+}
+
+pub(crate) fn run(args: &BenchArgs) -> Result<()> {
+    let workloads = if args.workloads.is_empty() {
+        Workload::STANDARD.iter().map(|name| name.parse()).collect::<Result<_, _>>()?
+    } else {
+        args.workloads.clone()
+    };
+    let temporary = std::env::temp_dir().join(format!("rayset-bench-{}", std::process::id()));
+    let folder = args.dir.clone().unwrap_or_else(|| temporary.clone());
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let outcome = measure(args, &workloads, &folder);
+    if args.dir.is_none() {
+        std::fs::remove_dir_all(&temporary).with_context(|| format!("cannot remove {}", temporary.display()))?;
+    }
+    let report = outcome?;
+    if args.json { report::json(&report) } else { describe(&report) }
+}
+
+fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -> Result<Report> {
+    let bare = bare_evaluations_per_second(args.simd);
+    let mut results = Vec::new();
+    for workload in workloads {
+        let prepared = Prepared::new(workload, folder, args.threads)?;
+        let mut cases = vec![Case::in_core(args.memory)];
+        if args.out_of_core {
+            cases.extend(Case::out_of_core());
+        }
+        // Rounds go through all cases, so that whatever else the machine does falls on all alike.
+        results.extend(prepared.measure(&cases, args.translucent, args.threads, args.simd, args.repeat, bare)?);
+    }
+    Ok(Report {
+        processor: processor(),
+        simd: args.simd.name(),
+        threads: args.threads,
+        bare_evaluations_per_second: bare,
+        results,
+    })
+}
+
+/// The best of several bursts: what the processor can do when nothing disturbs it.
+fn bare_evaluations_per_second(simd: SimdLevel) -> f64 {
+    const POINTS: usize = 4096;
+    let points: Vec<[f32; 5]> = (0..POINTS)
+        .map(|i| {
+            let u = i as f32 / POINTS as f32;
+            [u, (u * 37.0).fract(), (u * 91.0).fract(), 4.0, 1.0]
+        })
+        .collect();
+    let mut samples = [[0.0; BARE_SAMPLES]; 3];
+    for (axis, column) in samples.iter_mut().enumerate() {
+        for (i, v) in column.iter_mut().enumerate() {
+            *v = (i as f32 * (0.13 + 0.21 * axis as f32)).fract();
+        }
+    }
+    let mut best = 0.0_f64;
+    for _ in 0..60 {
+        let started = Instant::now();
+        for _ in 0..20 {
+            std::hint::black_box(bare_loop(simd, std::hint::black_box(&points), &samples));
+        }
+        best = best.max((20 * POINTS * BARE_SAMPLES) as f64 / started.elapsed().as_secs_f64());
+    }
+    best
+}
+
+fn processor() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let line = info.lines().find(|l| l.starts_with("model name"));
+    line.and_then(|l| l.split(": ").nth(1)).unwrap_or("unknown processor").to_owned()
+}
+
+fn describe(report: &Report) -> Result<()> {
+    report::say(format_args!(
+        "{}, {}, {} thread(s); bare loop {:.2} G evaluations a second",
+        report.processor,
+        report.simd,
+        report.threads,
+        report.bare_evaluations_per_second / 1e9
+    ));
+    report::say("");
+    report::say("| workload | case | build s | render s | of in-core | G evaluations/s | of bare loop | stalls s | reads a page | peak MB |");
+    report::say("| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    for m in &report.results {
+        report::say(format_args!(
+            "| {} {} | {} | {:.2} | {:.3} | {:.2} | {:.2} | {:.2} | {:.3} | {:.2} | {} |",
+            m.workload,
+            m.look,
+            m.case,
+            m.build_seconds,
+            m.render_seconds,
+            m.of_in_core,
+            m.kernel_evaluations as f64 / m.render_seconds / 1e9,
+            m.of_bare_loop,
+            m.stall_seconds,
+            m.reads_per_page,
+            m.peak_rss_bytes.map_or_else(|| "-".to_owned(), |b| (b / 1_000_000).to_string())
+        ));
+    }
+    Ok(())
+}

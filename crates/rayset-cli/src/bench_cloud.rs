@@ -1,0 +1,274 @@
+//! One workload of the benchmark: made, built, and rendered under several conditions.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use rayset::field::{Kernel, SimdLevel};
+use rayset::octree::Cloud;
+use rayset::octree::build::{self, BuildOptions, NoProgress};
+use rayset::points::{self, ReadOptions, Workload};
+use rayset::scene::{Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction};
+use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
+use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
+use rayset::working_set::{CloudPages, Limits, Object, Statistics, WorkingSet};
+
+use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use crate::{generate, report};
+
+/// A condition to render under.
+pub(crate) struct Case {
+    name: &'static str,
+    /// Bytes for pages; `None`: all of them.
+    pages: Pages,
+    direct: bool,
+    packet: bool,
+    delay: Option<Duration>,
+}
+
+#[derive(Clone, Copy)]
+enum Pages {
+    All,
+    Bytes(u64),
+    Tenth,
+}
+
+impl Case {
+    pub(crate) fn in_core(memory: Option<u64>) -> Self {
+        let pages = memory.map_or(Pages::All, |m| Pages::Bytes(m.saturating_sub(PROCESS_BYTES)));
+        let name = if memory.is_some() { "given memory" } else { "in core" };
+        Self { name, pages, direct: false, packet: true, delay: None }
+    }
+
+    pub(crate) fn out_of_core() -> [Self; 4] {
+        let case = |name, packet, delay| Self { name, pages: Pages::Tenth, direct: true, packet, delay };
+        let slow = Some(Duration::from_millis(2));
+        [
+            case("tenth, direct, packet", true, None),
+            case("tenth, direct, none", false, None),
+            case("tenth, +2 ms, packet", true, slow),
+            case("tenth, +2 ms, none", false, slow),
+        ]
+    }
+}
+
+/// What one case of one workload came to.
+#[derive(serde::Serialize)]
+pub(crate) struct Measured {
+    pub(crate) workload: String,
+    pub(crate) look: &'static str,
+    pub(crate) case: &'static str,
+    pub(crate) points: u64,
+    pub(crate) build_seconds: f64,
+    pub(crate) file_bytes: u64,
+    index_fraction: f64,
+    page_bytes: u32,
+    pages_budget_bytes: u64,
+    /// Median.
+    pub(crate) render_seconds: f64,
+    all_render_seconds: Vec<f64>,
+    pub(crate) of_in_core: f64,
+    pub(crate) kernel_evaluations: u64,
+    pairs_tested: u64,
+    samples: u64,
+    nonzero_samples: u64,
+    /// Evaluations a second over those of the bare loop, a thread.
+    pub(crate) of_bare_loop: f64,
+    pub(crate) peak_rss_bytes: Option<u64>,
+    pub(crate) stall_seconds: f64,
+    pub(crate) reads_per_page: f64,
+    hits: u64,
+    misses: u64,
+    late: u64,
+    hinted: u64,
+    hinted_in_time: u64,
+    reads: u64,
+    bytes_read: u64,
+    bytes_unique: u64,
+    evictions: u64,
+    working_set_peak_bytes: u64,
+}
+
+/// A workload with its cloud on disk.
+pub(crate) struct Prepared {
+    workload: Workload,
+    cloud: Arc<Cloud>,
+    build_seconds: f64,
+    path: PathBuf,
+}
+
+impl Prepared {
+    /// Writes and builds a workload in a folder.
+    pub(crate) fn new(workload: &Workload, folder: &Path, threads: usize) -> Result<Self> {
+        let ply = folder.join(format!("{workload}.ply"));
+        let path = folder.join(format!("{workload}.rset"));
+        if !ply.exists() {
+            generate::write(workload, &ply)?;
+        }
+        let options =
+            BuildOptions { radius: workload.radius().map(build::Rule::Number), threads, ..BuildOptions::default() };
+        let source = points::open(&ply, &ReadOptions::default())?;
+        let started = Instant::now();
+        build::run(vec![source], &path, &options, &NoProgress)?;
+        let build_seconds = started.elapsed().as_secs_f64();
+        let cloud = Arc::new(Cloud::open(&path)?);
+        Ok(Self { workload: *workload, cloud, build_seconds, path })
+    }
+
+    /// Renders every case `repeat` times, after one render that does not count, going round the cases.
+    pub(crate) fn measure(
+        &self,
+        cases: &[Case],
+        translucent: bool,
+        threads: usize,
+        simd: SimdLevel,
+        repeat: usize,
+        bare: f64,
+    ) -> Result<Vec<Measured>> {
+        let scene = self.scene(translucent);
+        let settings = RenderSettings {
+            stop_transmittance: if translucent { 0.0 } else { 0.01 },
+            ..RenderSettings::default()
+        };
+        let mut runs = cases.iter().map(|case| self.prepare(case, threads, simd)).collect::<Result<Vec<_>>>()?;
+        for round in 0..=repeat.max(1) {
+            for run in &mut runs {
+                let all_fit = run.budget >= self.cloud.header().file_bytes;
+                if !all_fit {
+                    run.set.clear();
+                }
+                run.set.reset_statistics();
+                reset_peak_rss();
+                let started = Instant::now();
+                let mut picture = WholePicture::default();
+                let camera = self.camera();
+                run.counts = render(&scene, &camera, &settings, &run.exec, &run.set, &run.object, &mut picture)?;
+                if round > 0 {
+                    run.seconds.push(started.elapsed().as_secs_f64());
+                }
+                run.statistics = run.set.statistics();
+                run.peak = peak_rss();
+            }
+        }
+        let in_core = median(&runs[0].seconds);
+        Ok((cases.iter().zip(&runs))
+            .map(|(case, run)| self.measured(case, run, translucent, in_core, bare * threads as f64))
+            .collect())
+    }
+
+    fn prepare(&self, case: &Case, threads: usize, simd: SimdLevel) -> Result<Run> {
+        let header = self.cloud.header();
+        let budget = match case.pages {
+            Pages::All => header.file_bytes,
+            Pages::Bytes(bytes) => bytes,
+            Pages::Tenth => u64::from(header.pages() / 10) * u64::from(header.page_bytes),
+        };
+        let storage = FileStorage::open(&self.path, case.direct)
+            .with_context(|| format!("cannot open {}", self.path.display()))?;
+        let mut backend = read::backend(BackendKind::Auto)?;
+        if let Some(delay) = case.delay {
+            backend = Arc::new(Delayed::new(backend, delay)?);
+        }
+        let set = WorkingSet::new(Limits::total(budget), backend);
+        let object = set.add(Arc::new(CloudPages::new(self.cloud.clone(), Arc::new(storage))));
+        let predictor: Arc<dyn Predictor> =
+            if case.packet { Arc::new(PacketPredictor) } else { Arc::new(NoPredictor) };
+        let exec = ExecSettings { threads, predictor, simd, ..ExecSettings::default() };
+        Ok(Run {
+            set,
+            object,
+            exec,
+            budget,
+            seconds: Vec::new(),
+            counts: RenderCounts::default(),
+            statistics: Statistics::default(),
+            peak: None,
+        })
+    }
+
+    fn scene(&self, translucent: bool) -> Scene {
+        let radius = self.cloud.header().radius_mean;
+        let kappa = if translucent { 0.02 } else { 2.0 } / radius;
+        Scene {
+            cloud: self.cloud.clone(),
+            kernel: Kernel::Triweight,
+            normalised: false,
+            transfer: TransferFunction {
+                opacity: OpacityRule::Extinction(kappa),
+                unit_distance: radius,
+                color: ColorRule::Uniform([1.0; 3]),
+            },
+            shading: Shading::None,
+            background: None,
+        }
+    }
+
+    fn camera(&self) -> Camera {
+        let view = self.workload.view();
+        Camera::look_at(view.position, view.look_at, view.up, view.fovy_degrees.to_radians())
+    }
+
+    fn measured(&self, case: &Case, run: &Run, translucent: bool, in_core: f64, bare: f64) -> Measured {
+        let header = self.cloud.header();
+        let render_seconds = median(&run.seconds);
+        let set = &run.statistics;
+        let unique = set.total(|k| k.bytes_unique);
+        let evaluations = run.counts.splats.kernel_evaluations;
+        let measured = Measured {
+            workload: self.workload.to_string(),
+            look: if translucent { "translucent" } else { "opaque" },
+            case: case.name,
+            points: header.points,
+            build_seconds: self.build_seconds,
+            file_bytes: header.file_bytes,
+            index_fraction: 1.0 - header.point_data_bytes as f64 / header.file_bytes as f64,
+            page_bytes: header.page_bytes,
+            pages_budget_bytes: run.budget,
+            render_seconds,
+            all_render_seconds: run.seconds.clone(),
+            of_in_core: render_seconds / in_core,
+            kernel_evaluations: evaluations,
+            pairs_tested: run.counts.splats.pairs_tested,
+            samples: run.counts.samples,
+            nonzero_samples: run.counts.nonzero_samples,
+            of_bare_loop: evaluations as f64 / render_seconds / bare,
+            peak_rss_bytes: run.peak,
+            stall_seconds: set.total(|k| k.stall_nanoseconds) as f64 / 1e9,
+            reads_per_page: if unique > 0 { set.total(|k| k.bytes_read) as f64 / unique as f64 } else { 0.0 },
+            hits: set.total(|k| k.hits),
+            misses: set.total(|k| k.misses),
+            late: set.total(|k| k.late),
+            hinted: set.total(|k| k.hinted),
+            hinted_in_time: set.total(|k| k.hinted_in_time),
+            reads: set.total(|k| k.reads),
+            bytes_read: set.total(|k| k.bytes_read),
+            bytes_unique: unique,
+            evictions: set.total(|k| k.evictions),
+            working_set_peak_bytes: set.peak_bytes,
+        };
+        report::remark(format_args!(
+            "{} {} {}: {:.3} s",
+            measured.workload, measured.look, measured.case, measured.render_seconds
+        ));
+        measured
+    }
+}
+
+struct Run {
+    set: WorkingSet,
+    object: Arc<Object>,
+    exec: ExecSettings,
+    budget: u64,
+    seconds: Vec<f64>,
+    counts: RenderCounts,
+    statistics: Statistics,
+    peak: Option<u64>,
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,221 @@
+//! `rayset build`
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::{Args, ValueEnum};
+use rayset::octree::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
+use rayset::points::{self, ReadOptions};
+
+use crate::memory::{PROCESS_BYTES, peak_rss};
+use crate::progress::Meter;
+use crate::{report, values};
+
+/// Build a cloud file from points.
+///
+/// Several inputs make one cloud. The result is the same, byte for byte, for any --memory and --threads.
+#[derive(Args)]
+pub(crate) struct BuildArgs {
+    /// PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// Cloud file to write
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default the column `radius`
+    /// where there is one, else auto
+    #[arg(long)]
+    radius: Option<String>,
+    /// Factor on the radius
+    #[arg(long, default_value_t = 1.0)]
+    radius_scale: f64,
+    /// Weight: a number or a column. By default the column `weight` where there is one, else 1
+    #[arg(long)]
+    weight: Option<String>,
+    /// Factor on the weight
+    #[arg(long, default_value_t = 1.0)]
+    weight_scale: f64,
+    /// Further columns to keep, as in intensity,classification
+    #[arg(long, value_delimiter = ',')]
+    attributes: Vec<String>,
+    /// Leave colours out
+    #[arg(long)]
+    no_color: bool,
+    /// Names of the columns of text files, as in x,y,z,-,intensity
+    #[arg(long, value_delimiter = ',')]
+    columns: Option<Vec<String>>,
+    /// What to do with records whose position, radius or weight is no usable number
+    #[arg(long, value_enum, default_value = "skip")]
+    invalid: Invalid,
+    /// Largest position error as a fraction of the radius, or `exact`
+    #[arg(long, default_value = "0.000244140625")]
+    precision: String,
+    /// Memory for the whole process
+    #[arg(long, value_parser = values::size, default_value = "256MiB")]
+    memory: u64,
+    /// Threads; as many as there are processors by default
+    #[arg(long)]
+    threads: Option<usize>,
+    /// Bytes of a page, a multiple of 4096
+    #[arg(long, value_parser = values::size)]
+    page_size: Option<u64>,
+    /// Memory to render with, stored in the file as its default
+    #[arg(long, value_parser = values::size)]
+    render_memory: Option<u64>,
+    /// Folder for temporary files; that of the output by default
+    #[arg(long)]
+    temp_dir: Option<PathBuf>,
+    /// Report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Invalid {
+    /// Count them and go on
+    Skip,
+    /// Stop with an error
+    Reject,
+}
+
+pub(crate) fn run(args: &BuildArgs) -> Result<()> {
+    let options = options(args)?;
+    let read = ReadOptions { text_columns: args.columns.clone() };
+    let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let meter = Meter::new("points", args.json);
+    let built = build::run(sources, &args.output, &options, &meter);
+    meter.finish();
+    let built = built.map_err(|e| name_smallest_budget(e, args.memory))?;
+    if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }
+}
+
+/// The library is told what is left after the process itself; its error must speak of the whole.
+fn name_smallest_budget(error: build::BuildError, memory: u64) -> anyhow::Error {
+    match error {
+        build::BuildError::Memory { needed, .. } => {
+            let needed = needed + PROCESS_BYTES;
+            anyhow::anyhow!(
+                "--memory {} is too small; the smallest that would do is {needed} bytes ({})",
+                report::bytes(memory),
+                report::bytes(needed)
+            )
+        }
+        other => other.into(),
+    }
+}
+
+fn options(args: &BuildArgs) -> Result<BuildOptions> {
+    let precision = match args.precision.as_str() {
+        "exact" => Precision::Exact,
+        number => match number.parse() {
+            Ok(p) => Precision::Relative(p),
+            Err(_) => bail!("--precision {number}: expected a fraction of the radius, as in 0.001, or `exact`"),
+        },
+    };
+    let radius = match &args.radius {
+        Some(text) => Some(values::rule(text, args.radius_scale)?),
+        None if args.radius_scale != 1.0 => Some(values::rule("auto", args.radius_scale)?),
+        None => None,
+    };
+    Ok(BuildOptions {
+        radius,
+        weight: args.weight.as_deref().map(|text| values::rule(text, args.weight_scale)).transpose()?,
+        attributes: args.attributes.clone(),
+        keep_color: !args.no_color,
+        invalid: match args.invalid {
+            Invalid::Skip => InvalidPolicy::Skip,
+            Invalid::Reject => InvalidPolicy::Reject,
+        },
+        precision,
+        page_bytes: args.page_size.map(|n| u32::try_from(n).unwrap_or(u32::MAX)),
+        render_memory: args.render_memory,
+        memory_bytes: args.memory.saturating_sub(PROCESS_BYTES),
+        threads: args.threads.unwrap_or_else(|| BuildOptions::default().threads),
+        temp_dir: args.temp_dir.clone(),
+    })
+}
+
+/// A build in numbers.
+#[derive(serde::Serialize)]
+pub(crate) struct Summary {
+    points: u64,
+    skipped_position: u64,
+    skipped_radius: u64,
+    skipped_weight: u64,
+    file_bytes: u64,
+    point_data_bytes: u64,
+    index_fraction: f64,
+    page_bytes: u32,
+    pages: u32,
+    nodes: u64,
+    position_error: f64,
+    position_error_radii: f64,
+    seconds: f64,
+    read_seconds: f64,
+    spacing_seconds: f64,
+    write_seconds: f64,
+    points_per_second: f64,
+    peak_rss_bytes: Option<u64>,
+}
+
+impl Summary {
+    pub(crate) fn of(built: &BuildReport) -> Self {
+        let header = &built.header;
+        let stage = |stage| {
+            let of_stage = built.times.iter().filter(|(s, _)| *s == stage);
+            of_stage.map(|(_, t)| t.as_secs_f64()).sum::<f64>()
+        };
+        let (read, spacing, write) =
+            (stage(build::Stage::Read), stage(build::Stage::Spacing), stage(build::Stage::Write));
+        let seconds = read + spacing + write;
+        Self {
+            points: built.points,
+            skipped_position: built.skipped.position,
+            skipped_radius: built.skipped.radius,
+            skipped_weight: built.skipped.weight,
+            file_bytes: header.file_bytes,
+            point_data_bytes: header.point_data_bytes,
+            index_fraction: 1.0 - header.point_data_bytes as f64 / header.file_bytes as f64,
+            page_bytes: header.page_bytes,
+            pages: header.pages(),
+            nodes: header.nodes,
+            position_error: header.position_error,
+            position_error_radii: header.position_error_radii,
+            seconds,
+            read_seconds: read,
+            spacing_seconds: spacing,
+            write_seconds: write,
+            points_per_second: built.points as f64 / seconds,
+            peak_rss_bytes: peak_rss(),
+        }
+    }
+}
+
+fn describe(args: &BuildArgs, built: &BuildReport) -> Result<()> {
+    let summary = Summary::of(built);
+    report::say(format_args!(
+        "{}: {} points, {} in {} pages, {:.1} % index",
+        args.output.display(),
+        report::count(built.points),
+        report::bytes(summary.file_bytes),
+        summary.pages,
+        100.0 * summary.index_fraction
+    ));
+    let skipped = built.skipped;
+    if skipped.total() > 0 {
+        report::say(format_args!(
+            "skipped {} invalid records: {} positions, {} radii, {} weights",
+            report::count(skipped.total()),
+            skipped.position,
+            skipped.radius,
+            skipped.weight
+        ));
+    }
+    report::say(format_args!(
+        "{:.2} s, {} points a second{}",
+        summary.seconds,
+        report::count(summary.points_per_second as u64),
+        summary.peak_rss_bytes.map_or_else(String::new, |b| format!(", peak memory {}", report::bytes(b)))
+    ));
+    Ok(())
+}

@@ -1,0 +1,79 @@
+//! `rayset demo`
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use rayset::octree::build::{self, BuildOptions};
+use rayset::points::Workload;
+
+use crate::progress::Meter;
+use crate::render::{self, CameraArgs};
+use crate::{generate, memory, report, values};
+
+/// Make a cloud larger than its memory budget, build it, render it, and say what the working set did.
+///
+/// Needs nothing but this program and about 400 MB of disk for a minute.
+#[derive(Args)]
+pub(crate) struct DemoArgs {
+    /// Picture to write
+    #[arg(short, long, default_value = "demo.png")]
+    output: PathBuf,
+    /// What to make: knot-N or galaxy-N, sphere-N or cube-N
+    #[arg(long, default_value = "knot-4m")]
+    workload: Workload,
+    /// Memory for the whole process
+    #[arg(long, value_parser = values::size, default_value = "32MiB")]
+    memory: u64,
+    /// Picture size
+    #[arg(long, value_parser = values::dimensions, default_value = "960x720")]
+    size: (u32, u32),
+}
+
+pub(crate) fn run(args: &DemoArgs) -> Result<()> {
+    let started = Instant::now();
+    let folder = std::env::temp_dir().join(format!("rayset-demo-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let outcome = make(args, &folder);
+    std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
+    outcome?;
+    report::say(format_args!("{:.1} s in all. Now look at {}", started.elapsed().as_secs_f64(), args.output.display()));
+    Ok(())
+}
+
+fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
+    let workload = &args.workload;
+    let (points, cloud) = (folder.join("points.ply"), folder.join("cloud.rset"));
+    report::say(format_args!("1. generate {} points", report::count(workload.points())));
+    generate::write(workload, &points)?;
+
+    report::say(format_args!("2. build their octree on disk, within {}", report::bytes(args.memory)));
+    let options = BuildOptions {
+        radius: workload.radius().map(build::Rule::Number),
+        memory_bytes: args.memory.saturating_sub(memory::PROCESS_BYTES),
+        ..BuildOptions::default()
+    };
+    let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
+    let meter = Meter::new("points", false);
+    let built = build::run(vec![source], &cloud, &options, &meter)?;
+    meter.finish();
+    report::say(format_args!(
+        "   {} of pages, {:.1} times the memory that may be used",
+        report::bytes(built.header.file_bytes),
+        built.header.file_bytes as f64 / args.memory as f64
+    ));
+
+    report::say(format_args!("3. render them, within {}", report::bytes(args.memory)));
+    let view = workload.view();
+    let camera = CameraArgs {
+        position: Some(view.position.to_array()),
+        look_at: Some(view.look_at.to_array()),
+        up: Some(view.up.to_array()),
+        fovy: view.fovy_degrees,
+        ..CameraArgs::default()
+    };
+    let (width, height) = args.size;
+    let render = render::defaults(&cloud, &args.output)?;
+    render::run(&render.with_memory(args.memory).with_camera(camera).with_size(width, height))
+}

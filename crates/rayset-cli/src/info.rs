@@ -1,0 +1,119 @@
+//! `rayset info`
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use rayset::octree::Cloud;
+use rayset::octree::format::Column;
+use rayset::trace::memory;
+
+use crate::memory::PROCESS_BYTES;
+use crate::report;
+
+/// Say what is in a cloud file, and how much memory it wants
+#[derive(Args)]
+pub(crate) struct InfoArgs {
+    /// Cloud file
+    cloud: PathBuf,
+    /// Report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct Info {
+    points: u64,
+    skipped: u64,
+    bounds_min: [f64; 3],
+    bounds_max: [f64; 3],
+    radius_min: f32,
+    radius_max: f32,
+    radius_mean: f64,
+    weight_min: f32,
+    weight_max: f32,
+    position_error: f64,
+    position_error_radii: f64,
+    color: bool,
+    attributes: Vec<(String, f32, f32)>,
+    file_bytes: u64,
+    page_bytes: u32,
+    point_pages: u32,
+    node_pages: u32,
+    nodes: u64,
+    index_fraction: f64,
+    render_memory_stored: Option<u64>,
+    render_memory_least: u64,
+    render_memory_comfortable: u64,
+}
+
+pub(crate) fn run(args: &InfoArgs) -> Result<()> {
+    let cloud = Cloud::open(&args.cloud)?;
+    let h = cloud.header();
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let plan = memory::plan(h, 512, 512, threads, PROCESS_BYTES, u64::MAX / 2)
+        .map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
+    let info = Info {
+        points: h.points,
+        skipped: h.skipped,
+        bounds_min: h.bounds.min.to_array(),
+        bounds_max: h.bounds.max.to_array(),
+        radius_min: h.radius.min(),
+        radius_max: h.radius.max(),
+        radius_mean: h.radius_mean,
+        weight_min: h.weight.min(),
+        weight_max: h.weight.max(),
+        position_error: h.position_error,
+        position_error_radii: h.position_error_radii,
+        color: h.has_color,
+        attributes: h.attributes.iter().map(|a| (a.name.clone(), a.min, a.max)).collect(),
+        file_bytes: h.file_bytes,
+        page_bytes: h.page_bytes,
+        point_pages: h.point_pages,
+        node_pages: h.node_pages,
+        nodes: h.nodes,
+        index_fraction: 1.0 - h.point_data_bytes as f64 / h.file_bytes as f64,
+        render_memory_stored: (h.render_memory > 0).then_some(h.render_memory),
+        render_memory_least: plan.least_bytes,
+        render_memory_comfortable: plan.comfortable_bytes,
+    };
+    if args.json { report::json(&info) } else { describe(&info, h.radius, h.weight) }
+}
+
+fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
+    let column = |c: Column| match c {
+        Column::Constant(v) => format!("{v} (all points)"),
+        Column::Varying { min, max } => format!("{min} to {max}"),
+    };
+    let vector = |v: [f64; 3]| format!("{} {} {}", v[0], v[1], v[2]);
+    report::say(format_args!("points      {} ({} invalid records skipped)", report::count(info.points), info.skipped));
+    report::say(format_args!("bounds      {}  to  {}", vector(info.bounds_min), vector(info.bounds_max)));
+    report::say(format_args!("radius      {}, mean {}", column(radius), info.radius_mean));
+    report::say(format_args!("weight      {}", column(weight)));
+    report::say(format_args!(
+        "positions   within {:.3e} of those read, {:.3e} of a radius",
+        info.position_error, info.position_error_radii
+    ));
+    report::say(format_args!("colours     {}", if info.color { "yes" } else { "no" }));
+    for (name, min, max) in &info.attributes {
+        report::say(format_args!("attribute   {name}: {min} to {max}"));
+    }
+    report::say(format_args!(
+        "file        {}, {} + {} pages of {}, {} nodes, {:.1} % index",
+        report::bytes(info.file_bytes),
+        info.point_pages,
+        info.node_pages,
+        report::bytes(u64::from(info.page_bytes)),
+        info.nodes,
+        100.0 * info.index_fraction
+    ));
+    if let Some(stored) = info.render_memory_stored {
+        report::say(format_args!("renders in  {} by default, as set when it was built", report::bytes(stored)));
+    }
+    report::say(format_args!(
+        "memory      a 512x512 picture runs in {} and runs well in {}",
+        report::bytes(info.render_memory_least),
+        report::bytes(info.render_memory_comfortable)
+    ));
+    Ok(())
+}

@@ -1,0 +1,97 @@
+//! Progress: a bar on a terminal, a line now and then elsewhere.
+
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use rayset::octree::build::{Progress, Stage};
+
+use crate::report;
+
+/// Between two lines where there is no terminal.
+const QUIET: Duration = Duration::from_secs(10);
+
+/// Shows how a sequence of stages gets on.
+pub(crate) struct Meter {
+    state: Mutex<State>,
+    unit: &'static str,
+    terminal: bool,
+    hidden: bool,
+}
+
+struct State {
+    title: &'static str,
+    bar: ProgressBar,
+    started: Instant,
+    last_line: Instant,
+}
+
+impl Meter {
+    pub(crate) fn new(unit: &'static str, hidden: bool) -> Self {
+        let state = State {
+            title: "",
+            bar: ProgressBar::hidden(),
+            started: Instant::now(),
+            last_line: Instant::now(),
+        };
+        Self { state: Mutex::new(state), unit, terminal: std::io::stderr().is_terminal(), hidden }
+    }
+
+    pub(crate) fn show(&self, title: &'static str, done: u64, total: u64) {
+        if self.hidden {
+            return;
+        }
+        let mut state = self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if state.title != title {
+            state.bar.finish_and_clear();
+            state.title = title;
+            state.started = Instant::now();
+            state.last_line = Instant::now();
+            if self.terminal {
+                state.bar = self.bar(title, total);
+            }
+        }
+        if self.terminal {
+            state.bar.set_length(total.max(done));
+            state.bar.set_position(done);
+        } else if state.last_line.elapsed() > QUIET {
+            state.last_line = Instant::now();
+            let rate = done as f64 / state.started.elapsed().as_secs_f64();
+            let left = total.saturating_sub(done) as f64 / rate;
+            report::remark(format_args!(
+                "{title}: {} of {} {}, {} a second, {left:.0} s left",
+                report::count(done),
+                report::count(total.max(done)),
+                self.unit,
+                report::count(rate as u64)
+            ));
+        }
+    }
+
+    fn bar(&self, title: &'static str, total: u64) -> ProgressBar {
+        let bar = ProgressBar::with_draw_target(Some(total.max(1)), ProgressDrawTarget::stderr_with_hz(4));
+        let template = format!("{{msg:8}} {{bar:30}} {{human_pos}}/{{human_len}} {} {{per_sec}} {{eta}}", self.unit);
+        if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        bar.set_message(title);
+        bar
+    }
+
+    pub(crate) fn finish(&self) {
+        let state = self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        state.bar.finish_and_clear();
+    }
+}
+
+impl Progress for Meter {
+    fn update(&self, stage: Stage, done: u64, total: u64) {
+        let title = match stage {
+            Stage::Read => "reading",
+            Stage::Spacing => "spacing",
+            Stage::Write => "writing",
+        };
+        self.show(title, done, total);
+    }
+}

@@ -1,0 +1,95 @@
+//! Values as people write them on a command line.
+
+use std::str::FromStr;
+
+use anyhow::{Context, bail, ensure};
+
+/// A number of bytes: `64MiB`, `20MB`, `1048576`.
+pub(crate) fn size(text: &str) -> Result<u64, String> {
+    bytesize::ByteSize::from_str(text)
+        .map(|b| b.as_u64())
+        .map_err(|_| format!("`{text}` is not a size; write it as 64MiB, 20MB or 1048576"))
+}
+
+/// A picture size: `512x512`.
+pub(crate) fn dimensions(text: &str) -> Result<(u32, u32), String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    parsed.ok_or_else(|| format!("`{text}` is not a picture size; write it as 512x512"))
+}
+
+/// Three numbers: `1,0,-2.5`.
+pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) => Ok([x, y, z]),
+        _ => Err(format!("`{text}` is not three numbers; write it as 1,0,-2.5")),
+    }
+}
+
+/// Two numbers: `0:10`.
+pub(crate) fn range(text: &str) -> Result<(f64, f64), String> {
+    let parsed = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    parsed.ok_or_else(|| format!("`{text}` is not a range; write it as 0:10"))
+}
+
+/// A colour, `#rrggbb` or a name, as display-encoded values of 0 to 1.
+pub(crate) fn color(text: &str) -> Result<[f64; 3], String> {
+    let hex = match text {
+        "white" => "ffffff",
+        "black" => "000000",
+        "grey" | "gray" => "808080",
+        other => other.trim_start_matches('#'),
+    };
+    let wrong = || format!("`{text}` is not a colour; write it as #c8b090, white, black or grey");
+    let value = u32::from_str_radix(hex, 16).map_err(|_| wrong())?;
+    if hex.len() != 6 {
+        return Err(wrong());
+    }
+    Ok([16, 8, 0].map(|shift| f64::from(value >> shift & 255) / 255.0))
+}
+
+/// Opacity from density: `clamp`, `extinction:K`, or a curve `0:0,1:0.5,4:1`.
+pub(crate) fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> {
+    use rayset::scene::OpacityRule;
+    if text == "clamp" {
+        return Ok(OpacityRule::Clamp);
+    }
+    if let Some(kappa) = text.strip_prefix("extinction:") {
+        let kappa = kappa.parse().with_context(|| format!("`{kappa}` is not an extinction coefficient"))?;
+        return Ok(OpacityRule::Extinction(kappa));
+    }
+    let points: Result<Vec<(f64, f64)>, String> = text.split(',').map(range).collect();
+    match points {
+        Ok(points) => Ok(OpacityRule::Curve(points)),
+        Err(_) => bail!("`{text}` is no opacity; write clamp, extinction:2.5 or a curve like 0:0,1:0.5,4:1"),
+    }
+}
+
+/// Where a number of each point comes from: a number, the name of a column, or `auto`.
+pub(crate) fn rule(text: &str, scale: f64) -> anyhow::Result<rayset::octree::build::Rule> {
+    use rayset::octree::build::Rule;
+    ensure!(!text.is_empty(), "expected a number, a column name or `auto`");
+    if let Ok(number) = text.parse::<f64>() {
+        return Ok(Rule::Number(number * scale));
+    }
+    Ok(if text == "auto" { Rule::Auto { scale } } else { Rule::Attribute { name: text.to_owned(), scale } })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_read_as_people_write_them() {
+        assert_eq!(size("64MiB"), Ok(64 << 20));
+        assert_eq!(size("20MB"), Ok(20_000_000));
+        assert_eq!(size("4096"), Ok(4096));
+        assert_eq!(dimensions("640x480"), Ok((640, 480)));
+        assert_eq!(vector("1, -2,3e1"), Ok([1.0, -2.0, 30.0]));
+        assert_eq!(color("#ff0000"), Ok([1.0, 0.0, 0.0]));
+        for wrong in ["", "64 apples", "-1"] {
+            assert!(size(wrong).is_err(), "{wrong}");
+        }
+        assert!(dimensions("640").is_err() && vector("1,2").is_err() && color("#12345").is_err());
+    }
+}

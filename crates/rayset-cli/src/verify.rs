@@ -1,0 +1,45 @@
+//! `rayset verify`
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use rayset::octree::Cloud;
+use rayset::octree::verify::{Depth, verify};
+
+use crate::report;
+
+/// Check a cloud file: by default every page's checksum and records
+#[derive(Args)]
+pub(crate) struct VerifyArgs {
+    /// Cloud file
+    cloud: PathBuf,
+    /// Only header, footer and length
+    #[arg(long, conflicts_with = "deep")]
+    quick: bool,
+    /// Also every bound and total against the points
+    #[arg(long)]
+    deep: bool,
+}
+
+pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
+    let cloud = Cloud::open(&args.cloud)?;
+    let depth = match (args.quick, args.deep) {
+        (true, _) => Depth::Quick,
+        (_, true) => Depth::Deep,
+        _ => Depth::Pages,
+    };
+    let found = verify(&cloud, depth)?;
+    report::say(match depth {
+        Depth::Quick => "ok: header, footer and length".to_owned(),
+        Depth::Pages => format!("ok: {} pages, {} points", found.pages, report::count(found.points)),
+        Depth::Deep => format!(
+            "ok: {} pages, {} points, bounds and totals of {} runs and {} nodes",
+            found.pages,
+            report::count(found.points),
+            found.runs,
+            found.nodes
+        ),
+    });
+    Ok(())
+}
