@@ -10,6 +10,7 @@ use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress};
 use rayset::points::{self, ReadOptions, Workload};
 use rayset::scene::{Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction};
+use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
@@ -163,7 +164,7 @@ impl Prepared {
         let budget = match case.pages {
             Pages::All => header.file_bytes,
             Pages::Bytes(bytes) => bytes,
-            Pages::Tenth => u64::from(header.pages() / 10) * u64::from(header.page_bytes),
+            Pages::Tenth => u64::from(header.pages() / 10).max(least_pages(threads)) * u64::from(header.page_bytes),
         };
         let storage = FileStorage::open(&self.path, case.direct)
             .with_context(|| format!("cannot open {}", self.path.display()))?;

@@ -90,7 +90,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
 }
 
 /// The library is told what is left after the process itself; its error must speak of the whole.
-fn name_smallest_budget(error: build::BuildError, memory: u64) -> anyhow::Error {
+pub(crate) fn name_smallest_budget(error: build::BuildError, memory: u64) -> anyhow::Error {
     match error {
         build::BuildError::Memory { needed, .. } => {
             let needed = needed + PROCESS_BYTES;

@@ -27,8 +27,7 @@ impl LasSource {
     /// [`ReadError`] where the file cannot be opened or its header is refused.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         std::fs::File::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
-        let reader = Reader::from_path(path)
-            .map_err(|e| ReadError::Las { path: path.to_owned(), point: 0, source: Box::new(e) })?;
+        let reader = guarded(path, 0, || Reader::from_path(path))?;
         let header = reader.header();
         let mut attributes: Vec<String> = COMMON.map(str::to_owned).to_vec();
         if header.point_format().has_color {
@@ -38,6 +37,16 @@ impl LasSource {
         // The specification wants 16-bit colours, and many writers store 8-bit ones.
         let schema = Schema { attributes, color_depth: ColorDepth::Guess };
         Ok(Self { path: path.to_owned(), reader, data, schema, selected: Vec::new(), next: 0 })
+    }
+}
+
+/// Calls the decoder, which panics on some damaged files where it should return an error. What it was working on is
+/// given up, so nothing half-changed is ever used again.
+fn guarded<T>(path: &Path, point: u64, call: impl FnOnce() -> Result<T, las::Error>) -> Result<T, ReadError> {
+    match std::panic::catch_unwind(std::panic::AssertUnwindSafe(call)) {
+        Ok(Ok(value)) => Ok(value),
+        Ok(Err(e)) => Err(ReadError::Las { path: path.to_owned(), point, source: Box::new(e) }),
+        Err(_) => Err(ReadError::LasDamaged { path: path.to_owned(), point }),
     }
 }
 
@@ -60,11 +69,7 @@ impl PointSource for LasSource {
         if left == 0 {
             return Ok(());
         }
-        self.reader.fill_points(left.min(limit as u64), &mut self.data).map_err(|e| ReadError::Las {
-            path: self.path.clone(),
-            point: self.next,
-            source: Box::new(e),
-        })?;
+        guarded(&self.path, self.next, || self.reader.fill_points(left.min(limit as u64), &mut self.data))?;
         let data = &self.data;
         self.next += data.len() as u64;
         batch.position.extend(data.x().zip(data.y()).zip(data.z()).map(|((x, y), z)| [x, y, z]));

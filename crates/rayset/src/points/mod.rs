@@ -4,6 +4,7 @@
 //! coordinates; everything else is an `f32` column with a name. What a column means (radius, weight, colour) is
 //! decided by the builder, and so is what happens to invalid records.
 
+mod array;
 mod las;
 mod ply;
 mod ply_header;
@@ -14,6 +15,7 @@ mod text;
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
+pub use self::array::ArraySource;
 pub use self::las::LasSource;
 pub use self::ply::PlySource;
 pub use self::ply_write::PlyWriter;
@@ -144,6 +146,14 @@ pub enum ReadError {
         point: u64,
         /// The decoder's reason.
         source: Box<::las::Error>,
+    },
+    /// The LAS or LAZ decoder gave up on damaged data.
+    #[error("{}, point {point}: the compressed data is damaged", path.display())]
+    LasDamaged {
+        /// The file.
+        path: PathBuf,
+        /// Index of the first point of the batch that failed.
+        point: u64,
     },
     /// The extension names no format that can be read.
     #[error(

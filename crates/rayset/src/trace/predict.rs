@@ -126,6 +126,9 @@ impl<'a> Lookahead<'a> {
 
     /// Looks at the blocks that come within reach with the tile at a pixel.
     fn scout(&self, x: u32, y: u32) {
+        if self.world.header.points == 0 {
+            return;
+        }
         // One thread at a time; the others have tiles to trace.
         let Ok(mut queue) = self.queue.try_lock() else { return };
         let here = self.place[self.block(x, y)];
@@ -264,7 +267,7 @@ impl<'a> Lookahead<'a> {
     /// A record, if its page is in memory.
     fn node_at(&self, page: u32, index: u16) -> Option<Node> {
         let page = self.world.first_node_page + page;
-        if self.world.header.points == 0 || !self.world.pages.is_resident(&self.world.object, page) {
+        if !self.world.pages.is_resident(&self.world.object, page) {
             return None;
         }
         let guard = self.world.retain(page, super::frontier::NODE_PRIORITY).ok()?;

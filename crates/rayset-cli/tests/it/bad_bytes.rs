@@ -1,0 +1,112 @@
+//! Promise 4: no wrong pixel from a bad byte.
+
+use std::fs::OpenOptions;
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+use rayset::field::Kernel;
+use rayset::octree::Cloud;
+use rayset::octree::build::BuildOptions;
+use rayset::octree::verify::{Depth, verify};
+use rayset::trace::ExecSettings;
+
+use crate::common::{build_at, camera, folder, mixed_points, pages, picture, scene, settings};
+
+/// What opening and checking a file comes to, as a message.
+fn check(path: &Path) -> Result<(), String> {
+    let cloud = Cloud::open(path).map_err(|e| e.to_string())?;
+    verify(&cloud, Depth::Pages).map(|_| ()).map_err(|e| e.to_string())
+}
+
+fn small_cloud(path: &Path) {
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    build_at(path, Box::new(mixed_points(90, 2.0, 21)), &options);
+}
+
+#[test]
+fn every_flipped_byte_is_an_error_that_names_the_file_and_a_place() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    small_cloud(&path);
+    assert_eq!(check(&path), Ok(()));
+    let mut file = OpenOptions::new().read(true).write(true).open(&path).expect("the file opens");
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).expect("the file reads");
+    for at in 0..bytes.len() {
+        let mut write = |byte: u8| {
+            file.seek(SeekFrom::Start(at as u64)).expect("a seek");
+            file.write_all(&[byte]).expect("a write");
+        };
+        write(bytes[at] ^ (1 << (at % 8)));
+        let message = check(&path).expect_err("a flipped byte is noticed");
+        assert!(message.contains("c.rset") && message.contains("byte"), "byte {at}: {message}");
+        write(bytes[at]);
+    }
+    assert_eq!(check(&path), Ok(()));
+}
+
+#[test]
+fn missing_and_extra_bytes_are_errors() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    small_cloud(&path);
+    let bytes = std::fs::read(&path).expect("the file reads");
+    let lengths = (0..bytes.len()).step_by(509).chain([bytes.len() - 1]);
+    for length in lengths {
+        std::fs::write(&path, &bytes[..length]).expect("a write");
+        assert!(Cloud::open(&path).is_err(), "{length} of {} bytes open", bytes.len());
+    }
+    std::fs::write(&path, [&bytes[..], &[0]].concat()).expect("a write");
+    let message = Cloud::open(&path).expect_err("an extra byte is noticed").to_string();
+    assert!(message.contains("appended"), "{message}");
+}
+
+#[test]
+fn exchanged_pages_are_noticed() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    build_at(&path, Box::new(mixed_points(3000, 2.0, 22)), &options);
+    let mut bytes = std::fs::read(&path).expect("the file reads");
+    let (first, second) = (4096, 4096 + (16 << 10));
+    let page = bytes[first..second].to_vec();
+    bytes.copy_within(second..second + (16 << 10), first);
+    bytes[second..second + (16 << 10)].copy_from_slice(&page);
+    std::fs::write(&path, &bytes).expect("a write");
+    let message = check(&path).expect_err("exchanged pages are noticed");
+    assert!(message.contains("another"), "{message}");
+}
+
+#[test]
+fn a_render_over_a_damaged_page_fails_and_says_where() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    let cloud = build_at(&path, Box::new(mixed_points(3000, 1.0, 23)), &options);
+    let expected = {
+        let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
+        picture(&scene(&cloud, Kernel::Wyvill, false), &camera(), &settings(40, 40), &exec, &pages(&cloud, 1 << 30))
+            .expect("a picture")
+    };
+    let bytes = std::fs::read(&path).expect("the file reads");
+    let mut failed = 0;
+    for page in 0..cloud.header().pages() {
+        let at = cloud.header().page_offset(page) as usize + 100 + 37 * page as usize;
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x40;
+        std::fs::write(&path, &damaged).expect("a write");
+        let cloud = Arc::new(Cloud::open(&path).expect("the header is whole"));
+        let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
+        let scene = scene(&cloud, Kernel::Wyvill, false);
+        match picture(&scene, &camera(), &settings(40, 40), &exec, &pages(&cloud, 1 << 30)) {
+            Err(e) => {
+                let message = e.to_string();
+                assert!(message.contains("c.rset") && message.contains("byte"), "{message}");
+                failed += 1;
+            }
+            Ok(found) => assert!(found == expected, "a damaged page {page} changed the picture"),
+        }
+    }
+    assert!(failed > 0, "no page was needed");
+}

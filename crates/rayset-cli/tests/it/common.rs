@@ -1,0 +1,141 @@
+//! Small clouds and pictures of them.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rayset::field::Kernel;
+use rayset::geometry::DVec3;
+use rayset::octree::Cloud;
+use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::points::{ArraySource, PointSource, Workload};
+use rayset::scene::{
+    Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction,
+};
+use rayset::trace::{ExecSettings, RenderError, WholePicture, render};
+use rayset::working_set::read::{self, BackendKind, FileStorage, ReadBackend};
+use rayset::working_set::{CloudPages, Limits, Object, WorkingSet};
+
+/// A folder that goes with the test.
+pub(crate) fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a temporary folder")
+}
+
+/// The scans that the workplace may offer; tests use them when they are there and never need them.
+pub(crate) fn real_data(name: &str) -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let root = std::env::var_os("RAYSET_TEST_DATA").map_or(root, PathBuf::from);
+    Some(root.join(name)).filter(|p| p.exists())
+}
+
+/// splitmix64, as numbers of 0 to 1.
+pub(crate) struct Random(pub(crate) u64);
+
+impl Random {
+    pub(crate) fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+/// Points in a ball with radii over `octaves` octaves, weights of both signs' sizes and colours.
+pub(crate) fn mixed_points(count: usize, octaves: f64, seed: u64) -> ArraySource {
+    let mut random = Random(seed);
+    let mut position = Vec::new();
+    let mut columns = vec![Vec::new(); 5];
+    for _ in 0..count {
+        let p: [f64; 3] = std::array::from_fn(|_| 2.0 * random.unit() - 1.0);
+        position.push(p);
+        columns[0].push((0.35 * 2_f64.powf(-octaves * random.unit())) as f32);
+        columns[1].push((0.2 + random.unit()) as f32);
+        for column in &mut columns[2..] {
+            column.push(random.unit() as f32);
+        }
+    }
+    let names = ["radius", "weight", "red", "green", "blue"];
+    ArraySource::new(position, names.into_iter().zip(columns).collect())
+}
+
+pub(crate) fn build_at(path: &Path, source: Box<dyn PointSource>, options: &BuildOptions) -> Arc<Cloud> {
+    build::run(vec![source], path, options, &NoProgress).expect("the cloud builds");
+    Arc::new(Cloud::open(path).expect("the cloud opens"))
+}
+
+pub(crate) fn workload_cloud(name: &str, folder: &Path) -> Arc<Cloud> {
+    let workload: Workload = name.parse().expect("a workload");
+    let options = BuildOptions {
+        radius: workload.radius().map(Rule::Number),
+        page_bytes: Some(16 << 10),
+        ..BuildOptions::default()
+    };
+    build_at(&folder.join(format!("{name}.rset")), workload.source(), &options)
+}
+
+/// The standard look: triweight, extinction, no light; or colours under a headlight.
+pub(crate) fn scene(cloud: &Arc<Cloud>, kernel: Kernel, lit: bool) -> Scene {
+    let header = cloud.header();
+    let radius = header.radius_mean;
+    Scene {
+        cloud: cloud.clone(),
+        kernel,
+        normalised: false,
+        transfer: TransferFunction {
+            opacity: OpacityRule::Extinction(0.3 / radius),
+            unit_distance: radius,
+            color: if header.has_color { ColorRule::Points } else { ColorRule::Uniform([0.9, 0.6, 0.3]) },
+        },
+        shading: if lit { Shading::Headlight } else { Shading::None },
+        background: None,
+    }
+}
+
+pub(crate) fn settings(width: u32, height: u32) -> RenderSettings {
+    RenderSettings { width, height, ..RenderSettings::default() }
+}
+
+/// From (0, 0, 3) at the origin, as the standard workloads are seen.
+pub(crate) fn camera() -> Camera {
+    Camera::look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, 45_f64.to_radians())
+}
+
+/// A working set over a cloud's own file.
+pub(crate) fn pages(cloud: &Arc<Cloud>, budget: u64) -> (WorkingSet, Arc<Object>) {
+    pages_with(cloud, budget, read::backend(BackendKind::Pool).expect("a pool"), false)
+}
+
+pub(crate) fn pages_with(
+    cloud: &Arc<Cloud>,
+    budget: u64,
+    backend: Arc<dyn ReadBackend>,
+    direct: bool,
+) -> (WorkingSet, Arc<Object>) {
+    let storage = FileStorage::open(cloud.path(), direct).expect("the file opens");
+    let set = WorkingSet::new(Limits::total(budget), backend);
+    let object = set.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
+    (set, object)
+}
+
+pub(crate) fn picture(
+    scene: &Scene,
+    camera: &Camera,
+    settings: &RenderSettings,
+    exec: &ExecSettings,
+    pages: &(WorkingSet, Arc<Object>),
+) -> Result<Vec<[f32; 4]>, RenderError> {
+    let mut sink = WholePicture::default();
+    render(scene, camera, settings, exec, &pages.0, &pages.1, &mut sink)?;
+    Ok(sink.pixels)
+}
+
+/// The picture with everything in memory.
+pub(crate) fn plain_picture(scene: &Scene, settings: &RenderSettings) -> Vec<[f32; 4]> {
+    let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
+    picture(scene, &camera(), settings, &exec, &pages(&scene.cloud, u64::MAX / 2)).expect("the picture is made")
+}
+
+/// Bits, so that equality means equality.
+pub(crate) fn bits(pixels: &[[f32; 4]]) -> Vec<[u32; 4]> {
+    pixels.iter().map(|p| p.map(f32::to_bits)).collect()
+}

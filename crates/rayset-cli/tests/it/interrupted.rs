@@ -1,0 +1,88 @@
+//! Promise 5: no half file. Builds are killed at random moments.
+
+#![cfg(unix)]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rayset::octree::Cloud;
+use rayset::octree::verify::{Depth, verify};
+
+use crate::common::{Random, folder};
+
+fn program() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+fn build(folder: &Path) -> Command {
+    let mut command = program();
+    command.current_dir(folder).args(["build", "points.ply", "-o", "c.rset", "--memory", "24MiB", "--threads", "2"]);
+    command
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("the folder lists");
+    let mut names: Vec<String> =
+        entries.map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans_up() {
+    let folder = folder();
+    let generated = program().current_dir(folder.path()).args(["generate", "sphere-600k", "-o", "points.ply"]).status();
+    assert!(generated.expect("the program runs").success());
+    let started = Instant::now();
+    assert!(build(folder.path()).status().expect("the program runs").success());
+    let whole = started.elapsed();
+    let reference = std::fs::read(folder.path().join("c.rset")).expect("the cloud reads");
+    std::fs::remove_file(folder.path().join("c.rset")).expect("it goes");
+
+    let mut random = Random(5);
+    let mut interrupted = 0;
+    for round in 0..24 {
+        let had_file = folder.path().join("c.rset").exists();
+        let mut child = build(folder.path()).spawn().expect("the program runs");
+        std::thread::sleep(Duration::from_secs_f64(whole.as_secs_f64() * random.unit()));
+        child.kill().expect("it can be killed");
+        let status = child.wait().expect("it ends");
+        interrupted += usize::from(!status.success());
+        let path = folder.path().join("c.rset");
+        if path.exists() {
+            // Either the build had ended, or this is the file of an earlier one: whole in both cases.
+            assert!(std::fs::read(&path).expect("the cloud reads") == reference, "round {round}");
+        } else {
+            assert!(!had_file, "round {round}: the earlier file is gone");
+        }
+        for name in names(folder.path()).iter().filter(|n| n.contains("rayset-")) {
+            // A file that was whole but for its name may open; half a file may not.
+            if Cloud::open(&folder.path().join(name)).is_ok() {
+                let bytes = std::fs::read(folder.path().join(name)).expect("it reads");
+                assert!(bytes == reference, "round {round}: {name} is half a file, and opens");
+            }
+        }
+        if round == 12 {
+            assert!(build(folder.path()).status().expect("the program runs").success());
+        }
+    }
+    assert!(interrupted > 5, "only {interrupted} builds were interrupted");
+    assert!(build(folder.path()).status().expect("the program runs").success());
+    assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
+    let cloud = Cloud::open(&folder.path().join("c.rset")).expect("the cloud opens");
+    verify(&cloud, Depth::Deep).expect("the cloud is whole");
+}
+
+#[test]
+fn a_build_that_fails_leaves_what_was_there() {
+    let folder = folder();
+    std::fs::write(folder.path().join("c.rset"), b"precious").expect("a write");
+    std::fs::write(folder.path().join("points.ply"), b"ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n")
+        .expect("a write");
+    assert!(!build(folder.path()).status().expect("the program runs").success());
+    assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
+    assert_eq!(std::fs::read(folder.path().join("c.rset")).expect("it reads"), b"precious");
+}

@@ -1,0 +1,14 @@
+//! What rayset promises, tested: the library and the program together, in one binary.
+#![expect(missing_docs, reason = "tests are named after what they promise")]
+
+mod bad_bytes;
+mod build_is_pure;
+mod common;
+mod edges;
+mod interrupted;
+mod memory;
+mod program;
+mod readers;
+mod right_picture;
+mod same_picture;
+mod working_set;

@@ -1,0 +1,89 @@
+//! Promise 3: the budget holds, as the operating system counts it.
+
+#![cfg(target_os = "linux")]
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::common::{folder, real_data};
+
+fn rayset(folder: &Path, arguments: &[&str]) -> serde_json::Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_rayset"))
+        .current_dir(folder)
+        .args(arguments)
+        .output()
+        .expect("the program runs");
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap_or_default()
+}
+
+fn render(folder: &Path, arguments: &[&str]) -> serde_json::Value {
+    rayset(folder, &[&["render", "c.rset", "-o", "c.png", "--stats", "s.json"], arguments].concat());
+    let text = std::fs::read_to_string(folder.join("s.json")).expect("statistics are written");
+    serde_json::from_str(&text).expect("statistics are JSON")
+}
+
+fn number(value: &serde_json::Value, key: &str) -> f64 {
+    value[key].as_f64().unwrap_or_else(|| panic!("a number {key} in {value}"))
+}
+
+const MIB: f64 = 1_048_576.0;
+
+#[test]
+fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page_bytes() {
+    let folder = folder();
+    rayset(folder.path(), &["generate", "sphere-2m", "-o", "p.ply"]);
+    let built = rayset(
+        folder.path(),
+        &["build", "p.ply", "-o", "c.rset", "--radius", "0.009", "--memory", "24MiB", "--threads", "2", "--json"],
+    );
+    assert!(number(&built, "peak_rss_bytes") <= 24.0 * MIB, "{built}");
+    let file = number(&built, "file_bytes");
+    let mut pictures = Vec::new();
+    for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (10.5, 10.0)] {
+        for predictor in ["packet", "none"] {
+            let budget = format!("{memory}MiB");
+            let stats =
+                render(folder.path(), &["--memory", &budget, "--threads", "2", "--size", "256x256", "--predictor", predictor]);
+            let (peak, pages) = (number(&stats, "peak_rss_bytes"), number(&stats, "pages_budget_bytes"));
+            assert!(peak <= memory * MIB, "{peak} bytes resident with --memory {budget}: {stats}");
+            assert!(file / pages >= at_least, "{} times as many page bytes as budget", file / pages);
+            pictures.push(std::fs::read(folder.path().join("c.png")).expect("the picture reads"));
+        }
+    }
+    assert!(pictures.windows(2).all(|p| p[0] == p[1]), "the picture depends on the budget");
+}
+
+#[test]
+fn a_picture_larger_than_the_budget_goes_out_in_bands_and_is_the_same() {
+    let folder = folder();
+    rayset(folder.path(), &["generate", "sphere-20k", "-o", "p.ply"]);
+    rayset(folder.path(), &["build", "p.ply", "-o", "c.rset", "--radius", "0.09"]);
+    let size = ["--size", "1400x1200", "--threads", "2", "--memory"];
+    let small = render(folder.path(), &[&size[..], &["20MiB"]].concat());
+    let bands = std::fs::read(folder.path().join("c.png")).expect("the picture reads");
+    // The whole picture takes 26.9 MB before it is encoded.
+    assert!(number(&small, "peak_rss_bytes") <= 20.0 * MIB, "{small}");
+    render(folder.path(), &[&size[..], &["400MiB"]].concat());
+    assert!(std::fs::read(folder.path().join("c.png")).expect("the picture reads") == bands);
+}
+
+#[test]
+fn the_bunny_builds_and_renders_under_20_megabytes() {
+    let Some(scan) = real_data("scan/bun_zipper.ply") else {
+        eprintln!("skipped: the scan of the bunny is not here");
+        return;
+    };
+    let folder = folder();
+    let scan = scan.to_string_lossy().into_owned();
+    let paper = ["--radius", "confidence", "--radius-scale", "0.005", "--weight", "intensity"];
+    for (options, skipped) in [(&[][..], 0.0), (&paper[..], 160.0)] {
+        let common = ["build", &scan, "-o", "c.rset", "--threads", "2", "--memory", "20MB", "--json"];
+        let built = rayset(folder.path(), &[&common[..], options].concat());
+        assert_eq!(number(&built, "skipped_radius"), skipped);
+        assert_eq!(number(&built, "points"), 35_947.0 - skipped);
+        assert!(number(&built, "peak_rss_bytes") < 20e6, "{built}");
+        let stats = render(folder.path(), &["--threads", "2", "--memory", "20MB"]);
+        assert!(number(&stats, "peak_rss_bytes") < 20e6, "{stats}");
+    }
+}

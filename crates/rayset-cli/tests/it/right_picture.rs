@@ -1,0 +1,214 @@
+//! Promise 2: the right picture, against brute force in `f64` at the same samples.
+
+use rayset::field::judge::JudgeField;
+use rayset::field::{
+    AttributeSource, Channels, DecodedRun, FieldSamples, Kernel, Packet, RunDecoder, SLAB_SAMPLES, SimdLevel,
+    Slab, Splatter,
+};
+use rayset::geometry::{DVec3, Ray};
+use rayset::octree::Cloud;
+use rayset::octree::build::{BuildOptions, Rule};
+use rayset::scene::{ColorRule, OpacityRule, RenderSettings, Scene, Shading, Step};
+use rayset::trace::judge;
+
+use crate::common::{Random, build_at, camera, folder, mixed_points, plain_picture, scene, settings, workload_cloud};
+
+/// Largest density error allowed, in units of the largest density.
+const DENSITY_BOUND: f64 = 1e-4;
+/// Pixels may differ by this in linear light, save for a few.
+const PIXEL_BOUND: f64 = 1.0 / 1024.0;
+
+/// The densities and normals of all samples of some rays through a cloud, against the judge.
+fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
+    let header = cloud.header();
+    let judge = JudgeField::load(cloud, kernel, false, AttributeSource::None).expect("the cloud reads");
+    let channels = Channels { gradient: true, attributes: false };
+    let splatter = Splatter { kernel, channels, simd };
+    let decoder = RunDecoder::new(header, kernel, false, AttributeSource::None);
+    let mut random = Random(7);
+    let rays: Vec<(Ray, f64)> = (0..24)
+        .map(|_| {
+            let mut v = || DVec3::new(random.unit(), random.unit(), random.unit()) - 0.5;
+            let (direction, target) = (v().normalize(), v());
+            (Ray { origin: target - direction * 1e4, direction }, random.unit())
+        })
+        .collect();
+    let step = f64::from(header.radius.max()) * 0.25;
+    let packet = Packet::new(&rays, step);
+    let first = (((1e4 - 2.0) / step) as u64) / 32 * 32;
+    let (mut worst_density, mut worst_angle) = (0.0_f64, 0.0_f64);
+    let (mut largest_density, mut largest_gradient) = (0.0_f64, 0.0_f64);
+    let mut seen = Vec::new();
+    for slab in 0..(4.0 / step) as u64 / 32 + 2 {
+        let slab = Slab { first: first + 32 * slab, samples: SLAB_SAMPLES };
+        let mut samples = FieldSamples::new(channels);
+        let mut run = DecodedRun::default();
+        cloud
+            .for_each_run(|_, raw| {
+                decoder.decode(&raw, header, simd, &mut run);
+                splatter.splat(&run, &packet, slab, packet.all(), &mut samples);
+            })
+            .expect("the cloud reads");
+        for (lane, (ray, _)) in rays.iter().enumerate().filter(|(l, _)| samples.touched >> l & 1 != 0) {
+            let near = judge.near(ray);
+            for j in (0..SLAB_SAMPLES).step_by(3) {
+                let q = ray.at(packet.sample_t(lane, slab.first + j as u64));
+                let exact = near.sample(q);
+                let density = f64::from(samples.density[lane].0[j]);
+                let gradient: [f64; 3] = std::array::from_fn(|c| f64::from(samples.gradient[c][lane].0[j]));
+                largest_density = largest_density.max(exact.density);
+                largest_gradient = largest_gradient.max(exact.gradient.length());
+                worst_density = worst_density.max((density - exact.density).abs());
+                seen.push((DVec3::from_array(gradient), exact.gradient));
+            }
+        }
+    }
+    for (gradient, exact) in seen.iter().filter(|(_, exact)| exact.length() > 0.01 * largest_gradient) {
+        worst_angle = worst_angle.max(gradient.angle_between(*exact).to_degrees());
+    }
+    assert!(largest_density > 0.1, "the rays meet the cloud");
+    let bound = DENSITY_BOUND * largest_density;
+    assert!(worst_density <= bound, "{kernel}, {simd}: |ΔD| = {worst_density:e}, bound {bound:e}");
+    assert!(worst_angle <= 0.1, "{kernel}, {simd}: normals differ by {worst_angle}°");
+}
+
+#[test]
+fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
+    let folder = folder();
+    let cloud = build_at(&folder.path().join("c.rset"), Box::new(mixed_points(3000, 4.0, 1)), &BuildOptions::default());
+    for kernel in Kernel::ALL {
+        for simd in SimdLevel::available() {
+            check_field(&cloud, kernel, simd);
+        }
+    }
+}
+
+#[test]
+fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
+    let folder = folder();
+    let cloud =
+        build_at(&folder.path().join("c.rset"), Box::new(mixed_points(2000, 17.0, 2)), &BuildOptions::default());
+    assert!(cloud.header().radius.max() / cloud.header().radius.min() > 5e4);
+    check_field(&cloud, Kernel::Triweight, SimdLevel::default());
+}
+
+/// Random pixels of a picture against the judge; returns how many of them differ by more than the bound.
+fn count_wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64, pixels: usize) -> usize {
+    let fast = plain_picture(scene, settings);
+    let field =
+        JudgeField::load(&scene.cloud, scene.kernel, scene.normalised, scene.attribute_source()).expect("it reads");
+    let mut random = Random(99);
+    let mut wrong = 0;
+    let mut covered = 0;
+    for _ in 0..pixels {
+        let x = (random.unit() * f64::from(settings.width)) as u32;
+        let y = (random.unit() * f64::from(settings.height)) as u32;
+        let exact = judge::pixel(scene, &field, &camera(), settings, step, x, y).expect("a camera");
+        let found = fast[(y * settings.width + x) as usize];
+        covered += usize::from(exact[3] > 0.0);
+        let worst = (0..4).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max);
+        wrong += usize::from(worst > PIXEL_BOUND || worst.is_nan());
+    }
+    assert!(covered * 8 > pixels, "{covered} of {pixels} pixels show anything");
+    wrong
+}
+
+#[test]
+fn pixels_of_the_standard_workloads_are_right() {
+    let folder = folder();
+    // All of sphere-10m in f64 takes a gigabyte: only when asked for.
+    let all = std::env::var_os("RAYSET_TEST_LARGE").is_some();
+    let names = ["sphere-100k", "sphere-1m", "cube-1m", "sphere-10m"];
+    for name in &names[..if all { 4 } else { 3 }] {
+        let cloud = workload_cloud(name, folder.path());
+        for translucent in [false, true] {
+            let mut scene = scene(&cloud, Kernel::Triweight, false);
+            let radius = cloud.header().radius_mean;
+            scene.transfer.opacity = OpacityRule::Extinction(if translucent { 0.02 } else { 2.0 } / radius);
+            let settings = RenderSettings {
+                stop_transmittance: if translucent { 0.0 } else { 0.01 },
+                ..settings(512, 512)
+            };
+            let step = f64::from(cloud.header().radius.max()) * 0.25;
+            let wrong = count_wrong_pixels(&scene, &settings, step, 256);
+            assert_eq!(wrong, 0, "{name}, translucent: {translucent}");
+        }
+    }
+}
+
+#[test]
+fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
+    let folder = folder();
+    let cloud =
+        build_at(&folder.path().join("c.rset"), Box::new(mixed_points(2500, 1.0, 3)), &BuildOptions::default());
+    let step = f64::from(cloud.header().radius.min()) * 0.3;
+    let rules = [
+        OpacityRule::Clamp,
+        OpacityRule::Extinction(1.5),
+        OpacityRule::Curve(vec![(0.1, 0.0), (0.5, 0.3), (2.0, 0.9), (5.0, 0.2)]),
+    ];
+    for (i, kernel) in Kernel::ALL.into_iter().enumerate() {
+        let mut scene = scene(&cloud, kernel, true);
+        scene.normalised = i % 2 == 1;
+        if scene.normalised {
+            scene.transfer.unit_distance = 0.02;
+        }
+        scene.transfer.opacity = rules[i % 3].clone();
+        if i % 3 == 1 {
+            let map = "viridis".parse().expect("a map");
+            scene.transfer.color =
+                ColorRule::Map { map, input: rayset::scene::MapInput::Density, range: (0.0, 3.0) };
+        }
+        scene.background = (i % 2 == 0).then_some([0.1, 0.2, 0.3]);
+        let settings = RenderSettings { step: Step::Fixed(step), ..settings(48, 48) };
+        let wrong = count_wrong_pixels(&scene, &settings, step, 400);
+        assert!(wrong <= 1, "{kernel}: {wrong} of 400 pixels beyond 1/1024");
+    }
+}
+
+#[test]
+fn automatic_steps_come_close_to_steps_eight_times_finer() {
+    let folder = folder();
+    let cloud =
+        build_at(&folder.path().join("c.rset"), Box::new(mixed_points(2500, 3.0, 4)), &BuildOptions::default());
+    let mut scene = scene(&cloud, Kernel::Wyvill, false);
+    scene.shading = Shading::None;
+    let auto = settings(64, 64);
+    let fine = RenderSettings { step: Step::Automatic { fraction: 0.25 / 8.0 }, ..auto };
+    let (a, b) = (plain_picture(&scene, &auto), plain_picture(&scene, &fine));
+    let mean = a.iter().zip(&b).map(|(a, b)| f64::from((a[3] - b[3]).abs())).sum::<f64>() / a.len() as f64;
+    assert!(mean < 0.01, "mean opacity error of automatic steps {mean}");
+}
+
+#[test]
+fn stored_positions_are_within_the_stated_error() {
+    let folder = folder();
+    let source = mixed_points(5000, 6.0, 5);
+    let mut given = Vec::new();
+    let mut copy = source.clone();
+    let mut batch = rayset::points::PointBatch::default();
+    rayset::points::PointSource::fill(&mut copy, &mut batch, usize::MAX).expect("arrays read");
+    given.extend(batch.position.iter().map(|p| DVec3::from_array(*p)));
+    for precision in [
+        rayset::octree::build::Precision::Relative(0.1),
+        rayset::octree::build::Precision::default(),
+        rayset::octree::build::Precision::Exact,
+    ] {
+        let options = BuildOptions { precision, radius: Some(Rule::Number(0.01)), ..BuildOptions::default() };
+        let cloud = build_at(&folder.path().join("p.rset"), Box::new(source.clone()), &options);
+        let mut stored = Vec::new();
+        cloud.for_each_run(|_, run| stored.extend(run.positions(cloud.header().root_cell()))).expect("it reads");
+        let error = cloud.header().position_error;
+        assert_eq!(stored.len(), given.len());
+        for p in &given {
+            let nearest = stored.iter().map(|q| q.distance(*p)).fold(f64::INFINITY, f64::min);
+            assert!(nearest <= error * (1.0 + 1e-9), "{precision:?}: {nearest} beyond {error}");
+        }
+        match precision {
+            rayset::octree::build::Precision::Exact => assert_eq!(error, 0.0),
+            rayset::octree::build::Precision::Relative(p) => {
+                assert!(cloud.header().position_error_radii <= p);
+            }
+        }
+    }
+}

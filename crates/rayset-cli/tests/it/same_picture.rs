@@ -1,0 +1,152 @@
+//! Promise 1: the same picture, bit for bit, whatever the memory, threads, predictor, input, tiles, slabs and cache.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use rayset::field::Kernel;
+use rayset::octree::build::BuildOptions;
+use rayset::scene::{Phase, RenderSettings, Scene, Step};
+use rayset::trace::memory::least_pages;
+use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
+use rayset::trace::{ExecSettings, Region, WholePicture, render_region};
+use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
+
+use crate::common::{
+    bits, build_at, camera, folder, mixed_points, pages, pages_with, picture, plain_picture, scene, settings,
+    workload_cloud,
+};
+
+fn exec(threads: usize) -> ExecSettings {
+    ExecSettings { threads, ..ExecSettings::default() }
+}
+
+/// A small sphere, and a cloud of many radii under a headlight with hashed phases.
+fn scenes(folder: &std::path::Path) -> Vec<(Scene, RenderSettings)> {
+    let sphere = workload_cloud("sphere-40k", folder);
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    let mixed = build_at(&folder.join("mixed.rset"), Box::new(mixed_points(20_000, 6.0, 11)), &options);
+    let plain = settings(48, 40);
+    vec![
+        (scene(&sphere, Kernel::Triweight, false), plain),
+        (scene(&mixed, Kernel::Wyvill, true), RenderSettings { phase: Phase::Hashed, ..plain }),
+    ]
+}
+
+#[test]
+fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend() {
+    let folder = folder();
+    for (scene, settings) in scenes(folder.path()) {
+        let expected = bits(&plain_picture(&scene, &settings));
+        let page = u64::from(scene.cloud.header().page_bytes);
+        let predictors: [Arc<dyn Predictor>; 2] = [Arc::new(NoPredictor), Arc::new(PacketPredictor)];
+        let mut backends: Vec<Arc<dyn ReadBackend>> = vec![read::backend(BackendKind::Pool).expect("a pool")];
+        if let Ok(uring) = read::backend(BackendKind::Uring) {
+            backends.push(uring);
+        }
+        let pool = read::backend(BackendKind::Pool).expect("a pool");
+        backends.push(Arc::new(Delayed::new(pool, Duration::from_micros(200)).expect("a thread")));
+        for threads in [1, 2, 3] {
+            for budget_pages in [least_pages(threads), 3 * least_pages(threads), 10_000] {
+                for predictor in &predictors {
+                    for backend in &backends {
+                        for direct in [false, true] {
+                            // Slow by design, and no different: once is enough.
+                            if backend.name().contains("a read") && (threads != 2 || direct) {
+                                continue;
+                            }
+                            let set = pages_with(&scene.cloud, budget_pages * page, backend.clone(), direct);
+                            let exec = ExecSettings { predictor: predictor.clone(), ..exec(threads) };
+                            let found = picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
+                            let what = format!(
+                                "{threads} threads, {budget_pages} pages, {}, {}, direct {direct}",
+                                predictor.name(),
+                                backend.name()
+                            );
+                            assert!(bits(&found) == expected, "{what}");
+                            let peak = set.0.statistics().peak_bytes;
+                            assert!(peak <= budget_pages * page, "{what}: {peak} bytes of pages");
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_picture_is_the_same_for_every_tile_slab_and_band() {
+    let folder = folder();
+    for (scene, settings) in scenes(folder.path()) {
+        let expected = bits(&plain_picture(&scene, &settings));
+        let set = pages(&scene.cloud, 1 << 30);
+        for (tile_pixels, slab_samples, band_rows) in [(8, 32, 8), (1, 32, 100), (3, 16, 7), (5, 1, 100), (8, 7, 33)] {
+            let exec = ExecSettings { tile_pixels, slab_samples, band_rows, ..exec(2) };
+            let found = picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
+            assert!(bits(&found) == expected, "tiles of {tile_pixels}, slabs of {slab_samples}, bands of {band_rows}");
+        }
+    }
+}
+
+#[test]
+fn a_pixel_alone_and_a_part_of_the_picture_equal_the_whole() {
+    let folder = folder();
+    for (scene, settings) in scenes(folder.path()) {
+        let whole = bits(&plain_picture(&scene, &settings));
+        let set = pages(&scene.cloud, 1 << 30);
+        for (columns, rows) in [(30..31, 20..21), (11..12, 34..35), (5..40, 17..23), (0..48, 39..40)] {
+            let region = Region { columns, rows };
+            let mut sink = WholePicture::default();
+            render_region(&scene, &camera(), &settings, &region, &exec(1), &set.0, &set.1, &mut sink)
+                .expect("a picture");
+            let mut found = bits(&sink.pixels).into_iter();
+            for y in region.rows.clone() {
+                for x in region.columns.clone() {
+                    assert_eq!(found.next(), Some(whole[(y * settings.width + x) as usize]), "pixel {x}, {y}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn instruction_sets_agree_within_a_thousandth() {
+    let folder = folder();
+    for (scene, settings) in scenes(folder.path()) {
+        let settings = RenderSettings { step: Step::Fixed(0.02), ..settings };
+        let set = pages(&scene.cloud, 1 << 30);
+        let mut pictures = rayset::field::SimdLevel::available().into_iter().map(|simd| {
+            let exec = ExecSettings { simd, ..exec(2) };
+            picture(&scene, &camera(), &settings, &exec, &set).expect("a picture")
+        });
+        let best = pictures.next().expect("at least one level");
+        for other in pictures {
+            let far = best.iter().zip(&other).filter(|(a, b)| (0..4).any(|c| (a[c] - b[c]).abs() > 1.0 / 1024.0));
+            assert!(far.count() * 1000 <= best.len(), "more than a thousandth of the pixels differ");
+        }
+    }
+}
+
+#[test]
+fn a_budget_may_change_while_rendering() {
+    let folder = folder();
+    let (scene, settings) = scenes(folder.path()).remove(0);
+    let expected = bits(&plain_picture(&scene, &settings));
+    let page = u64::from(scene.cloud.header().page_bytes);
+    let set = pages(&scene.cloud, 40 * page);
+    let (changing, done) = (set.0.clone(), Arc::new(std::sync::atomic::AtomicBool::new(false)));
+    let stop = done.clone();
+    let changer = std::thread::spawn(move || {
+        let mut pages = 40;
+        while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+            pages = if pages == 40 { 6 } else { 40 };
+            changing.set_limits(rayset::working_set::Limits::total(pages * page));
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    });
+    for _ in 0..3 {
+        let found = picture(&scene, &camera(), &settings, &exec(2), &set).expect("a picture");
+        assert!(bits(&found) == expected);
+    }
+    done.store(true, std::sync::atomic::Ordering::Relaxed);
+    changer.join().expect("the changer ends");
+}

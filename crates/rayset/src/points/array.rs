@@ -1,0 +1,57 @@
+//! Points that are in memory already.
+
+use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+
+/// A stream over points in memory.
+#[derive(Clone, Debug)]
+pub struct ArraySource {
+    schema: Schema,
+    points: PointBatch,
+    selected: Vec<usize>,
+    next: usize,
+}
+
+impl ArraySource {
+    /// Points with named columns, each as long as the positions. Colours are `red`, `green` and `blue`, from 0 to 1.
+    ///
+    /// Panics where a column is shorter or longer than the positions.
+    #[must_use]
+    pub fn new(position: Vec<[f64; 3]>, columns: Vec<(&str, Vec<f32>)>) -> Self {
+        let (names, columns): (Vec<String>, Vec<Vec<f32>>) =
+            columns.into_iter().map(|(name, column)| (name.to_owned(), column)).unzip();
+        for (name, column) in names.iter().zip(&columns) {
+            assert_eq!(column.len(), position.len(), "values of column {name}");
+        }
+        Self {
+            schema: Schema { attributes: names, color_depth: ColorDepth::Unit },
+            points: PointBatch { position, columns },
+            selected: Vec::new(),
+            next: 0,
+        }
+    }
+}
+
+impl PointSource for ArraySource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.points.len() as u64)
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(self.selected.len());
+        let range = self.next..self.points.len().min(self.next + limit);
+        batch.position.extend_from_slice(&self.points.position[range.clone()]);
+        for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
+            column.extend_from_slice(&self.points.columns[index][range.clone()]);
+        }
+        self.next = range.end;
+        Ok(())
+    }
+}
