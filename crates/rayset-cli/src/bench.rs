@@ -68,7 +68,8 @@ pub(crate) fn run(args: &BenchArgs) -> Result<()> {
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let outcome = measure(args, &workloads, &folder);
     if args.dir.is_none() {
-        std::fs::remove_dir_all(&temporary).with_context(|| format!("cannot remove {}", temporary.display()))?;
+        std::fs::remove_dir_all(&temporary)
+            .with_context(|| format!("cannot remove {}", temporary.display()))?;
     }
     let report = outcome?;
     if args.json { report::json(&report) } else { describe(&report) }
@@ -84,7 +85,14 @@ fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -
             cases.extend(Case::out_of_core());
         }
         // Rounds go through all cases, so that whatever else the machine does falls on all alike.
-        results.extend(prepared.measure(&cases, args.translucent, args.threads, args.simd, args.repeat, bare)?);
+        results.extend(prepared.measure(
+            &cases,
+            args.translucent,
+            args.threads,
+            args.simd,
+            args.repeat,
+            bare,
+        )?);
     }
     Ok(Report {
         processor: processor(),
@@ -136,7 +144,9 @@ fn describe(report: &Report) -> Result<()> {
         report.bare_evaluations_per_second / 1e9
     ));
     report::say("");
-    report::say("| workload | case | build s | render s | of in-core | G evaluations/s | of bare loop | stalls s | reads a page | peak MB |");
+    report::say(
+        "| workload | case | build s | render s | of in-core | G evaluations/s | of bare loop | stalls s | reads a page | peak MB |",
+    );
     report::say("| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     for m in &report.results {
         report::say(format_args!(

@@ -108,8 +108,11 @@ impl Prepared {
         if !ply.exists() {
             generate::write(workload, &ply)?;
         }
-        let options =
-            BuildOptions { radius: workload.radius().map(build::Rule::Number), threads, ..BuildOptions::default() };
+        let options = BuildOptions {
+            radius: workload.radius().map(build::Rule::Number),
+            threads,
+            ..BuildOptions::default()
+        };
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = Instant::now();
         build::run(vec![source], &path, &options, &NoProgress)?;
@@ -133,7 +136,8 @@ impl Prepared {
             stop_transmittance: if translucent { 0.0 } else { 0.01 },
             ..RenderSettings::default()
         };
-        let mut runs = cases.iter().map(|case| self.prepare(case, threads, simd)).collect::<Result<Vec<_>>>()?;
+        let mut runs =
+            cases.iter().map(|case| self.prepare(case, threads, simd)).collect::<Result<Vec<_>>>()?;
         for round in 0..=repeat.max(1) {
             for run in &mut runs {
                 let all_fit = run.budget >= self.cloud.header().file_bytes;
@@ -145,7 +149,8 @@ impl Prepared {
                 let started = Instant::now();
                 let mut picture = WholePicture::default();
                 let camera = self.camera();
-                run.counts = render(&scene, &camera, &settings, &run.exec, &run.set, &run.object, &mut picture)?;
+                run.counts =
+                    render(&scene, &camera, &settings, &run.exec, &run.set, &run.object, &mut picture)?;
                 if round > 0 {
                     run.seconds.push(started.elapsed().as_secs_f64());
                 }
@@ -164,7 +169,9 @@ impl Prepared {
         let budget = match case.pages {
             Pages::All => header.file_bytes,
             Pages::Bytes(bytes) => bytes,
-            Pages::Tenth => u64::from(header.pages() / 10).max(least_pages(threads)) * u64::from(header.page_bytes),
+            Pages::Tenth => {
+                u64::from(header.pages() / 10).max(least_pages(threads)) * u64::from(header.page_bytes)
+            }
         };
         let storage = FileStorage::open(&self.path, case.direct)
             .with_context(|| format!("cannot open {}", self.path.display()))?;

@@ -109,7 +109,9 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
         "exact" => Precision::Exact,
         number => match number.parse() {
             Ok(p) => Precision::Relative(p),
-            Err(_) => bail!("--precision {number}: expected a fraction of the radius, as in 0.001, or `exact`"),
+            Err(_) => {
+                bail!("--precision {number}: expected a fraction of the radius, as in 0.001, or `exact`")
+            }
         },
     };
     let radius = match &args.radius {

@@ -38,7 +38,11 @@ pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     let outcome = make(args, &folder);
     std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
     outcome?;
-    report::say(format_args!("{:.1} s in all. Now look at {}", started.elapsed().as_secs_f64(), args.output.display()));
+    report::say(format_args!(
+        "{:.1} s in all. Now look at {}",
+        started.elapsed().as_secs_f64(),
+        args.output.display()
+    ));
     Ok(())
 }
 

@@ -86,7 +86,11 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         Column::Varying { min, max } => format!("{min} to {max}"),
     };
     let vector = |v: [f64; 3]| format!("{} {} {}", v[0], v[1], v[2]);
-    report::say(format_args!("points      {} ({} invalid records skipped)", report::count(info.points), info.skipped));
+    report::say(format_args!(
+        "points      {} ({} invalid records skipped)",
+        report::count(info.points),
+        info.skipped
+    ));
     report::say(format_args!("bounds      {}  to  {}", vector(info.bounds_min), vector(info.bounds_max)));
     report::say(format_args!("radius      {}, mean {}", column(radius), info.radius_mean));
     report::say(format_args!("weight      {}", column(weight)));
@@ -108,7 +112,10 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         100.0 * info.index_fraction
     ));
     if let Some(stored) = info.render_memory_stored {
-        report::say(format_args!("renders in  {} by default, as set when it was built", report::bytes(stored)));
+        report::say(format_args!(
+            "renders in  {} by default, as set when it was built",
+            report::bytes(stored)
+        ));
     }
     report::say(format_args!(
         "memory      a 512x512 picture runs in {} and runs well in {}",

@@ -71,7 +71,8 @@ impl Meter {
 
     fn bar(&self, title: &'static str, total: u64) -> ProgressBar {
         let bar = ProgressBar::with_draw_target(Some(total.max(1)), ProgressDrawTarget::stderr_with_hz(4));
-        let template = format!("{{msg:8}} {{bar:30}} {{human_pos}}/{{human_len}} {} {{per_sec}} {{eta}}", self.unit);
+        let template =
+            format!("{{msg:8}} {{bar:30}} {{human_pos}}/{{human_len}} {} {{per_sec}} {{eta}}", self.unit);
         if let Ok(style) = ProgressStyle::with_template(&template) {
             bar.set_style(style);
         }

@@ -198,16 +198,8 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     warn_of_small_radii(header, &camera, settings);
     let (work, plan) = Work::prepare(&args.work, &cloud, settings)?;
     let mut sink = PngSink::create(&args.output, &region)?;
-    let counts = render_region(
-        &scene,
-        &camera,
-        &settings,
-        &region,
-        &work.exec,
-        &work.pages,
-        &work.object,
-        &mut sink,
-    )?;
+    let counts =
+        render_region(&scene, &camera, &settings, &region, &work.exec, &work.pages, &work.object, &mut sink)?;
     sink.finish()?;
     let statistics = Statistics::new(&work, &plan, counts, header, started.elapsed());
     if let Some(path) = &args.stats {
@@ -332,7 +324,11 @@ impl CameraArgs {
             direction.any_orthonormal_vector()
         };
         let fovy = self.fovy.to_radians();
-        ensure!(self.fovy > 0.0 && self.fovy < 180.0, "--fovy {} is not between 0 and 180 degrees", self.fovy);
+        ensure!(
+            self.fovy > 0.0 && self.fovy < 180.0,
+            "--fovy {} is not between 0 and 180 degrees",
+            self.fovy
+        );
         let mut camera = Camera::framing(&bounds, direction, up, fovy, aspect, self.orthographic);
         if let Some(position) = self.position {
             camera.position = vector(position);
@@ -387,7 +383,11 @@ pub(crate) struct Work {
 }
 
 impl Work {
-    pub(crate) fn prepare(args: &WorkArgs, cloud: &Arc<Cloud>, settings: RenderSettings) -> Result<(Self, MemoryPlan)> {
+    pub(crate) fn prepare(
+        args: &WorkArgs,
+        cloud: &Arc<Cloud>,
+        settings: RenderSettings,
+    ) -> Result<(Self, MemoryPlan)> {
         let header = cloud.header();
         let threads = args.threads.unwrap_or_else(|| ExecSettings::default().threads).max(1);
         let stored = (header.render_memory > 0).then_some(header.render_memory);
@@ -411,7 +411,7 @@ impl Work {
         };
         let mut backend = read::backend(kind).context("io_uring is not available here; try --io pool")?;
         if let Some(milliseconds) = args.read_delay {
-            ensure!(milliseconds >= 0.0 && milliseconds < 1e6, "--read-delay {milliseconds} is out of range");
+            ensure!((0.0..1e6).contains(&milliseconds), "--read-delay {milliseconds} is out of range");
             backend = Arc::new(Delayed::new(backend, Duration::from_secs_f64(milliseconds / 1e3))?);
         }
         let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
@@ -490,6 +490,7 @@ pub(crate) struct Statistics {
     pub(crate) runs_decoded: u64,
     pub(crate) stall_seconds: f64,
     pub(crate) reads_per_page: f64,
+    pub(crate) working_set_peak_bytes: u64,
     pub(crate) working_set: Vec<KindStatistics>,
 }
 
@@ -559,6 +560,7 @@ impl Statistics {
             runs_decoded: counts.runs,
             stall_seconds: set.total(|k| k.stall_nanoseconds) as f64 / 1e9,
             reads_per_page: if unique > 0 { set.total(|k| k.bytes_read) as f64 / unique as f64 } else { 0.0 },
+            working_set_peak_bytes: set.peak_bytes,
             working_set,
         }
     }
@@ -590,7 +592,7 @@ impl Statistics {
             self.reads_per_page,
             report::count(self.total(|k| k.evictions)),
             self.stall_seconds,
-            report::bytes(self.total(|k| k.peak_bytes)),
+            report::bytes(self.working_set_peak_bytes),
             report::bytes(self.pages_budget_bytes)
         ));
     }

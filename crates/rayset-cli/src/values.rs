@@ -28,7 +28,8 @@ pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
 
 /// Two numbers: `0:10`.
 pub(crate) fn range(text: &str) -> Result<(f64, f64), String> {
-    let parsed = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    let parsed =
+        text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     parsed.ok_or_else(|| format!("`{text}` is not a range; write it as 0:10"))
 }
 

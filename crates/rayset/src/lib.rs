@@ -1,10 +1,10 @@
 //! Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 #![deny(unsafe_code)]
-pub mod geometry;
-pub mod points;
-pub mod octree;
-pub mod working_set;
 pub mod field;
-pub mod scene;
+pub mod geometry;
 pub mod image;
+pub mod octree;
+pub mod points;
+pub mod scene;
 pub mod trace;
+pub mod working_set;

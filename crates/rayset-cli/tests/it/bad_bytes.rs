@@ -86,8 +86,14 @@ fn a_render_over_a_damaged_page_fails_and_says_where() {
     let cloud = build_at(&path, Box::new(mixed_points(3000, 1.0, 23)), &options);
     let expected = {
         let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
-        picture(&scene(&cloud, Kernel::Wyvill, false), &camera(), &settings(40, 40), &exec, &pages(&cloud, 1 << 30))
-            .expect("a picture")
+        picture(
+            &scene(&cloud, Kernel::Wyvill, false),
+            &camera(),
+            &settings(40, 40),
+            &exec,
+            &pages(&cloud, 1 << 30),
+        )
+        .expect("a picture")
     };
     let bytes = std::fs::read(&path).expect("the file reads");
     let mut failed = 0;

@@ -12,7 +12,9 @@ use crate::common::{Random, folder, mixed_points};
 /// Builds under several conditions and checks that all files are the same, and whole.
 fn check(folder: &Path, sources: &dyn Fn() -> Vec<Box<dyn PointSource>>, options: &BuildOptions) {
     let mut first: Option<Vec<u8>> = None;
-    for (threads, memory) in [(1, build::minimum_memory(1)), (2, build::minimum_memory(2)), (3, 64 << 20), (1, 1 << 30)] {
+    for (threads, memory) in
+        [(1, build::minimum_memory(1)), (2, build::minimum_memory(2)), (3, 64 << 20), (1, 1 << 30)]
+    {
         let path = folder.join("c.rset");
         let options = BuildOptions { threads, memory_bytes: memory, ..options.clone() };
         build::run(sources(), &path, &options, &NoProgress).expect("the cloud builds");

@@ -8,9 +8,7 @@ use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::points::{ArraySource, PointSource, Workload};
-use rayset::scene::{
-    Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction,
-};
+use rayset::scene::{Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction};
 use rayset::trace::{ExecSettings, RenderError, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind, FileStorage, ReadBackend};
 use rayset::working_set::{CloudPages, Limits, Object, WorkingSet};
@@ -132,7 +130,8 @@ pub(crate) fn picture(
 /// The picture with everything in memory.
 pub(crate) fn plain_picture(scene: &Scene, settings: &RenderSettings) -> Vec<[f32; 4]> {
     let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
-    picture(scene, &camera(), settings, &exec, &pages(&scene.cloud, u64::MAX / 2)).expect("the picture is made")
+    picture(scene, &camera(), settings, &exec, &pages(&scene.cloud, u64::MAX / 2))
+        .expect("the picture is made")
 }
 
 /// Bits, so that equality means equality.

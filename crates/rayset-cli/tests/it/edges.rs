@@ -2,10 +2,10 @@
 
 use rayset::field::Kernel;
 use rayset::geometry::DVec3;
+use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildError, BuildOptions, InvalidPolicy, NoProgress, Precision, Rule};
 use rayset::octree::format::Header;
 use rayset::octree::verify::{Depth, verify};
-use rayset::octree::Cloud;
 use rayset::points::ArraySource;
 use rayset::scene::Camera;
 use rayset::trace::{ExecSettings, judge};
@@ -36,16 +36,20 @@ fn invalid_positions_radii_and_weights_are_counted_and_skipped_or_rejected() {
         ArraySource::new(cases.iter().map(|c| c.0).collect(), columns)
     };
     let path = folder.path().join("c.rset");
-    let report =
-        build::run(vec![Box::new(source())], &path, &BuildOptions::default(), &NoProgress).expect("it builds");
-    assert_eq!((report.points, report.skipped.position, report.skipped.radius, report.skipped.weight), (2, 3, 4, 2));
+    let report = build::run(vec![Box::new(source())], &path, &BuildOptions::default(), &NoProgress)
+        .expect("it builds");
+    assert_eq!(
+        (report.points, report.skipped.position, report.skipped.radius, report.skipped.weight),
+        (2, 3, 4, 2)
+    );
     let cloud = std::sync::Arc::new(Cloud::open(&path).expect("it opens"));
     assert_eq!(cloud.header().skipped, 9);
     let pixels = plain_picture(&scene(&cloud, Kernel::Wyvill, true), &settings(32, 32));
     assert!(pixels.iter().flatten().all(|v| v.is_finite()));
 
     let options = BuildOptions { invalid: InvalidPolicy::Reject, ..BuildOptions::default() };
-    let error = build::run(vec![Box::new(source())], &path, &options, &NoProgress).expect_err("it is rejected");
+    let error =
+        build::run(vec![Box::new(source())], &path, &options, &NoProgress).expect_err("it is rejected");
     assert!(matches!(error, BuildError::InvalidRecord { input: 1, index: 1, .. }), "{error}");
 }
 
@@ -54,7 +58,8 @@ fn no_points_make_an_empty_cloud_and_an_empty_picture() {
     let folder = folder();
     for rule in [None, Some(Rule::Number(1.0))] {
         let options = BuildOptions { radius: rule, ..BuildOptions::default() };
-        let cloud = build_at(&folder.path().join("c.rset"), Box::new(ArraySource::new(vec![], vec![])), &options);
+        let cloud =
+            build_at(&folder.path().join("c.rset"), Box::new(ArraySource::new(vec![], vec![])), &options);
         assert_eq!(cloud.header().points, 0);
         verify(&cloud, Depth::Deep).expect("an empty cloud is whole");
         let pixels = plain_picture(&scene(&cloud, Kernel::Wyvill, true), &settings(16, 16));
@@ -110,7 +115,8 @@ fn millimetres_at_ten_million_metres_keep_their_shape() {
             for x in 0..64 {
                 let exact = judge::pixel(&far, &field, &eye, &size, 0.001, x, y).expect("a camera");
                 covered += usize::from(exact[3] > 0.01);
-                wrong += usize::from((exact[3] - f64::from(found[(y * 64 + x) as usize][3])).abs() > 1.0 / 1024.0);
+                wrong +=
+                    usize::from((exact[3] - f64::from(found[(y * 64 + x) as usize][3])).abs() > 1.0 / 1024.0);
             }
         }
         assert!(covered > 20, "the ring shows: {covered} pixels");
@@ -138,7 +144,9 @@ fn rays_along_the_axes_and_from_inside_are_like_any_other() {
     let scene = scene(&cloud, Kernel::Triweight, false);
     let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
     let size = settings(24, 24);
-    for (eye, target) in [(DVec3::ZERO, DVec3::X), (DVec3::new(0.0, 2.0, 0.0), DVec3::ZERO), (DVec3::splat(0.2), DVec3::NEG_Z)] {
+    for (eye, target) in
+        [(DVec3::ZERO, DVec3::X), (DVec3::new(0.0, 2.0, 0.0), DVec3::ZERO), (DVec3::splat(0.2), DVec3::NEG_Z)]
+    {
         let up = if (target - eye).normalize().abs().y > 0.9 { DVec3::X } else { DVec3::Y };
         let mut view = Camera::look_at(eye, target, up, 1.0);
         for orthographic in [false, true] {
@@ -146,8 +154,9 @@ fn rays_along_the_axes_and_from_inside_are_like_any_other() {
                 view.projection = rayset::scene::Projection::Orthographic { height: 1.2 };
             }
             let found = picture(&scene, &view, &size, &exec, &pages(&cloud, 1 << 30)).expect("a picture");
-            let field = rayset::field::judge::JudgeField::load(&cloud, scene.kernel, false, scene.attribute_source())
-                .expect("it reads");
+            let field =
+                rayset::field::judge::JudgeField::load(&cloud, scene.kernel, false, scene.attribute_source())
+                    .expect("it reads");
             let step = f64::from(cloud.header().radius.max()) * 0.25;
             for (x, y) in [(3, 4), (12, 12), (20, 7), (11, 23)] {
                 let exact = judge::pixel(&scene, &field, &view, &size, step, x, y).expect("a camera");

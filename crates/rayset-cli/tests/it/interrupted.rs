@@ -19,7 +19,16 @@ fn program() -> Command {
 
 fn build(folder: &Path) -> Command {
     let mut command = program();
-    command.current_dir(folder).args(["build", "points.ply", "-o", "c.rset", "--memory", "24MiB", "--threads", "2"]);
+    command.current_dir(folder).args([
+        "build",
+        "points.ply",
+        "-o",
+        "c.rset",
+        "--memory",
+        "24MiB",
+        "--threads",
+        "2",
+    ]);
     command
 }
 
@@ -34,7 +43,8 @@ fn names(folder: &Path) -> Vec<String> {
 #[test]
 fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans_up() {
     let folder = folder();
-    let generated = program().current_dir(folder.path()).args(["generate", "sphere-600k", "-o", "points.ply"]).status();
+    let generated =
+        program().current_dir(folder.path()).args(["generate", "sphere-600k", "-o", "points.ply"]).status();
     assert!(generated.expect("the program runs").success());
     let started = Instant::now();
     assert!(build(folder.path()).status().expect("the program runs").success());

@@ -35,7 +35,19 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
     rayset(folder.path(), &["generate", "sphere-2m", "-o", "p.ply"]);
     let built = rayset(
         folder.path(),
-        &["build", "p.ply", "-o", "c.rset", "--radius", "0.009", "--memory", "24MiB", "--threads", "2", "--json"],
+        &[
+            "build",
+            "p.ply",
+            "-o",
+            "c.rset",
+            "--radius",
+            "0.009",
+            "--memory",
+            "24MiB",
+            "--threads",
+            "2",
+            "--json",
+        ],
     );
     assert!(number(&built, "peak_rss_bytes") <= 24.0 * MIB, "{built}");
     let file = number(&built, "file_bytes");
@@ -43,8 +55,10 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
     for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (10.5, 10.0)] {
         for predictor in ["packet", "none"] {
             let budget = format!("{memory}MiB");
-            let stats =
-                render(folder.path(), &["--memory", &budget, "--threads", "2", "--size", "256x256", "--predictor", predictor]);
+            let stats = render(
+                folder.path(),
+                &["--memory", &budget, "--threads", "2", "--size", "256x256", "--predictor", predictor],
+            );
             let (peak, pages) = (number(&stats, "peak_rss_bytes"), number(&stats, "pages_budget_bytes"));
             assert!(peak <= memory * MIB, "{peak} bytes resident with --memory {budget}: {stats}");
             assert!(file / pages >= at_least, "{} times as many page bytes as budget", file / pages);

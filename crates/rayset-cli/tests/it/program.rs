@@ -32,7 +32,10 @@ fn fails(folder: &Path, arguments: &[&str]) -> String {
 #[test]
 fn the_demo_renders_a_cloud_larger_than_its_budget() {
     let folder = folder();
-    let said = succeeds(folder.path(), &["demo", "--workload", "knot-1600k", "--memory", "16MiB", "--size", "160x120"]);
+    let said = succeeds(
+        folder.path(),
+        &["demo", "--workload", "knot-1600k", "--memory", "16MiB", "--size", "160x120"],
+    );
     assert!(said.contains("times the memory"), "{said}");
     let picture = std::fs::read(folder.path().join("demo.png")).expect("the picture is there");
     assert!(picture.starts_with(b"\x89PNG") && picture.len() > 5000);
@@ -42,7 +45,10 @@ fn the_demo_renders_a_cloud_larger_than_its_budget() {
 fn points_become_a_cloud_a_report_and_a_picture() {
     let folder = folder();
     succeeds(folder.path(), &["generate", "galaxy-20k", "-o", "g.ply"]);
-    succeeds(folder.path(), &["build", "g.ply", "-o", "g.rset", "--attributes", "weight", "--render-memory", "16MiB"]);
+    succeeds(
+        folder.path(),
+        &["build", "g.ply", "-o", "g.rset", "--attributes", "weight", "--render-memory", "16MiB"],
+    );
     let info: serde_json::Value =
         serde_json::from_str(&succeeds(folder.path(), &["info", "g.rset", "--json"])).expect("JSON");
     assert_eq!(info["points"], 20_000);
@@ -78,7 +84,9 @@ fn failures_are_one_line_that_says_what_to_do() {
     succeeds(f, &["generate", "sphere-5k", "-o", "p.ply"]);
     succeeds(f, &["build", "p.ply", "-o", "c.rset", "--radius", "0.2"]);
     assert!(fails(f, &["build", "absent.ply", "-o", "x.rset"]).contains("absent.ply"));
-    assert!(fails(f, &["build", "p.ply", "-o", "x.rset", "--radius", "size"]).contains("it has: x, y, z only"));
+    assert!(
+        fails(f, &["build", "p.ply", "-o", "x.rset", "--radius", "size"]).contains("it has: x, y, z only")
+    );
     assert!(fails(f, &["build", "p.ply", "-o", "x.rset", "--radius=-1"]).contains("between 1e-18"));
     assert!(fails(f, &["build", "c.rset", "-o", "x.rset"]).contains("expected .ply"));
     assert!(fails(f, &["render", "p.ply", "-o", "x.png"]).contains("not a rayset cloud"));
@@ -120,15 +128,19 @@ fn help_teaches() {
 #[test]
 fn the_benchmark_reports_what_anyone_would_compare() {
     let folder = folder();
-    let text = succeeds(
-        folder.path(),
-        &["bench", "sphere-30k", "--translucent", "--repeat", "1", "--json"],
-    );
+    let text = succeeds(folder.path(), &["bench", "sphere-30k", "--translucent", "--repeat", "1", "--json"]);
     let report: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     let results = report["results"].as_array().expect("results");
     assert_eq!(results.len(), 1);
     for result in results {
-        for key in ["build_seconds", "render_seconds", "kernel_evaluations", "samples", "nonzero_samples", "file_bytes"] {
+        for key in [
+            "build_seconds",
+            "render_seconds",
+            "kernel_evaluations",
+            "samples",
+            "nonzero_samples",
+            "file_bytes",
+        ] {
             assert!(result[key].as_f64().is_some_and(|v| v > 0.0), "{key} in {result}");
         }
     }

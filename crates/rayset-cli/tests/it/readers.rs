@@ -39,8 +39,11 @@ fn ply(encoding: &str) -> Vec<u8> {
          property uchar green\nproperty uchar blue\nproperty float y\nproperty uint id\nend_header\n"
     );
     let mut bytes = header.into_bytes();
-    let points: [(u8, f64, &[f32], i16, f32, u32); 3] =
-        [(255, 0.1, &[1.0, 2.0], -3, 2.5, 7), (0, 1e7 + 0.001, &[], 4, -0.5, 8), (51, -2.0, &[9.0], 0, 0.0, 4_000_000_000)];
+    let points: [(u8, f64, &[f32], i16, f32, u32); 3] = [
+        (255, 0.1, &[1.0, 2.0], -3, 2.5, 7),
+        (0, 1e7 + 0.001, &[], 4, -0.5, 8),
+        (51, -2.0, &[9.0], 0, 0.0, 4_000_000_000),
+    ];
     if encoding == "ascii" {
         bytes.extend_from_slice(b"3 0 1 2\n4 0 1 2 0\n");
         for (r, z, extra, x, y, id) in points {
@@ -100,10 +103,15 @@ fn every_truncation_of_a_ply_file_is_an_error_with_a_place() {
             match read(&path, &ReadOptions::default()) {
                 Err(e) => {
                     let text = e.to_string();
-                    assert!(text.contains("p.ply") && (text.contains("line") || text.contains("byte")), "{text}");
+                    assert!(
+                        text.contains("p.ply") && (text.contains("line") || text.contains("byte")),
+                        "{text}"
+                    );
                 }
                 // A shortened last number is a number.
-                Ok(_) => assert!(encoding == "ascii" && length > bytes.len() - 12, "{encoding} cut at {length}"),
+                Ok(_) => {
+                    assert!(encoding == "ascii" && length > bytes.len() - 12, "{encoding} cut at {length}")
+                }
             }
         }
     }
@@ -124,8 +132,14 @@ fn separators_headers_and_column_names_are_detected() {
     check("a.csv", "x,y,z,Intensity\n1,2,3,9\n-4.5,5e3,.25,\n", &none, &["intensity"]);
     check("a.csv", "z;x;y\r\n3;1;2\r\n.25;-4.5;5e3\r\n", &none, &[]);
     check("a.txt", "//X Y Z R G B\n1 2 3 0 0 0\n-4.5 5e3 .25 1 2 3\n", &none, &["red", "green", "blue"]);
-    check("a.pts", "2\n1 2 3 -9 1 2 3\n-4.5 5e3 .25 8 1 2 3\n", &none, &["intensity", "red", "green", "blue"]);
-    let named = |names: &str| ReadOptions { text_columns: Some(names.split(',').map(str::to_owned).collect()) };
+    check(
+        "a.pts",
+        "2\n1 2 3 -9 1 2 3\n-4.5 5e3 .25 8 1 2 3\n",
+        &none,
+        &["intensity", "red", "green", "blue"],
+    );
+    let named =
+        |names: &str| ReadOptions { text_columns: Some(names.split(',').map(str::to_owned).collect()) };
     check("a.xyz", "7 1 2 3 8\n7 -4.5 5e3 .25 8\n", &named("-,x,y,z,height_above"), &["height_above"]);
 }
 

@@ -11,7 +11,9 @@ use rayset::octree::build::{BuildOptions, Rule};
 use rayset::scene::{ColorRule, OpacityRule, RenderSettings, Scene, Shading, Step};
 use rayset::trace::judge;
 
-use crate::common::{Random, build_at, camera, folder, mixed_points, plain_picture, scene, settings, workload_cloud};
+use crate::common::{
+    Random, build_at, camera, folder, mixed_points, plain_picture, scene, settings, workload_cloud,
+};
 
 /// Largest density error allowed, in units of the largest density.
 const DENSITY_BOUND: f64 = 1e-4;
@@ -75,7 +77,11 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
 #[test]
 fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
     let folder = folder();
-    let cloud = build_at(&folder.path().join("c.rset"), Box::new(mixed_points(3000, 4.0, 1)), &BuildOptions::default());
+    let cloud = build_at(
+        &folder.path().join("c.rset"),
+        Box::new(mixed_points(3000, 4.0, 1)),
+        &BuildOptions::default(),
+    );
     for kernel in Kernel::ALL {
         for simd in SimdLevel::available() {
             check_field(&cloud, kernel, simd);
@@ -86,8 +92,11 @@ fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
 #[test]
 fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
     let folder = folder();
-    let cloud =
-        build_at(&folder.path().join("c.rset"), Box::new(mixed_points(2000, 17.0, 2)), &BuildOptions::default());
+    let cloud = build_at(
+        &folder.path().join("c.rset"),
+        Box::new(mixed_points(2000, 17.0, 2)),
+        &BuildOptions::default(),
+    );
     assert!(cloud.header().radius.max() / cloud.header().radius.min() > 5e4);
     check_field(&cloud, Kernel::Triweight, SimdLevel::default());
 }
@@ -95,8 +104,8 @@ fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
 /// Random pixels of a picture against the judge; returns how many of them differ by more than the bound.
 fn count_wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64, pixels: usize) -> usize {
     let fast = plain_picture(scene, settings);
-    let field =
-        JudgeField::load(&scene.cloud, scene.kernel, scene.normalised, scene.attribute_source()).expect("it reads");
+    let field = JudgeField::load(&scene.cloud, scene.kernel, scene.normalised, scene.attribute_source())
+        .expect("it reads");
     let mut random = Random(99);
     let mut wrong = 0;
     let mut covered = 0;
@@ -139,8 +148,11 @@ fn pixels_of_the_standard_workloads_are_right() {
 #[test]
 fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
     let folder = folder();
-    let cloud =
-        build_at(&folder.path().join("c.rset"), Box::new(mixed_points(2500, 1.0, 3)), &BuildOptions::default());
+    let cloud = build_at(
+        &folder.path().join("c.rset"),
+        Box::new(mixed_points(2500, 1.0, 3)),
+        &BuildOptions::default(),
+    );
     let step = f64::from(cloud.header().radius.min()) * 0.3;
     let rules = [
         OpacityRule::Clamp,
@@ -169,8 +181,11 @@ fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
 #[test]
 fn automatic_steps_come_close_to_steps_eight_times_finer() {
     let folder = folder();
-    let cloud =
-        build_at(&folder.path().join("c.rset"), Box::new(mixed_points(2500, 3.0, 4)), &BuildOptions::default());
+    let cloud = build_at(
+        &folder.path().join("c.rset"),
+        Box::new(mixed_points(2500, 3.0, 4)),
+        &BuildOptions::default(),
+    );
     let mut scene = scene(&cloud, Kernel::Wyvill, false);
     scene.shading = Shading::None;
     let auto = settings(64, 64);
@@ -197,7 +212,9 @@ fn stored_positions_are_within_the_stated_error() {
         let options = BuildOptions { precision, radius: Some(Rule::Number(0.01)), ..BuildOptions::default() };
         let cloud = build_at(&folder.path().join("p.rset"), Box::new(source.clone()), &options);
         let mut stored = Vec::new();
-        cloud.for_each_run(|_, run| stored.extend(run.positions(cloud.header().root_cell()))).expect("it reads");
+        cloud
+            .for_each_run(|_, run| stored.extend(run.positions(cloud.header().root_cell())))
+            .expect("it reads");
         let error = cloud.header().position_error;
         assert_eq!(stored.len(), given.len());
         for p in &given {

@@ -56,7 +56,8 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
                             }
                             let set = pages_with(&scene.cloud, budget_pages * page, backend.clone(), direct);
                             let exec = ExecSettings { predictor: predictor.clone(), ..exec(threads) };
-                            let found = picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
+                            let found =
+                                picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
                             let what = format!(
                                 "{threads} threads, {budget_pages} pages, {}, {}, direct {direct}",
                                 predictor.name(),
@@ -79,10 +80,15 @@ fn the_picture_is_the_same_for_every_tile_slab_and_band() {
     for (scene, settings) in scenes(folder.path()) {
         let expected = bits(&plain_picture(&scene, &settings));
         let set = pages(&scene.cloud, 1 << 30);
-        for (tile_pixels, slab_samples, band_rows) in [(8, 32, 8), (1, 32, 100), (3, 16, 7), (5, 1, 100), (8, 7, 33)] {
+        for (tile_pixels, slab_samples, band_rows) in
+            [(8, 32, 8), (1, 32, 100), (3, 16, 7), (5, 1, 100), (8, 7, 33)]
+        {
             let exec = ExecSettings { tile_pixels, slab_samples, band_rows, ..exec(2) };
             let found = picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
-            assert!(bits(&found) == expected, "tiles of {tile_pixels}, slabs of {slab_samples}, bands of {band_rows}");
+            assert!(
+                bits(&found) == expected,
+                "tiles of {tile_pixels}, slabs of {slab_samples}, bands of {band_rows}"
+            );
         }
     }
 }
@@ -101,7 +107,11 @@ fn a_pixel_alone_and_a_part_of_the_picture_equal_the_whole() {
             let mut found = bits(&sink.pixels).into_iter();
             for y in region.rows.clone() {
                 for x in region.columns.clone() {
-                    assert_eq!(found.next(), Some(whole[(y * settings.width + x) as usize]), "pixel {x}, {y}");
+                    assert_eq!(
+                        found.next(),
+                        Some(whole[(y * settings.width + x) as usize]),
+                        "pixel {x}, {y}"
+                    );
                 }
             }
         }
@@ -120,7 +130,8 @@ fn instruction_sets_agree_within_a_thousandth() {
         });
         let best = pictures.next().expect("at least one level");
         for other in pictures {
-            let far = best.iter().zip(&other).filter(|(a, b)| (0..4).any(|c| (a[c] - b[c]).abs() > 1.0 / 1024.0));
+            let far =
+                best.iter().zip(&other).filter(|(a, b)| (0..4).any(|c| (a[c] - b[c]).abs() > 1.0 / 1024.0));
             assert!(far.count() * 1000 <= best.len(), "more than a thousandth of the pixels differ");
         }
     }

@@ -36,7 +36,11 @@ impl Numbers {
 impl Storage for Numbers {
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let page = offset as usize / PAGE;
-        assert_eq!(self.in_flight[page].fetch_add(1, Ordering::SeqCst), 0, "page {page} is read twice at a time");
+        assert_eq!(
+            self.in_flight[page].fetch_add(1, Ordering::SeqCst),
+            0,
+            "page {page} is read twice at a time"
+        );
         self.reads.fetch_add(1, Ordering::SeqCst);
         std::thread::sleep(self.delay);
         self.in_flight[page].fetch_sub(1, Ordering::SeqCst);

@@ -22,7 +22,11 @@ pub fn bare_loop(
 }
 
 #[inline(always)]
-fn evaluate<S: Simd>(simd: S, points: &[[f32; 5]], samples: &[[f32; BARE_SAMPLES]; 3]) -> [f32; BARE_SAMPLES] {
+fn evaluate<S: Simd>(
+    simd: S,
+    points: &[[f32; 5]],
+    samples: &[[f32; BARE_SAMPLES]; 3],
+) -> [f32; BARE_SAMPLES] {
     const VECTORS: usize = BARE_SAMPLES / 16;
     let mut position = [[f32x16::splat(simd, 0.0); VECTORS]; 3];
     for axis in 0..3 {

@@ -58,7 +58,8 @@ impl JudgeField {
             let n = run.head.len();
             let constant = |v: f32| vec![v; n];
             let radii = run.radii(header).map_or_else(|| constant(header.radius.min()), Iterator::collect);
-            let weights = run.weights(header).map_or_else(|| constant(header.weight.min()), Iterator::collect);
+            let weights =
+                run.weights(header).map_or_else(|| constant(header.weight.min()), Iterator::collect);
             let mut attributes = vec![[0.0; 3]; n];
             match source {
                 AttributeSource::None => {}

@@ -8,8 +8,8 @@ use std::f64::consts::PI;
 use std::fmt;
 use std::str::FromStr;
 
-use fearless_simd::prelude::*;
 use fearless_simd::f32x16;
+use fearless_simd::prelude::*;
 
 /// A radial basis function ω(x), x = d/r: 1 at the centre, 0 from x = 1 on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -133,7 +133,9 @@ impl fmt::Display for Kernel {
 
 /// A kernel name that is none of [`Kernel::ALL`].
 #[derive(Debug, thiserror::Error)]
-#[error("unknown kernel `{0}`; expected one of wyvill, chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight")]
+#[error(
+    "unknown kernel `{0}`; expected one of wyvill, chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight"
+)]
 pub struct UnknownKernel(String);
 
 impl FromStr for Kernel {
@@ -285,8 +287,14 @@ mod tests {
                 let (value, slope) = both(kernel, s);
                 for i in 0..16 {
                     let exact = f64::from(s[i]);
-                    assert!((f64::from(value[i]) - kernel.value(exact)).abs() < 2e-6, "{kernel} at s = {exact}");
-                    assert!((f64::from(slope[i]) - kernel.slope_over_x(exact)).abs() < 5e-5, "{kernel}' at {exact}");
+                    assert!(
+                        (f64::from(value[i]) - kernel.value(exact)).abs() < 2e-6,
+                        "{kernel} at s = {exact}"
+                    );
+                    assert!(
+                        (f64::from(slope[i]) - kernel.slope_over_x(exact)).abs() < 5e-5,
+                        "{kernel}' at {exact}"
+                    );
                     if s[i] >= 1.0 {
                         assert_eq!((value[i], slope[i].abs()), (0.0, 0.0), "{kernel} beyond its support");
                     }

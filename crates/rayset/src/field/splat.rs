@@ -202,7 +202,8 @@ impl Frames {
         let step = packet.step() as f32;
         let last = (samples - 1) as f32;
         for chunk in 0..LANES / 16 {
-            let start = lanes_of(simd, &self.first_sample, chunk) * step + lanes_of(simd, &self.sample_zero, chunk);
+            let start =
+                lanes_of(simd, &self.first_sample, chunk) * step + lanes_of(simd, &self.sample_zero, chunk);
             // Half a step of slack on either side covers the rounding of this test.
             let (mut enter, mut exit) = (start - 0.5 * step, start + (last + 0.5) * step);
             for axis in 0..3 {
@@ -314,7 +315,8 @@ impl<S: Simd> LaneRay<S> {
         let (nearest, [x, y, z]) = self.project(simd, center);
         let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
         let gap = (self.block_start[0] - nearest).max(nearest - self.block_end[BLOCKS - 1]).max(0.0);
-        let within = gap.mul_add(gap, distance_squared).simd_le(f32x16::from_slice(simd, &run.chunk_reach_squared));
+        let within =
+            gap.mul_add(gap, distance_squared).simd_le(f32x16::from_slice(simd, &run.chunk_reach_squared));
         within.to_bitmask() & ((1 << run.len.div_ceil(16)) - 1)
     }
 }
@@ -413,7 +415,8 @@ impl Pairs {
             let mut attribute = [zero; 3];
             if ATTRIBUTES {
                 for channel in 0..3 {
-                    attribute[channel] = f32x16::from_slice(simd, &samples.attribute[channel][lane].0[at.clone()]);
+                    attribute[channel] =
+                        f32x16::from_slice(simd, &samples.attribute[channel][lane].0[at.clone()]);
                 }
             }
             // The gradient along the ray and against `across`, of this run alone.

@@ -40,7 +40,7 @@ const fn turns() -> [[u8; 8]; 24] {
                 (0, 0)
             } else {
                 let even = (rank - 1) / 2 * 2;
-                let odd = if rank % 2 == 0 { rank - 1 } else { rank };
+                let odd = if rank.is_multiple_of(2) { rank - 1 } else { rank };
                 (even ^ even >> 1, odd.trailing_ones() % 3)
             };
             let next_entry = entry ^ rotate_left(sub_entry, direction + 1);

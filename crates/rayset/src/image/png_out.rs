@@ -52,7 +52,9 @@ impl<W: Write + 'static> PngBands<W> {
             for &[r, g, b, opacity] in pixels {
                 let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
                 // A component that is not a number becomes 0 in the cast.
-                let byte = |v: f32| self.table[((v * straight).clamp(0.0, 1.0) * (TABLE - 1) as f32).round() as usize];
+                let byte = |v: f32| {
+                    self.table[((v * straight).clamp(0.0, 1.0) * (TABLE - 1) as f32).round() as usize]
+                };
                 let alpha = (opacity.clamp(0.0, 1.0) * 255.0).round() as u8;
                 self.row.extend_from_slice(&[byte(r), byte(g), byte(b), alpha]);
             }

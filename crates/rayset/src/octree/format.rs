@@ -338,7 +338,8 @@ impl Header {
             let at = r.at;
             let name: [u8; NAME_BYTES] = r.take();
             let end = name.iter().position(|&b| b == 0).unwrap_or(NAME_BYTES);
-            let name = std::str::from_utf8(&name[..end]).map_err(|_| field(at, "an attribute name is not text"))?;
+            let name =
+                std::str::from_utf8(&name[..end]).map_err(|_| field(at, "an attribute name is not text"))?;
             attributes.push(AttributeInfo { name: name.to_owned(), min: r.f32(), max: r.f32() });
         }
         let header = Self {
@@ -369,7 +370,7 @@ impl Header {
     fn check_ranges(&self) -> Result<(), HeaderError> {
         let field = |at: usize, what| Err(HeaderError::Field { at: at as u64, what });
         let page_bytes = self.page_bytes as usize;
-        if page_bytes == 0 || page_bytes % BLOCK_BYTES != 0 || page_bytes > MAX_PAGE_BYTES {
+        if page_bytes == 0 || !page_bytes.is_multiple_of(BLOCK_BYTES) || page_bytes > MAX_PAGE_BYTES {
             return field(FIELDS_AT, "the page size is no multiple of 4096 up to 262144");
         }
         if self.point_pages.checked_add(self.node_pages).is_none() {
@@ -537,7 +538,11 @@ impl Footer {
     ///
     /// # Errors
     /// [`HeaderError`] where the block is damaged or belongs to another header.
-    pub fn decode(block: &[u8; BLOCK_BYTES], header: &[u8; BLOCK_BYTES], at: u64) -> Result<Self, HeaderError> {
+    pub fn decode(
+        block: &[u8; BLOCK_BYTES],
+        header: &[u8; BLOCK_BYTES],
+        at: u64,
+    ) -> Result<Self, HeaderError> {
         let mut r = Reader { bytes: block, at: 0 };
         let (magic, version, found): ([u8; 8], _, _) = (r.take(), r.u32(), r.u32());
         let expected = block_checksum(block, CHECKSUM_AT);

@@ -129,7 +129,9 @@ impl<'a> NodePage<'a> {
         for index in 0..this.nodes {
             let node = this.node(index);
             let numbers = node.bounds_min.iter().chain(&node.bounds_max).chain(&node.centroid);
-            if !numbers.copied().all(f32::is_finite) || !(node.radius_min > 0.0 && node.radius_max.is_finite()) {
+            if !numbers.copied().all(f32::is_finite)
+                || !(node.radius_min > 0.0 && node.radius_max.is_finite())
+            {
                 return wrong("a node whose bounds or radii are not finite");
             }
             let own_end = u64::from(node.own.first_page) + u64::from(node.own.runs.min(1));

@@ -209,7 +209,8 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     let mut bounds = Aabb::EMPTY;
     run.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
     let cell = root.size / ORIGIN_STEPS;
-    let origin = ((bounds.min - root.min) / cell).floor().max(DVec3::ZERO).min(DVec3::splat(ORIGIN_STEPS - 1.0));
+    let origin =
+        ((bounds.min - root.min) / cell).floor().max(DVec3::ZERO).min(DVec3::splat(ORIGIN_STEPS - 1.0));
     let corner = root.min + origin * cell;
     let extent = (bounds.max - corner).max(DVec3::ZERO);
     let radius_min = f64::from(run.radius.iter().copied().fold(f32::INFINITY, f32::min));
@@ -322,7 +323,9 @@ impl<'a> PointPage<'a> {
                 return Err(PageError::Content { what: "a run that ends beyond the page" });
             }
             if !(run.radius_max().is_finite() && run.radius_max() > 0.0) {
-                return Err(PageError::Content { what: "a run whose largest radius is not a positive number" });
+                return Err(PageError::Content {
+                    what: "a run whose largest radius is not a positive number",
+                });
             }
         }
         Ok(page)

@@ -39,7 +39,9 @@ pub enum VerifyError {
     #[error(transparent)]
     Scan(#[from] ScanError),
     /// The pages are whole, but not the ones that the footer was written for.
-    #[error("the digest over all pages is {found:08x}, the footer says {expected:08x}; pages have been exchanged")]
+    #[error(
+        "the digest over all pages is {found:08x}, the footer says {expected:08x}; pages have been exchanged"
+    )]
     Digest {
         /// Of the pages.
         found: u32,
@@ -201,7 +203,8 @@ impl Facts<'_> {
         for child in 0..node.child_mask.count_ones() as u16 {
             let index = node.first_child.index + child;
             let below = NodeRef { page: node.first_child.page, index };
-            let level = self.nodes.get(below.page as usize).and_then(|p| p.get(usize::from(index))).map(|n| n.level);
+            let level =
+                self.nodes.get(below.page as usize).and_then(|p| p.get(usize::from(index))).map(|n| n.level);
             if level != Some(node.level + 1) {
                 return Err(wrong("a child is not one level further down"));
             }

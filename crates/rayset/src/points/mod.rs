@@ -187,7 +187,9 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
     Ok(match extension.as_str() {
         "ply" => Box::new(PlySource::open(path)?),
         "las" | "laz" => Box::new(LasSource::open(path)?),
-        "xyz" | "txt" | "csv" | "asc" | "pts" => Box::new(TextSource::open(path, options.text_columns.as_deref())?),
+        "xyz" | "txt" | "csv" | "asc" | "pts" => {
+            Box::new(TextSource::open(path, options.text_columns.as_deref())?)
+        }
         _ => return Err(ReadError::UnknownFormat { path: path.to_owned() }),
     })
 }

@@ -105,7 +105,8 @@ impl PlySource {
         if let (Some(stride), false) = (element.stride(), self.encoding == Encoding::Ascii) {
             let bytes = element.count.saturating_mul(stride as u64);
             let io = |source| ReadError::Io { path: self.path.clone(), source };
-            let skipped = std::io::copy(&mut (&mut self.input).take(bytes), &mut std::io::sink()).map_err(io)?;
+            let skipped =
+                std::io::copy(&mut (&mut self.input).take(bytes), &mut std::io::sink()).map_err(io)?;
             self.byte += skipped;
             return if skipped == bytes { Ok(()) } else { Err(self.truncated(&element.name)) };
         }
@@ -120,7 +121,8 @@ impl PlySource {
     }
 
     fn truncated(&self, element: &str) -> ReadError {
-        let place = if self.encoding == Encoding::Ascii { Place::Line(self.line) } else { Place::Byte(self.byte) };
+        let place =
+            if self.encoding == Encoding::Ascii { Place::Line(self.line) } else { Place::Byte(self.byte) };
         let what = format!(
             "the file ends within element `{element}`: {} of {} vertices read",
             self.next, self.vertex.count
@@ -263,11 +265,12 @@ impl PlySource {
         let mut result = Ok(());
         for _ in 0..count {
             let mut position = [0.0; 3];
-            result = self.read_binary_with_lists(&properties, "vertex", |index, value| match targets[index] {
-                Target::Axis(axis) => position[axis] = value,
-                Target::Column(column) => batch.columns[column].push(value as f32),
-                Target::Nothing => {}
-            });
+            result =
+                self.read_binary_with_lists(&properties, "vertex", |index, value| match targets[index] {
+                    Target::Axis(axis) => position[axis] = value,
+                    Target::Column(column) => batch.columns[column].push(value as f32),
+                    Target::Nothing => {}
+                });
             if result.is_err() {
                 break;
             }

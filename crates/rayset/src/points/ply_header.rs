@@ -149,9 +149,8 @@ impl Header {
                     };
                 }
                 ["element", name, count] => {
-                    let count = count
-                        .parse()
-                        .map_err(|_| fail(format!("`{count}` is not a number of records")))?;
+                    let count =
+                        count.parse().map_err(|_| fail(format!("`{count}` is not a number of records")))?;
                     header.elements.push(Element { name: (*name).into(), count, properties: Vec::new() });
                 }
                 ["property", rest @ ..] => {

@@ -26,7 +26,7 @@ impl PlyWriter {
     pub fn create(path: &Path, attributes: &[String]) -> io::Result<Self> {
         let mut output = BufWriter::with_capacity(1 << 20, File::create(path)?);
         let start = "ply\nformat binary_little_endian 1.0\nelement vertex ";
-        write!(output, "{start}{:>COUNT_WIDTH$}\n", 0)?;
+        writeln!(output, "{start}{:>COUNT_WIDTH$}", 0)?;
         let is_color: Vec<bool> =
             attributes.iter().map(|a| matches!(a.as_str(), "red" | "green" | "blue")).collect();
         for axis in ["x", "y", "z"] {

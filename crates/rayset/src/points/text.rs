@@ -117,7 +117,8 @@ impl TextSource {
             if is_header {
                 header = Some(lower);
             } else if !comment {
-                let what = format!("expected numbers or a header with x, y and z, found `{}`", excerpt(content));
+                let what =
+                    format!("expected numbers or a header with x, y and z, found `{}`", excerpt(content));
                 return Err(ReadError::malformed(&self.path, Place::Line(self.line_number), what));
             }
         }
@@ -137,7 +138,8 @@ impl TextSource {
         }
         for (axis, name) in ["x", "y", "z"].iter().enumerate() {
             if !self.columns.contains(&Some(axis)) {
-                let what = format!("no column called {name}; name the columns, as in `--columns x,y,z,intensity`");
+                let what =
+                    format!("no column called {name}; name the columns, as in `--columns x,y,z,intensity`");
                 return Err(ReadError::malformed(&self.path, Place::Line(self.line_number), what));
             }
         }
@@ -231,7 +233,9 @@ fn default_names(columns: usize) -> Vec<String> {
         7 => &["x", "y", "z", "intensity", "red", "green", "blue"],
         _ => &["x", "y", "z"],
     };
-    (0..columns).map(|i| names.get(i).map_or_else(|| format!("column{}", i + 1), |n| (*n).to_owned())).collect()
+    (0..columns)
+        .map(|i| names.get(i).map_or_else(|| format!("column{}", i + 1), |n| (*n).to_owned()))
+        .collect()
 }
 
 fn canonical(name: &str) -> String {

@@ -64,7 +64,14 @@ impl Camera {
 
     /// A camera that sees all of `bounds` from the side that `toward` points away from.
     #[must_use]
-    pub fn framing(bounds: &Aabb, toward: DVec3, up: DVec3, fovy: f64, aspect: f64, orthographic: bool) -> Self {
+    pub fn framing(
+        bounds: &Aabb,
+        toward: DVec3,
+        up: DVec3,
+        fovy: f64,
+        aspect: f64,
+        orthographic: bool,
+    ) -> Self {
         let direction = toward.normalize_or(DVec3::NEG_Z);
         let right = direction.cross(up).normalize_or(direction.any_orthonormal_vector());
         let upward = right.cross(direction);

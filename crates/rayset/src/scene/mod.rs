@@ -12,7 +12,7 @@ use std::sync::Arc;
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
 pub use colormap::{Colormap, UnknownColormap};
-pub use transfer::{ColorRule, MapInput, MAX_OPACITY, OpacityRule, TransferError, TransferFunction};
+pub use transfer::{ColorRule, MAX_OPACITY, MapInput, OpacityRule, TransferError, TransferFunction};
 
 use crate::field::{AttributeSource, Kernel};
 use crate::octree::Cloud;

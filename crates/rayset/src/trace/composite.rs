@@ -3,7 +3,9 @@
 use fearless_simd::dispatch;
 
 use crate::field::{FieldSamples, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
-use crate::scene::{ColorRule, MapInput, OpacityRule, RenderSettings, Scene, Shading, TransferFunction, headlight};
+use crate::scene::{
+    ColorRule, MapInput, OpacityRule, RenderSettings, Scene, Shading, TransferFunction, headlight,
+};
 
 /// Entries of a colour map's table.
 const TABLE: usize = 1024;
@@ -117,11 +119,7 @@ impl Compositor {
                 dispatch!(self.simd.level(), _simd => passed_extinction(density, kappa, most, step))
             }
             OpacityRule::Clamp | OpacityRule::Curve(_) => SampleRow(density.0.map(|d| {
-                if d > 0.0 {
-                    exp_minus((self.transfer.extinction(f64::from(d)) as f32) * step)
-                } else {
-                    1.0
-                }
+                if d > 0.0 { exp_minus((self.transfer.extinction(f64::from(d)) as f32) * step) } else { 1.0 }
             })),
         }
     }
@@ -170,7 +168,11 @@ impl Compositor {
     fn color(&self, samples: &FieldSamples, lane: usize, j: usize) -> [f32; 3] {
         let density = samples.density[lane].0[j];
         let mean = |channel: usize| {
-            if density.abs() > self.least_weight { samples.attribute[channel][lane].0[j] / density } else { 0.0 }
+            if density.abs() > self.least_weight {
+                samples.attribute[channel][lane].0[j] / density
+            } else {
+                0.0
+            }
         };
         match &self.color {
             Color::Uniform(color) => *color,
@@ -186,7 +188,14 @@ impl Compositor {
         }
     }
 
-    fn lit(&self, packet: &Packet, lane: usize, j: usize, samples: &FieldSamples, color: [f32; 3]) -> [f32; 3] {
+    fn lit(
+        &self,
+        packet: &Packet,
+        lane: usize,
+        j: usize,
+        samples: &FieldSamples,
+        color: [f32; 3],
+    ) -> [f32; 3] {
         if self.shading == Shading::None {
             return color;
         }
@@ -195,8 +204,11 @@ impl Compositor {
         let length_squared = n[0] * n[0] + n[1] * n[1] + n[2] * n[2];
         let dot = n[0] * d[0] + n[1] * d[1] + n[2] * d[2];
         // No normal, or one that is not a number: ambient light only.
-        let cosine =
-            if length_squared > 0.0 && length_squared.is_finite() { (dot / length_squared.sqrt()).abs() } else { 0.0 };
+        let cosine = if length_squared > 0.0 && length_squared.is_finite() {
+            (dot / length_squared.sqrt()).abs()
+        } else {
+            0.0
+        };
         shade(color, cosine)
     }
 }

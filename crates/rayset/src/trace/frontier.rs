@@ -6,8 +6,8 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::world::World;
 use super::RenderError;
+use super::world::World;
 use crate::field::Packet;
 use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage, RunRange};
@@ -22,7 +22,10 @@ pub(super) const POINT_PRIORITY: u8 = 200;
 enum Item {
     /// Its record has been seen; its children and points have not.
     Node(Node),
-    Run { page: u32, run: u16 },
+    Run {
+        page: u32,
+        run: u16,
+    },
 }
 
 #[derive(Clone, Copy, Debug)]

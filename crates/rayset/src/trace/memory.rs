@@ -1,7 +1,7 @@
 //! What a render needs besides pages, so that a budget for the whole process can be kept.
 
 use crate::octree::format::Header;
-use crate::working_set::WorkingSet;
+use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one tracing thread.
 pub const THREAD_BYTES: u64 = 768 << 10;
@@ -47,21 +47,26 @@ pub fn plan(
         + WorkingSet::overhead_bytes(header.pages())
         + 8 * row;
     let least_pages = least_pages(threads) * page;
-    let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_pages;
+    let least_bytes =
+        fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_pages * (page + OVERHEAD_BYTES) / page;
     if budget_bytes < least_bytes {
         return Err(least_bytes);
     }
     // A quarter of what is free may go to the picture, in whole rows of look-ahead blocks where it can.
-    let free = budget_bytes - fixed - least_pages;
-    let rows = (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
+    let free = budget_bytes - fixed - least_pages * (page + OVERHEAD_BYTES) / page;
+    let rows =
+        (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
     let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
     let band_rows = (rows as u32).min(height).max(1);
     let picture = u64::from(band_rows) * row;
     Ok(MemoryPlan {
-        page_bytes: budget_bytes - fixed - picture,
+        page_bytes: (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page,
         band_rows,
         least_bytes,
-        comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages(header) * page + least_pages,
+        comfortable_bytes: fixed
+            + u64::from(height.min(512)) * row
+            + comfortable_pages(header) * page
+            + least_pages,
     })
 }
 

@@ -17,8 +17,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError};
 
-pub use self::packet_tracer::RenderCounts;
 use self::packet_tracer::PacketTracer;
+pub use self::packet_tracer::RenderCounts;
 use self::predict::{Lookahead, Predictor};
 use self::steps::StepRule;
 use self::world::World;
@@ -186,7 +186,11 @@ fn check(
     if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
         return wrong("size", format!("{width}x{height} is not between 1x1 and 1048576x1048576"));
     }
-    if region.columns.is_empty() || region.rows.is_empty() || region.columns.end > width || region.rows.end > height {
+    if region.columns.is_empty()
+        || region.rows.is_empty()
+        || region.columns.end > width
+        || region.rows.end > height
+    {
         return wrong("region", "empty, or not within the picture".into());
     }
     if !(settings.stop_transmittance >= 0.0 && settings.stop_transmittance < 1.0) {
@@ -221,7 +225,12 @@ struct Tile {
 impl Job<'_> {
     /// Renders a band of rows: threads take its tiles along a Hilbert curve, so that they work side by side on the
     /// same pages.
-    fn band(&self, region: &Region, done: &mut u64, sink: &mut dyn Sink) -> Result<RenderCounts, RenderError> {
+    fn band(
+        &self,
+        region: &Region,
+        done: &mut u64,
+        sink: &mut dyn Sink,
+    ) -> Result<RenderCounts, RenderError> {
         let tiles = tiles_of(region, self.exec.tile_pixels);
         let lookahead = Lookahead::new(self.world, self.rays, region, self.steps.typical_step());
         let next = AtomicUsize::new(0);
@@ -272,7 +281,11 @@ impl Job<'_> {
     }
 
     /// Traces the rays of a tile; returns its pixels and how deep any of them went.
-    fn tile(&self, tile: Tile, tracer: &mut PacketTracer<'_>) -> Result<([[f32; 4]; LANES], f64), RenderError> {
+    fn tile(
+        &self,
+        tile: Tile,
+        tracer: &mut PacketTracer<'_>,
+    ) -> Result<([[f32; 4]; LANES], f64), RenderError> {
         let mut rays = Vec::with_capacity(LANES);
         for y in tile.y..tile.y + tile.height {
             for x in tile.x..tile.x + tile.width {
@@ -328,12 +341,7 @@ fn tiles_of(region: &Region, edge: u32) -> Vec<Tile> {
             let x = ((x0 + i) * edge).max(region.columns.start);
             let y = ((y0 + j) * edge).max(region.rows.start);
             let (end_x, end_y) = ((x0 + i + 1) * edge, (y0 + j + 1) * edge);
-            Tile {
-                x,
-                y,
-                width: end_x.min(region.columns.end) - x,
-                height: end_y.min(region.rows.end) - y,
-            }
+            Tile { x, y, width: end_x.min(region.columns.end) - x, height: end_y.min(region.rows.end) - y }
         })
         .collect()
 }

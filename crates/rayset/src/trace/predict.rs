@@ -99,7 +99,8 @@ struct Sight {
 
 impl<'a> Lookahead<'a> {
     pub(super) fn new(world: &'a World<'a>, rays: &'a RayMaker, region: &Region, step: f64) -> Self {
-        let blocks = |range: &std::ops::Range<u32>| range.end.div_ceil(BLOCK_PIXELS) - range.start / BLOCK_PIXELS;
+        let blocks =
+            |range: &std::ops::Range<u32>| range.end.div_ceil(BLOCK_PIXELS) - range.start / BLOCK_PIXELS;
         let (columns, rows) = (blocks(&region.columns), blocks(&region.rows));
         let order = hilbert_order(columns, rows);
         let mut place = vec![0; order.len()];
@@ -108,7 +109,19 @@ impl<'a> Lookahead<'a> {
         }
         let depth = order.iter().map(|_| AtomicU64::new(0)).collect();
         let queue = Mutex::default();
-        Self { world, rays, region: region.clone(), columns, rows, step, order, place, depth, recent_depth: AtomicU64::new(0), queue }
+        Self {
+            world,
+            rays,
+            region: region.clone(),
+            columns,
+            rows,
+            step,
+            order,
+            place,
+            depth,
+            recent_depth: AtomicU64::new(0),
+            queue,
+        }
     }
 
     fn block(&self, x: u32, y: u32) -> usize {
@@ -192,7 +205,9 @@ impl<'a> Lookahead<'a> {
     fn last_block(&self, bounds: &Aabb) -> u32 {
         let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         for corner in 0..8 {
-            let pick = |bit: u32, axis: usize| if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] };
+            let pick = |bit: u32, axis: usize| {
+                if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] }
+            };
             let Some((x, y)) = self.rays.project(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2))) else {
                 return self.order.len() as u32;
             };
@@ -205,9 +220,11 @@ impl<'a> Lookahead<'a> {
         };
         let columns = index(low.0, self.region.columns.start, self.columns)
             ..=index(high.0, self.region.columns.start, self.columns);
-        let rows =
-            index(low.1, self.region.rows.start, self.rows)..=index(high.1, self.region.rows.start, self.rows);
-        rows.flat_map(|j| columns.clone().map(move |i| self.place[(j * self.columns + i) as usize])).max().unwrap_or(0)
+        let rows = index(low.1, self.region.rows.start, self.rows)
+            ..=index(high.1, self.region.rows.start, self.rows);
+        rows.flat_map(|j| columns.clone().map(move |i| self.place[(j * self.columns + i) as usize]))
+            .max()
+            .unwrap_or(0)
     }
 
     /// Lists the pages of one block; false where node pages were absent, which are then on their way.
@@ -255,7 +272,7 @@ impl<'a> Lookahead<'a> {
         }
         let complete = absent_nodes.is_empty();
         self.world.pages.hint(&self.world.object, &absent_nodes, super::frontier::NODE_PRIORITY);
-        points.sort_unstable_by(|a, b| (a.sample, a.page).cmp(&(b.sample, b.page)));
+        points.sort_unstable_by_key(|sight| (sight.sample, sight.page));
         for sight in &points {
             if !queue.waiting.iter().any(|&(_, page)| page == sight.page) {
                 queue.waiting.push_back((at, sight.page));
@@ -301,7 +318,8 @@ impl<'a> Lookahead<'a> {
 
     /// Rays on the edges and within a block, whose bounds are those of all its rays.
     fn packet(&self, i: u32, j: u32) -> Packet {
-        let x0 = ((self.region.columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(self.region.columns.start);
+        let x0 =
+            ((self.region.columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(self.region.columns.start);
         let y0 = ((self.region.rows.start / BLOCK_PIXELS + j) * BLOCK_PIXELS).max(self.region.rows.start);
         let x1 = (x0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.columns.end);
         let y1 = (y0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.rows.end);

@@ -50,7 +50,11 @@ impl StepRule {
     }
 
     /// Sorts the rays of a tile into groups of the same step, finest first.
-    pub(super) fn groups(&self, world: &World<'_>, rays: &[(Ray, f64)]) -> Result<Vec<StepGroup>, RenderError> {
+    pub(super) fn groups(
+        &self,
+        world: &World<'_>,
+        rays: &[(Ray, f64)],
+    ) -> Result<Vec<StepGroup>, RenderError> {
         if !self.varies {
             return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
         }

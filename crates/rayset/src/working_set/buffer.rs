@@ -2,18 +2,22 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// Alignment of buffers, offsets and lengths that direct I/O accepts on every file system in use.
-pub(super) const ALIGNMENT: usize = 4096;
+/// Alignment of memory that direct I/O asks for: a logical sector. Offsets and lengths of pages are multiples of 4096 by
+/// the file format; memory aligned to that as well would cost every page another 4096 bytes in the allocator.
+const ALIGNMENT: usize = 512;
+
+/// What the allocator may take beside a page.
+pub const OVERHEAD_BYTES: u64 = 2 * ALIGNMENT as u64;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
-#[repr(C, align(4096))]
+#[repr(C, align(512))]
 struct Block([u8; ALIGNMENT]);
 
-/// The memory of one page, aligned to 4096 bytes.
+/// The memory of one page, aligned to 512 bytes.
 pub struct PageBuffer(Box<[Block]>);
 
 impl PageBuffer {
-    /// Zeroed memory of at least `bytes` bytes, rounded up to a multiple of 4096.
+    /// Zeroed memory of at least `bytes` bytes, rounded up to a multiple of 512.
     #[must_use]
     pub fn new(bytes: usize) -> Self {
         Self(vec![Block::zeroed(); bytes.div_ceil(ALIGNMENT)].into_boxed_slice())

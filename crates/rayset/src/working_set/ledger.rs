@@ -249,12 +249,19 @@ impl Books {
         if self.used > self.limits.total {
             return Some(Obstacle::Total);
         }
-        let kind = Kind::ALL.into_iter().find(|k| self.used_by_kind[k.index()] > self.limits.by_kind[k.index()]);
-        let object = || (0..self.used_by_object.len()).find(|&o| self.used_by_object[o] > self.limits.object(o));
+        let kind =
+            Kind::ALL.into_iter().find(|k| self.used_by_kind[k.index()] > self.limits.by_kind[k.index()]);
+        let object =
+            || (0..self.used_by_object.len()).find(|&o| self.used_by_object[o] > self.limits.object(o));
         kind.map(Obstacle::Kind).or_else(|| object().map(Obstacle::Object))
     }
 
-    fn reserve(&mut self, kind: Kind, object: &Object, priority: Option<u8>) -> (Option<PageBuffer>, Vec<Evicted>) {
+    fn reserve(
+        &mut self,
+        kind: Kind,
+        object: &Object,
+        priority: Option<u8>,
+    ) -> (Option<PageBuffer>, Vec<Evicted>) {
         let mut evicted = Vec::new();
         while let Some(obstacle) = self.obstacle(kind, object) {
             match self.evict(obstacle, priority) {

@@ -24,13 +24,13 @@ use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-pub use self::buffer::PageBuffer;
+pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 pub use self::cloud::CloudPages;
-use self::ledger::{Evicted, Ledger};
 pub use self::ledger::Limits;
+use self::ledger::{Evicted, Ledger};
 use self::read::{Read, ReadBackend, Storage};
-pub use self::stats::{KindStatistics, Statistics};
 use self::stats::Counters;
+pub use self::stats::{KindStatistics, Statistics};
 
 /// What a page holds; budgets and statistics are kept by kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -155,7 +155,10 @@ pub struct Object {
 
 impl std::fmt::Debug for Object {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Object").field("id", &self.id).field("name", &self.source.name()).finish_non_exhaustive()
+        f.debug_struct("Object")
+            .field("id", &self.id)
+            .field("name", &self.source.name())
+            .finish_non_exhaustive()
     }
 }
 
@@ -448,7 +451,8 @@ impl WorkingSet {
                     if matches!(&*slot, Slot::Absent) {
                         *slot = Slot::Loading;
                         drop(slot);
-                        let buffer = self.make_room(object, page).inspect_err(|_| self.give_up(object, page))?;
+                        let buffer =
+                            self.make_room(object, page).inspect_err(|_| self.give_up(object, page))?;
                         self.shared.backend.submit(vec![self.read_of(object, page, buffer, priority, false)]);
                     }
                 }
@@ -468,7 +472,10 @@ impl WorkingSet {
         self.count_evictions(&evicted);
         room.ok_or_else(|| {
             let limits = self.shared.ledger.limits();
-            PageFault::Full { budget: limits.total, needed: self.shared.ledger.retained_bytes() + object.bytes() }
+            PageFault::Full {
+                budget: limits.total,
+                needed: self.shared.ledger.retained_bytes() + object.bytes(),
+            }
         })
     }
 
@@ -499,7 +506,9 @@ impl WorkingSet {
             storage: object.source.storage(),
             offset,
             buffer,
-            done: Box::new(move |buffer, outcome| set.complete(&owner, page, buffer, outcome, priority, hint)),
+            done: Box::new(move |buffer, outcome| {
+                set.complete(&owner, page, buffer, outcome, priority, hint);
+            }),
         }
     }
 
@@ -514,8 +523,12 @@ impl WorkingSet {
     ) {
         let (name, offset) = (|| object.source.name(), object.source.offset(page));
         let checked = match outcome {
-            Ok(()) => (object.source.check(page, buffer.bytes()))
-                .map_err(|what| PageFault::Damaged { name: name(), page, offset, what }),
+            Ok(()) => (object.source.check(page, buffer.bytes())).map_err(|what| PageFault::Damaged {
+                name: name(),
+                page,
+                offset,
+                what,
+            }),
             Err(e) => Err(PageFault::Read { name: name(), page, offset, source: Arc::new(e) }),
         };
         match checked {

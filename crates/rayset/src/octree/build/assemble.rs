@@ -84,8 +84,11 @@ impl Drop for Output {
 impl Output {
     fn create(path: &Path) -> Result<Self, BuildError> {
         let partial = partial_path(path);
-        let file = File::create(&partial)
-            .map_err(|source| BuildError::Io { action: "create", path: partial.clone(), source })?;
+        let file = File::create(&partial).map_err(|source| BuildError::Io {
+            action: "create",
+            path: partial.clone(),
+            source,
+        })?;
         Ok(Self { file: Some(BufWriter::with_capacity(1 << 20, file)), partial })
     }
 
@@ -104,8 +107,11 @@ impl Output {
             file.flush()?;
             file.get_ref().sync_all()
         })?;
-        std::fs::rename(&self.partial, path)
-            .map_err(|source| BuildError::Io { action: "rename the finished file to", path: path.into(), source })?;
+        std::fs::rename(&self.partial, path).map_err(|source| BuildError::Io {
+            action: "rename the finished file to",
+            path: path.into(),
+            source,
+        })?;
         self.file = None;
         #[cfg(unix)]
         if let Some(parent) = path.parent() {
@@ -120,7 +126,8 @@ impl Output {
 impl Assembler {
     pub(super) fn create(context: &Context<'_>, ingested: &Ingested) -> Result<Self, BuildError> {
         let small = ingested.count < SMALL_CLOUD_POINTS;
-        let page_bytes = context.options.page_bytes.unwrap_or(if small { 16 << 10 } else { 32 << 10 }) as usize;
+        let page_bytes =
+            context.options.page_bytes.unwrap_or(if small { 16 << 10 } else { 32 << 10 }) as usize;
         let (radius, weight) = ingested.columns();
         let column_bytes = 4
             * (usize::from(radius.is_stored())
@@ -198,7 +205,14 @@ impl Assembler {
         self.output.write(page)
     }
 
-    fn node(&self, summary: &Summary, level: u32, own: RunRange, children: &[(u8, Node)], first_child: NodeRef) -> Node {
+    fn node(
+        &self,
+        summary: &Summary,
+        level: u32,
+        own: RunRange,
+        children: &[(u8, Node)],
+        first_child: NodeRef,
+    ) -> Node {
         let (bounds_min, bounds_max) = to_cell_units(&summary.influence, self.root);
         let centroid = if summary.mass > 0.0 {
             summary.moment / summary.mass / self.root.size
@@ -242,9 +256,11 @@ impl Assembler {
     fn finish_node_page(&mut self) -> Result<(), BuildError> {
         self.node_page[..4].copy_from_slice(&(self.nodes_in_page as u32).to_le_bytes());
         let at = u64::from(self.node_pages) * self.page_bytes as u64;
-        self.node_spill
-            .write_at(&self.node_page, at)
-            .map_err(|source| BuildError::Io { action: "write temporary files in", path: self.temp_dir.clone(), source })?;
+        self.node_spill.write_at(&self.node_page, at).map_err(|source| BuildError::Io {
+            action: "write temporary files in",
+            path: self.temp_dir.clone(),
+            source,
+        })?;
         self.node_page.fill(0);
         self.nodes_in_page = 0;
         self.node_pages += 1;
@@ -257,8 +273,11 @@ impl Assembler {
         let mut done: Vec<Option<Node>> = vec![None; piece.nodes.len()];
         for (index, draft) in piece.nodes.iter().enumerate() {
             let own = range_of(&places[draft.own.clone()]);
-            let children: Vec<(u8, Node)> =
-                draft.children.iter().filter_map(|&(octant, i)| done[i].take().map(|n| (octant, n))).collect();
+            let children: Vec<(u8, Node)> = draft
+                .children
+                .iter()
+                .filter_map(|&(octant, i)| done[i].take().map(|n| (octant, n)))
+                .collect();
             let first_child = self.place_siblings(&children)?;
             done[index] = Some(self.node(&draft.summary, draft.level, own, &children, first_child));
         }
@@ -369,7 +388,12 @@ fn range_of(places: &[RunRange]) -> RunRange {
 
 impl Assemble<Piece> for Assembler {
     fn open(&mut self, cell: Cell) {
-        self.open.push(OpenNode { cell, own: RunRange::default(), summary: Summary::EMPTY, children: Vec::new() });
+        self.open.push(OpenNode {
+            cell,
+            own: RunRange::default(),
+            summary: Summary::EMPTY,
+            children: Vec::new(),
+        });
     }
 
     fn own(&mut self, piece: Piece) -> Result<(), BuildError> {

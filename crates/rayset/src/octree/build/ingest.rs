@@ -204,7 +204,13 @@ impl Tally {
     }
 
     /// Checks record `i` of a batch; counts it, and encodes it into `record` if it is valid.
-    fn check(&mut self, columns: &Columns, batch: &PointBatch, i: usize, record: &mut Vec<u8>) -> Result<(), String> {
+    fn check(
+        &mut self,
+        columns: &Columns,
+        batch: &PointBatch,
+        i: usize,
+        record: &mut Vec<u8>,
+    ) -> Result<(), String> {
         let layout = &columns.layout;
         let p = batch.position[i];
         if !p.iter().all(|v| v.abs() <= LIMIT) {

@@ -315,7 +315,10 @@ fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Re
     if let Some(page) = options.page_bytes
         && (page == 0 || page % 4096 != 0 || page as usize > MAX_PAGE_BYTES || page < 16384)
     {
-        return wrong("page size", format!("{page} is no multiple of 4096 between 16384 and {MAX_PAGE_BYTES}"));
+        return wrong(
+            "page size",
+            format!("{page} is no multiple of 4096 between 16384 and {MAX_PAGE_BYTES}"),
+        );
     }
     if options.attributes.len() > MAX_ATTRIBUTES {
         return wrong("attributes", format!("at most {MAX_ATTRIBUTES} can be kept"));
@@ -336,7 +339,9 @@ fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Re
             Some(Rule::Number(v)) if v.abs() > 1e18 || v.is_nan() => {
                 return wrong(option, format!("{v} is not a number of at most 1e18"));
             }
-            Some(Rule::Attribute { scale, .. } | Rule::Auto { scale }) if !(*scale > 0.0 && scale.is_finite()) => {
+            Some(Rule::Attribute { scale, .. } | Rule::Auto { scale })
+                if !(*scale > 0.0 && scale.is_finite()) =>
+            {
                 return wrong(option, format!("the scale {scale} is not a positive number"));
             }
             Some(Rule::Auto { .. }) if option == "weight" => {

@@ -117,7 +117,13 @@ pub(super) struct Partition<'a> {
 const RUN: usize = crate::octree::page::RUN_POINTS;
 
 impl<'a> Partition<'a> {
-    pub(super) fn new(context: &'a Context<'a>, stride: usize, keys: KeyMaker, total: u64, stage: Stage) -> Self {
+    pub(super) fn new(
+        context: &'a Context<'a>,
+        stride: usize,
+        keys: KeyMaker,
+        total: u64,
+        stage: Stage,
+    ) -> Self {
         let threads = context.options.threads.max(1);
         // A loaded record costs itself, its entry, and what is made of it; one bucket more than there are threads
         // is alive. A third of the budget goes there, a quarter to the buffers of the scatter; the rest is for a
@@ -340,7 +346,9 @@ impl<'a> Partition<'a> {
         let write = |bucket: usize, bytes: &[u8]| {
             let records = (bytes.len() / self.stride) as u64;
             let at = cursors[bucket].fetch_add(records, Ordering::Relaxed);
-            spill.write_at(bytes, at * self.stride as u64).map_err(self.context.io("write temporary files in"))
+            spill
+                .write_at(bytes, at * self.stride as u64)
+                .map_err(self.context.io("write temporary files in"))
         };
         // Buffers outlive the chunks, one set a thread; `chunks` has no thread state, so they wait in a pool.
         let pool: Mutex<Vec<Vec<Vec<u8>>>> = Mutex::new(Vec::new());
@@ -408,7 +416,11 @@ impl<P: Pack> OwnList<'_, P> {
         self.emit(partition, count / RUN * RUN, out)
     }
 
-    fn flush(&mut self, partition: &Partition<'_>, out: &mut impl Assemble<P::Piece>) -> Result<(), BuildError> {
+    fn flush(
+        &mut self,
+        partition: &Partition<'_>,
+        out: &mut impl Assemble<P::Piece>,
+    ) -> Result<(), BuildError> {
         self.emit(partition, self.carry.len() / partition.stride, out)
     }
 

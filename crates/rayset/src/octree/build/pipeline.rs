@@ -39,7 +39,7 @@ pub(super) fn ordered<T: Send, E: Send>(
                 let _guard = StopOnDrop(&stop, &changed);
                 loop {
                     let mut s = lock();
-                    while s.next < count && s.next >= s.consumed + threads + 1 && !stop.load(Ordering::SeqCst) {
+                    while s.next < count && s.next > s.consumed + threads && !stop.load(Ordering::SeqCst) {
                         s = changed.wait(s).unwrap_or_else(std::sync::PoisonError::into_inner);
                     }
                     if s.next >= count || stop.load(Ordering::SeqCst) {

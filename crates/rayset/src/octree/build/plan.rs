@@ -121,10 +121,8 @@ impl Plan {
             return;
         }
         let base = self.pyramid.base;
-        let cell = Cell {
-            level: base.level + level as u32,
-            number: (base.number << (3 * level)) + index as u64,
-        };
+        let cell =
+            Cell { level: base.level + level as u32, number: (base.number << (3 * level)) + index as u64 };
         if count <= LEAF_POINTS || level == self.pyramid.depth as usize {
             let bucket = self.assign(count, cap);
             for below in level..=self.pyramid.depth as usize {

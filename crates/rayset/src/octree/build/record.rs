@@ -28,7 +28,10 @@ impl RecordLayout {
 
     /// Number of `f32` columns: radius, weight, three of colour, attributes.
     pub(super) fn columns(&self) -> usize {
-        usize::from(self.has_radius) + usize::from(self.has_weight) + 3 * usize::from(self.has_color) + self.attributes
+        usize::from(self.has_radius)
+            + usize::from(self.has_weight)
+            + 3 * usize::from(self.has_color)
+            + self.attributes
     }
 
     pub(super) fn weight_column(&self) -> usize {
@@ -134,7 +137,8 @@ mod tests {
 
     #[test]
     fn own_points_of_a_node_come_before_those_of_its_children() {
-        let (wide, narrow) = (Key::new(0b111_000 << (MORTON_BITS - 6), 1), Key::new(0b111_000 << (MORTON_BITS - 6), 2));
+        let (wide, narrow) =
+            (Key::new(0b111_000 << (MORTON_BITS - 6), 1), Key::new(0b111_000 << (MORTON_BITS - 6), 2));
         let earlier = Key::new(0b110_111 << (MORTON_BITS - 6), MAX_LEVEL);
         assert!(earlier < wide && wide < narrow);
     }

@@ -138,7 +138,8 @@ impl<'a> Radii<'a> {
 
     /// Gives the unknown radii their value, where there are any, and settles the totals.
     fn finish(self, context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
-        let mean = if self.measured > 0 { (self.log_sum / self.measured as f64).exp() } else { fallback(&ingested) };
+        let mean =
+            if self.measured > 0 { (self.log_sum / self.measured as f64).exp() } else { fallback(&ingested) };
         let mean = (mean.clamp(1e-18, 1e18)) as f32;
         let layout = ingested.layout.with_radius();
         let stride = layout.stride();

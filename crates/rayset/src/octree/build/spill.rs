@@ -66,7 +66,11 @@ impl Spill {
         {
             let mut done = 0;
             while done < buffer.len() {
-                let n = std::os::windows::fs::FileExt::seek_read(&self.file, &mut buffer[done..], offset + done as u64)?;
+                let n = std::os::windows::fs::FileExt::seek_read(
+                    &self.file,
+                    &mut buffer[done..],
+                    offset + done as u64,
+                )?;
                 if n == 0 {
                     return Err(io::ErrorKind::UnexpectedEof.into());
                 }
@@ -83,7 +87,11 @@ impl Spill {
         {
             let mut done = 0;
             while done < buffer.len() {
-                done += std::os::windows::fs::FileExt::seek_write(&self.file, &buffer[done..], offset + done as u64)?;
+                done += std::os::windows::fs::FileExt::seek_write(
+                    &self.file,
+                    &buffer[done..],
+                    offset + done as u64,
+                )?;
             }
             Ok(())
         }

@@ -1,10 +1,10 @@
 //! Ordered records in memory become encoded runs and draft nodes; several threads do this at once.
 
+use super::Precision;
 use super::ingest::Ingested;
 use super::partition::{Pack, Sorted};
 use super::plan::{Cell, LEAF_POINTS};
 use super::record::{self, KeyMaker, RecordLayout};
-use super::Precision;
 use crate::geometry::curve::MAX_LEVEL;
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::page::{RUN_POINTS, RootCell, RunColumns, RunHead, encode_run};
@@ -147,7 +147,11 @@ impl Packer {
             let r = records.record(i);
             columns.position.push(record::position(r));
             columns.radius.push(self.keys.radius(r));
-            columns.weight.push(if layout.has_weight { record::column(r, layout.weight_column()) } else { self.weight });
+            columns.weight.push(if layout.has_weight {
+                record::column(r, layout.weight_column())
+            } else {
+                self.weight
+            });
             if layout.has_color {
                 columns.color.push(std::array::from_fn(|c| {
                     let v = record::column(r, layout.color_column() + c) * self.color_scale;

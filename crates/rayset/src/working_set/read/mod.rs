@@ -6,7 +6,10 @@ mod delayed;
 mod pool;
 mod storage;
 #[cfg(target_os = "linux")]
-#[expect(unsafe_code, reason = "requests handed to the kernel point into memory that this module keeps alive")]
+#[expect(
+    unsafe_code,
+    reason = "requests handed to the kernel point into memory that this module keeps alive"
+)]
 mod uring;
 
 use std::io;

@@ -42,10 +42,9 @@ impl Uring {
         }
         let shared = Arc::new(Shared::default());
         let queue = shared.clone();
-        let thread = std::thread::Builder::new()
-            .name("rayset-uring".into())
-            .stack_size(128 << 10)
-            .spawn(move || Driver { ring, flight: (0..depth).map(|_| None).collect(), flying: 0 }.serve(&queue))?;
+        let thread = std::thread::Builder::new().name("rayset-uring".into()).stack_size(128 << 10).spawn(
+            move || Driver { ring, flight: (0..depth).map(|_| None).collect(), flying: 0 }.serve(&queue),
+        )?;
         Ok(Self { shared, thread: vec![thread] })
     }
 }
