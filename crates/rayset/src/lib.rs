@@ -1,5 +1,47 @@
 //! Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
+//!
+//! Points become a cloud file ([`octree::build`]); a [`working_set`] brings its pages into memory, never more than it
+//! may; [`trace::render`] marches packets of rays through the density that the points' kernels add up to.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use rayset::{geometry::DVec3, octree::{Cloud, build}, points::Workload, scene::*, trace, working_set::*};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = std::env::temp_dir().join("rayset-doc");
+//! std::fs::create_dir_all(&folder)?;
+//! let path = folder.join("ball.rset");
+//!
+//! // A thousand points on a sphere, built into a file.
+//! let ball: Workload = "sphere-1k".parse()?;
+//! let options = build::BuildOptions { radius: Some(build::Rule::Number(0.3)), ..Default::default() };
+//! build::run(vec![ball.source()], &path, &options, &build::NoProgress)?;
+//!
+//! // A working set of at most one mebibyte over its pages.
+//! let cloud = Arc::new(Cloud::open(&path)?);
+//! let storage = read::FileStorage::open(&path, false)?;
+//! let pages = WorkingSet::new(Limits::total(1 << 20), read::backend(read::BackendKind::Auto)?);
+//! let object = pages.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
+//!
+//! // A picture of 16 × 16 pixels.
+//! let transfer = TransferFunction {
+//!     opacity: OpacityRule::Clamp,
+//!     unit_distance: 0.3,
+//!     color: ColorRule::Uniform([1.0; 3]),
+//! };
+//! let (shading, background) = (Shading::Headlight, None);
+//! let scene = Scene { cloud, kernel: Default::default(), normalised: false, transfer, shading, background };
+//! let camera = Camera::look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, 1.0);
+//! let settings = RenderSettings { width: 16, height: 16, ..Default::default() };
+//! let mut picture = trace::WholePicture::default();
+//! trace::render(&scene, &camera, &settings, &Default::default(), &pages, &object, &mut picture)?;
+//! assert!(picture.pixels[8 * 16 + 8][3] > 0.9 && picture.pixels[0][3] == 0.0);
+//! # std::fs::remove_dir_all(&folder)?;
+//! # Ok(())
+//! # }
+//! ```
 #![deny(unsafe_code)]
+
 pub mod field;
 pub mod geometry;
 pub mod image;

@@ -54,7 +54,7 @@ const BLOCKS_AHEAD: usize = 12;
 /// Priority of a page that is expected: above that of pages released, below that of pages in use.
 const HINT_PRIORITY: u8 = 150;
 /// A block with an unfinished neighbourhood is taken to go this much deeper than its neighbours did, as a fraction.
-const DEEPER: f64 = 1.05;
+const DEEPER: f64 = 1.1;
 
 /// What is known of the picture being made: where rays will go, and how deep those already traced went.
 pub struct Lookahead<'a> {
@@ -69,7 +69,7 @@ pub struct Lookahead<'a> {
     place: Vec<u32>,
     /// Greatest depth of any finished tile of a block, as the bits of an `f64`; 0 before the first.
     depth: Vec<AtomicU64>,
-    /// The same of the last finished tile anywhere.
+    /// Depth of the last tile anywhere that was opaque, or of the first.
     recent_depth: AtomicU64,
     queue: Mutex<Queue>,
 }
@@ -134,7 +134,11 @@ impl<'a> Lookahead<'a> {
     pub(super) fn finished(&self, x: u32, y: u32, depth: f64) {
         // Positive floats compare like their bits.
         self.depth[self.block(x, y)].fetch_max(depth.to_bits(), Ordering::Relaxed);
-        self.recent_depth.store(depth.to_bits(), Ordering::Relaxed);
+        // Once rays have ended at something, tiles that miss it say nothing of how deep others go.
+        let recent = f64::from_bits(self.recent_depth.load(Ordering::Relaxed));
+        if depth.is_finite() || recent == 0.0 {
+            self.recent_depth.store(depth.to_bits(), Ordering::Relaxed);
+        }
     }
 
     /// Looks at the blocks that come within reach with the tile at a pixel.
