@@ -1,5 +1,7 @@
 //! What rayset promises, tested: the library and the program together, in one binary.
-#![expect(missing_docs, reason = "tests are named after what they promise")]
+#![allow(missing_docs, reason = "tests are named after what they promise")]
+#![allow(clippy::print_stderr, reason = "a test that is skipped says so")]
+#![allow(clippy::type_complexity, reason = "tables of cases are clearest written out")]
 
 mod bad_bytes;
 mod build_is_pure;

@@ -110,7 +110,7 @@ fn every_truncation_of_a_ply_file_is_an_error_with_a_place() {
                 }
                 // A shortened last number is a number.
                 Ok(_) => {
-                    assert!(encoding == "ascii" && length > bytes.len() - 12, "{encoding} cut at {length}")
+                    assert!(encoding == "ascii" && length > bytes.len() - 12, "{encoding} cut at {length}");
                 }
             }
         }
@@ -168,12 +168,11 @@ fn real_las_and_laz_files_of_every_version_and_format_read() {
     let mut paths: Vec<PathBuf> = entries.map(|e| e.expect("an entry").path()).collect();
     paths.sort();
     for path in paths {
-        let mut source = points::open(&path, &ReadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+        let source = points::open(&path, &ReadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
         let expected = source.count_hint().expect("LAS states its count");
         if expected > 200_000 {
             continue;
         }
-        drop(source.schema());
         let (position, columns) = read(&path, &ReadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(position.len() as u64, expected, "{}", path.display());
         assert!(position.iter().flatten().all(|v| v.is_finite()));

@@ -62,7 +62,7 @@ impl PageSource for Source {
         PAGE
     }
     fn kind(&self, page: u32) -> Kind {
-        if page % 4 == 0 { Kind::Octree } else { Kind::Points }
+        if page.is_multiple_of(4) { Kind::Octree } else { Kind::Points }
     }
     fn offset(&self, page: u32) -> u64 {
         u64::from(page) * PAGE as u64
