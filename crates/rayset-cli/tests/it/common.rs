@@ -18,7 +18,7 @@ pub(crate) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
 
-/// The scans that the workplace may offer; tests use them when they are there and never need them.
+/// Real scans, in the folder that `RAYSET_TEST_DATA` names or beside the project; tests use them when they are there and never need them.
 pub(crate) fn real_data(name: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let root = std::env::var_os("RAYSET_TEST_DATA").map_or(root, PathBuf::from);
