@@ -2,6 +2,7 @@
 //! brute-force judge that all of it is measured against.
 
 mod bare;
+mod box_test;
 pub mod judge;
 pub mod kernel;
 mod packet;
@@ -9,6 +10,7 @@ mod run;
 mod simd;
 mod splat;
 
+pub use box_test::{BoxTest, Crossing};
 pub use bare::{BARE_SAMPLES, bare_loop};
 pub use kernel::Kernel;
 pub use packet::{LANES, Packet, SLAB_SAMPLES, Slab};

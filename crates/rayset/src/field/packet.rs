@@ -3,7 +3,7 @@
 //! Samples of a ray sit on its own lattice t = (j + ξ)·δ, j = 0, 1, …; all rays of a packet share δ. What is computed
 //! for a sample depends on its ray and its number alone.
 
-use crate::geometry::{Aabb, DVec3, Ray};
+use crate::geometry::{Aabb, Beam, DVec3, Ray};
 
 /// Rays in a packet.
 pub const LANES: usize = 64;
@@ -22,11 +22,6 @@ pub struct Packet {
     pub(super) inverse_direction: [[f32; LANES]; 3],
     rays: usize,
     step: f64,
-    /// At distance t, every ray is within `origin_min + t·direction_min` and `origin_max + t·direction_max`.
-    origin_min: DVec3,
-    origin_max: DVec3,
-    direction_min: DVec3,
-    direction_max: DVec3,
 }
 
 impl Packet {
@@ -44,10 +39,6 @@ impl Packet {
             inverse_direction: [[0.0; LANES]; 3],
             rays: rays.len(),
             step: step_world,
-            origin_min: DVec3::INFINITY,
-            origin_max: DVec3::NEG_INFINITY,
-            direction_min: DVec3::INFINITY,
-            direction_max: DVec3::NEG_INFINITY,
         };
         for lane in 0..LANES {
             // Lanes that are left over repeat the last ray; their results are never looked at.
@@ -60,10 +51,6 @@ impl Packet {
                 packet.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
             }
             packet.phase[lane] = phase;
-            packet.origin_min = packet.origin_min.min(ray.origin);
-            packet.origin_max = packet.origin_max.max(ray.origin);
-            packet.direction_min = packet.direction_min.min(ray.direction);
-            packet.direction_max = packet.direction_max.max(ray.direction);
         }
         packet
     }
@@ -104,33 +91,31 @@ impl Packet {
         (sample as f64 + self.phase[lane]) * self.step
     }
 
-    /// The numbers of the samples that may lie in a box on any ray: an inclusive range, never too small, or nothing
-    /// where no ray meets the box.
+    /// The rays in `lanes`.
+    pub fn rays(&self, lanes: u64) -> impl Iterator<Item = Ray> {
+        let column = |c: &[[f64; LANES]; 3], lane: usize| DVec3::new(c[0][lane], c[1][lane], c[2][lane]);
+        (0..LANES).filter(move |lane| lanes >> lane & 1 == 1).map(move |lane| Ray {
+            origin: column(&self.origin, lane),
+            direction: column(&self.direction, lane),
+        })
+    }
+
+    /// The bound of the rays in `lanes`.
     #[must_use]
-    pub fn samples_in(&self, bounds: &Aabb) -> Option<(u64, u64)> {
-        // The packet at distance t is inside a box whose faces move linearly with t; each face that must not pass
-        // the opposite face of `bounds` is one inequality a + b·t ≥ 0.
-        let (mut enter, mut exit) = (0.0_f64, f64::INFINITY);
-        let mut require = |a: f64, b: f64| {
-            if b > 0.0 {
-                enter = enter.max(-a / b);
-            } else if b < 0.0 {
-                exit = exit.min(-a / b);
-            } else if a < 0.0 {
-                exit = f64::NEG_INFINITY;
-            }
-        };
-        for axis in 0..3 {
-            require(bounds.max[axis] - self.origin_min[axis], -self.direction_min[axis]);
-            require(self.origin_max[axis] - bounds.min[axis], self.direction_max[axis]);
-        }
+    pub fn beam(&self, lanes: u64) -> Beam {
+        let mut beam = Beam::EMPTY;
+        self.rays(lanes).for_each(|ray| beam.include(&ray));
+        beam
+    }
+
+    /// The numbers of the samples that may lie in a box on any ray of a beam of this packet's: an inclusive range, never
+    /// too small, or nothing where no ray meets the box.
+    #[must_use]
+    pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
+        let (enter, exit) = beam.span(bounds)?;
         // Rounding in the quotients is far below the two samples of slack.
-        let slack = 1e-9 * enter;
-        if enter - slack > exit + slack {
-            return None;
-        }
-        let first = ((enter - slack) / self.step - 2.0).max(0.0);
-        let last = (exit + slack) / self.step + 2.0;
+        let first = (enter / self.step - 2.0).max(0.0);
+        let last = exit / self.step + 2.0;
         Some((first as u64, last as u64))
     }
 }

@@ -3,9 +3,11 @@
 //! Positions are `f64` in world space (the space of the input file). Nothing here knows about points,
 //! pages or pictures.
 
+mod beam;
 mod bounds;
 pub mod curve;
 
+pub use beam::Beam;
 pub use bounds::Aabb;
 pub use glam::DVec3;
 

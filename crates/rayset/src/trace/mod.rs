@@ -3,6 +3,7 @@
 //! [`render`] is the table of contents. [`RenderSettings`] (with scene and camera) decide the picture;
 //! [`ExecSettings`] never do.
 
+mod access;
 mod composite;
 mod frontier;
 pub mod judge;
@@ -10,20 +11,22 @@ pub mod memory;
 mod packet_tracer;
 pub mod predict;
 mod steps;
+mod tiles;
 mod world;
 
 use std::ops::Range;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError};
 
+use self::access::Halt;
 use self::packet_tracer::PacketTracer;
 pub use self::packet_tracer::RenderCounts;
 use self::predict::{Lookahead, Predictor};
 use self::steps::StepRule;
+use self::tiles::{Agenda, Attempt, Tile, Tiles};
 use self::world::World;
 use crate::field::{LANES, SLAB_SAMPLES, SimdLevel};
-use crate::geometry::curve::hilbert_order;
 use crate::image::Band;
 use crate::scene::{Camera, CameraError, RenderSettings, Scene, TransferError};
 use crate::working_set::{Object, PageFault, WorkingSet};
@@ -213,15 +216,6 @@ struct Job<'a> {
     total: u64,
 }
 
-/// A tile: its upper left pixel and its size.
-#[derive(Clone, Copy, Debug)]
-struct Tile {
-    x: u32,
-    y: u32,
-    width: u32,
-    height: u32,
-}
-
 impl Job<'_> {
     /// Renders a band of rows: threads take its tiles along a Hilbert curve, so that they work side by side on the
     /// same pages.
@@ -231,9 +225,8 @@ impl Job<'_> {
         done: &mut u64,
         sink: &mut dyn Sink,
     ) -> Result<RenderCounts, RenderError> {
-        let tiles = tiles_of(region, self.exec.tile_pixels);
-        let lookahead = Lookahead::new(self.world, self.rays, region, self.steps.typical_step());
-        let next = AtomicUsize::new(0);
+        let tiles = Tiles::new(region, self.exec.tile_pixels);
+        let lookahead = Lookahead::new(self.world, self.rays, region);
         let failed = AtomicBool::new(false);
         let width = region.columns.len() as u32;
         let shared = Mutex::new(Shared {
@@ -245,23 +238,29 @@ impl Job<'_> {
         });
         let work = || {
             let mut tracer = PacketTracer::new(self.world, self.exec.slab_samples);
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                let (Some(tile), false) = (tiles.get(index), failed.load(Ordering::Relaxed)) else { break };
+            let mut agenda = Agenda::new(self.world, &tiles);
+            while !failed.load(Ordering::Relaxed)
+                && let Some(attempt) = agenda.next()
+            {
+                let tile = attempt.tile;
                 self.exec.predictor.ahead(&lookahead, tile.x, tile.y);
-                let outcome = self.tile(*tile, &mut tracer);
+                let counts = tracer.counts();
+                let outcome = self.tile(attempt, &mut tracer);
                 let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
-                match outcome {
-                    Ok((pixels, depth)) => {
-                        lookahead.finished(tile.x, tile.y, depth);
-                        if !shared.store(region, *tile, &pixels, self.total) {
-                            failed.store(true, Ordering::Relaxed);
-                        }
+                let go_on = match outcome {
+                    Ok(pixels) => shared.store(region, tile, &pixels, self.total),
+                    Err(Halt::PutOff { page }) => {
+                        tracer.put_off(counts);
+                        agenda.put_off(attempt, page);
+                        true
                     }
-                    Err(e) => {
-                        failed.store(true, Ordering::Relaxed);
-                        shared.error.get_or_insert(e);
+                    Err(Halt::Failed(error)) => {
+                        shared.error.get_or_insert(error);
+                        false
                     }
+                };
+                if !go_on {
+                    failed.store(true, Ordering::Relaxed);
                 }
             }
             shared.lock().unwrap_or_else(PoisonError::into_inner).counts += tracer.counts();
@@ -280,12 +279,9 @@ impl Job<'_> {
         Ok(shared.counts)
     }
 
-    /// Traces the rays of a tile; returns its pixels and how deep any of them went.
-    fn tile(
-        &self,
-        tile: Tile,
-        tracer: &mut PacketTracer<'_>,
-    ) -> Result<([[f32; 4]; LANES], f64), RenderError> {
+    /// Traces the rays of a tile and returns its pixels.
+    fn tile(&self, attempt: Attempt<'_>, tracer: &mut PacketTracer<'_>) -> Result<[[f32; 4]; LANES], Halt> {
+        let Attempt { tile, access, .. } = attempt;
         let mut rays = Vec::with_capacity(LANES);
         for y in tile.y..tile.y + tile.height {
             for x in tile.x..tile.x + tile.width {
@@ -293,11 +289,10 @@ impl Job<'_> {
             }
         }
         let mut pixels = [[0.0; 4]; LANES];
-        let mut depth = 0.0_f64;
-        for group in self.steps.groups(self.world, &rays)? {
-            depth = depth.max(tracer.trace(&rays, &group, &mut pixels)?);
+        for group in self.steps.groups(access, &rays)? {
+            tracer.trace(access, &rays, &group, &mut pixels)?;
         }
-        Ok((pixels, depth))
+        Ok(pixels)
     }
 }
 
@@ -328,20 +323,4 @@ impl Shared<'_> {
         }
         go_on
     }
-}
-
-/// The tiles of a region in Hilbert order. Tiles lie on a lattice of the whole picture; those at the edges of the
-/// region are cut.
-fn tiles_of(region: &Region, edge: u32) -> Vec<Tile> {
-    let (x0, y0) = (region.columns.start / edge, region.rows.start / edge);
-    let (x1, y1) = (region.columns.end.div_ceil(edge), region.rows.end.div_ceil(edge));
-    hilbert_order(x1 - x0, y1 - y0)
-        .into_iter()
-        .map(|(i, j)| {
-            let x = ((x0 + i) * edge).max(region.columns.start);
-            let y = ((y0 + j) * edge).max(region.rows.start);
-            let (end_x, end_y) = ((x0 + i + 1) * edge, (y0 + j + 1) * edge);
-            Tile { x, y, width: end_x.min(region.columns.end) - x, height: end_y.min(region.rows.end) - y }
-        })
-        .collect()
 }

@@ -4,8 +4,8 @@
 //! function of ray and scene alone, whatever packet the ray travels in. Lattices of different k nest.
 
 use super::RenderError;
+use super::access::{Access, Halt};
 use super::frontier::NODE_PRIORITY;
-use super::world::World;
 use crate::field::Packet;
 use crate::geometry::Ray;
 use crate::octree::node::{Node, NodePage};
@@ -44,21 +44,16 @@ impl StepRule {
         Ok(Self { coarsest, radius_max: radius.max(), varies })
     }
 
-    /// A step of the order of those in use, for looking ahead.
-    pub(super) fn typical_step(&self) -> f64 {
-        self.coarsest
-    }
-
     /// Sorts the rays of a tile into groups of the same step, finest first.
     pub(super) fn groups(
         &self,
-        world: &World<'_>,
+        access: Access<'_>,
         rays: &[(Ray, f64)],
-    ) -> Result<Vec<StepGroup>, RenderError> {
+    ) -> Result<Vec<StepGroup>, Halt> {
         if !self.varies {
             return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
         }
-        let exponents = self.exponents(world, rays)?;
+        let exponents = self.exponents(access, rays)?;
         let mut distinct = exponents.clone();
         distinct.sort_unstable();
         distinct.dedup();
@@ -76,15 +71,17 @@ impl StepRule {
         (share.log2().floor() as i32).clamp(-FINEST, 0)
     }
 
-    fn exponents(&self, world: &World<'_>, rays: &[(Ray, f64)]) -> Result<Vec<i32>, RenderError> {
+    fn exponents(&self, access: Access<'_>, rays: &[(Ray, f64)]) -> Result<Vec<i32>, Halt> {
+        let world = access.world;
         let packet = Packet::new(rays, self.coarsest);
+        let beam = packet.beam(packet.all());
         let mut exponents = vec![0; rays.len()];
-        let mut stack: Vec<Node> = world.root()?.into_iter().collect();
+        let mut stack: Vec<Node> = access.root()?.into_iter().collect();
         while let Some(node) = stack.pop() {
             let below = self.exponent(node.radius_min);
             let bounds = node.bounds(world.root_cell);
             let finest_known = exponents.iter().copied().max().unwrap_or(0);
-            if below >= finest_known || packet.samples_in(&bounds).is_none() {
+            if below >= finest_known || packet.samples_in(&beam, &bounds).is_none() {
                 continue;
             }
             let own = if node.child_mask == 0 {
@@ -105,7 +102,7 @@ impl StepRule {
             }
             if node.child_mask != 0 {
                 let page = node.first_child.page;
-                let guard = world.retain(world.first_node_page + page, NODE_PRIORITY)?;
+                let guard = access.retain(world.first_node_page + page, NODE_PRIORITY)?;
                 let nodes = NodePage::trusted(&guard);
                 for child in 0..node.child_mask.count_ones() as usize {
                     let index = usize::from(node.first_child.index) + child;

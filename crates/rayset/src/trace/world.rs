@@ -1,15 +1,17 @@
 //! A scene compiled for tracing: immutable, shared by all threads.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::composite::Compositor;
+use super::predict::Expected;
 use super::{ExecSettings, RenderError};
 use crate::field::{Channels, RunDecoder, Splatter};
 use crate::octree::format::Header;
-use crate::octree::node::{Node, NodePage};
-use crate::octree::page::RootCell;
+use crate::octree::node::Node;
+use crate::octree::page::{RUN_POINTS, RootCell};
 use crate::scene::{RenderSettings, Scene, Shading};
-use crate::working_set::{Object, PageFault, PageGuard, WorkingSet};
+use crate::working_set::{Object, PageFault, WorkingSet};
 
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World<'a> {
@@ -21,6 +23,9 @@ pub(super) struct World<'a> {
     pub(super) decoder: RunDecoder,
     pub(super) splatter: Splatter,
     pub(super) compositor: Compositor,
+    pub(super) expected: Expected,
+    /// See [`Predictor::slabs_on_a_miss`](super::predict::Predictor::slabs_on_a_miss).
+    pub(super) slabs_on_a_miss: u64,
 }
 
 impl<'a> World<'a> {
@@ -46,22 +51,33 @@ impl<'a> World<'a> {
             decoder: RunDecoder::new(header, scene.kernel, scene.normalised, source),
             splatter: Splatter { kernel: scene.kernel, channels, simd: exec.simd },
             compositor: Compositor::new(scene, settings, exec.simd),
+            expected: Expected::new(scene, scene.kernel, settings),
+            slabs_on_a_miss: exec.predictor.slabs_on_a_miss(),
         }
     }
 
-    pub(super) fn retain(&self, page: u32, priority: u8) -> Result<PageGuard, RenderError> {
-        Ok(self.pages.retain(&self.object, page, priority)?)
+    pub(super) fn is_resident(&self, page: u32) -> bool {
+        self.pages.is_resident(&self.object, page)
     }
 
-    /// The root node, or nothing where the cloud is empty.
-    pub(super) fn root(&self) -> Result<Option<Node>, RenderError> {
-        if self.header.points == 0 {
-            return Ok(None);
+    /// The pages of a node's own points: at least those, and at most one more.
+    pub(super) fn own_pages(&self, node: &Node) -> Range<u32> {
+        let own = node.own;
+        if own.runs == 0 {
+            return 0..0;
         }
-        let place = self.header.root;
-        let guard = self.retain(self.first_node_page + place.page, super::frontier::NODE_PRIORITY)?;
-        let node = NodePage::trusted(&guard).get(usize::from(place.index));
-        node.map(Some).ok_or_else(|| self.broken(place.page))
+        // Most runs that a page can hold, so that a range is never taken for shorter than it is.
+        let least_run = (RUN_POINTS * (6 + self.header.column_bytes())) as u64;
+        let runs_per_page = (u64::from(self.header.page_bytes) / least_run).max(1);
+        let last_run = u64::from(own.first_run) + u64::from(own.runs);
+        let last = own.first_page + (last_run / runs_per_page) as u32;
+        own.first_page..(last + 1).min(self.first_node_page)
+    }
+
+    /// The pages that are needed to open a node: of its own points and of its children's records.
+    pub(super) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
+        let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
+        self.own_pages(node).chain(children)
     }
 
     /// A page that is whole but contradicts another.

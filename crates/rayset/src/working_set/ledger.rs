@@ -365,7 +365,7 @@ impl Books {
         };
         self.give_back(object.kind(page), object);
         self.spare.push(resident.buffer);
-        let hinted = resident.unused_hint.into_inner() != 0;
+        let hinted = resident.hint.into_inner() == super::READ_FOR_HINT;
         Some(Evicted { kind: object.kind(page), unused_hint_bytes: if hinted { object.bytes() } else { 0 } })
     }
 }

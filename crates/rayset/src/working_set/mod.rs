@@ -124,6 +124,11 @@ pub enum PageFault {
 /// Number of an object in a working set.
 pub type ObjectId = usize;
 
+/// States of [`Resident::hint`].
+const NOT_HINTED: u8 = 0;
+const READ_FOR_HINT: u8 = 1;
+const KEPT_FOR_HINT: u8 = 2;
+
 /// A page in memory.
 struct Resident {
     object: Arc<Object>,
@@ -133,8 +138,8 @@ struct Resident {
     retained: AtomicU32,
     priority: AtomicU8,
     last_use: AtomicU64,
-    /// Brought in by a hint and not yet asked for.
-    unused_hint: AtomicU8,
+    /// Whether a hint that nobody has used yet brought it in, or keeps it.
+    hint: AtomicU8,
 }
 
 enum Slot {
@@ -197,7 +202,7 @@ struct Shared {
     clock: AtomicU64,
     /// Number of the current period of the statistics; pages of period 0 were never read.
     period: AtomicU32,
-    /// Bytes of pages that were hinted at and not yet asked for.
+    /// Bytes of pages that were read for a hint and not yet asked for.
     unused_hint_bytes: AtomicU64,
     counters: [Counters; 3],
 }
@@ -212,6 +217,8 @@ pub struct WorkingSet {
 pub struct PageGuard {
     resident: Arc<Resident>,
     shared: Arc<Shared>,
+    /// Whether the page's priority decays when this is released last.
+    decays: bool,
 }
 
 impl Deref for PageGuard {
@@ -228,7 +235,9 @@ impl Drop for PageGuard {
         // Whoever releases last lets the priority decay; the page stays until its room is needed.
         let priority = resident.priority.load(Ordering::Relaxed);
         if resident.retained.fetch_sub(1, Ordering::Release) == 1 {
-            resident.priority.store(decayed(priority), Ordering::Relaxed);
+            if self.decays {
+                resident.priority.store(decayed(priority), Ordering::Relaxed);
+            }
             self.shared.ledger.released();
         }
     }
@@ -308,14 +317,53 @@ impl WorkingSet {
         self.wait(object, page, priority, Instant::now(), counters)
     }
 
+    /// Retains a page if it is resident now; nothing where it is absent or on its way.
+    ///
+    /// # Errors
+    /// [`PageFault`] where the page could not be read, or is damaged.
+    pub fn retain_resident(
+        &self,
+        object: &Object,
+        page: u32,
+        priority: u8,
+    ) -> Option<Result<PageGuard, PageFault>> {
+        match &*object.slot(page) {
+            Slot::Resident(resident) => {
+                let counters = &self.shared.counters[object.kind(page).index()];
+                counters.hits.fetch_add(1, Ordering::Relaxed);
+                Some(Ok(self.guard(resident, priority, counters)))
+            }
+            Slot::Failed(fault) => Some(Err(fault.clone())),
+            Slot::Absent | Slot::Loading => None,
+        }
+    }
+
+    /// A page, if it is resident now. Looking at it so does not count as its use.
+    #[must_use]
+    pub fn peek(&self, object: &Object, page: u32) -> Option<PageGuard> {
+        let slot = object.slot(page);
+        let Slot::Resident(resident) = &*slot else { return None };
+        resident.retained.fetch_add(1, Ordering::Acquire);
+        Some(PageGuard { resident: resident.clone(), shared: self.shared.clone(), decays: false })
+    }
+
     /// Asks for pages that will be wanted soon. Those that are absent are read in one batch, as far as there is room
-    /// without evicting a page of the same or a higher priority, and as long as pages that were hinted at and not
-    /// yet asked for take no more than an eighth of the budget. Those that are resident count as just used. Returns
+    /// without evicting a page of the same or a higher priority, and as long as pages that were read for hints and not
+    /// yet asked for take no more than a third of the budget. Those that are resident are kept. Returns
     /// how many of `pages`, from the first, were dealt with.
     pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8) -> usize {
+        self.bring_in(object, pages, priority, self.shared.ledger.total_limit() / 3)
+    }
+
+    /// Like [`hint`](Self::hint), for pages that are wanted now by somebody who does not wait for them: however many
+    /// others have been hinted at.
+    pub fn request(&self, object: &Arc<Object>, pages: &[u32], priority: u8) {
+        self.bring_in(object, pages, priority, u64::MAX);
+    }
+
+    fn bring_in(&self, object: &Arc<Object>, pages: &[u32], priority: u8, most_unused: u64) -> usize {
         let mut batch = Vec::new();
         let mut dealt_with = pages.len();
-        let most_unused = self.shared.ledger.total_limit() / 8;
         for (at, &page) in pages.iter().enumerate() {
             let unused = self.shared.unused_hint_bytes.load(Ordering::Relaxed);
             let mut slot = object.slot(page);
@@ -326,7 +374,7 @@ impl WorkingSet {
                 }
                 Slot::Absent => *slot = Slot::Loading,
                 Slot::Resident(resident) => {
-                    resident.last_use.store(self.tick(), Ordering::Relaxed);
+                    self.keep_for_hint(resident, priority);
                     continue;
                 }
                 Slot::Loading | Slot::Failed(_) => continue,
@@ -354,13 +402,23 @@ impl WorkingSet {
         dealt_with
     }
 
-    /// Settles a hint: the page was asked for, or will not be. True where there was one to settle.
+    /// A page that will be wanted is there already: it stays until then, like those that are read for a hint.
+    fn keep_for_hint(&self, resident: &Resident, priority: u8) {
+        resident.last_use.store(self.tick(), Ordering::Relaxed);
+        if resident.retained.load(Ordering::Relaxed) == 0 {
+            resident.priority.fetch_max(priority, Ordering::Relaxed);
+            let kept = (NOT_HINTED, KEPT_FOR_HINT);
+            let _ = resident.hint.compare_exchange(kept.0, kept.1, Ordering::Relaxed, Ordering::Relaxed);
+        }
+    }
+
+    /// Settles a hint: the page was asked for, or will not be. True where it was read for the hint.
     fn used_hint(&self, resident: &Resident) -> bool {
-        let hinted = resident.unused_hint.swap(0, Ordering::Relaxed) != 0;
-        if hinted {
+        let read = resident.hint.swap(NOT_HINTED, Ordering::Relaxed) == READ_FOR_HINT;
+        if read {
             self.shared.unused_hint_bytes.fetch_sub(resident.object.bytes(), Ordering::Relaxed);
         }
-        hinted
+        read
     }
 
     /// Whether a page is resident now.
@@ -395,9 +453,9 @@ impl WorkingSet {
         self.retire_if(object, pages, |_| true);
     }
 
-    /// Says that hints have turned out wrong: those of `pages` that were hinted at and never asked for are retired.
+    /// Says that hints have turned out wrong: those of `pages` that were hinted at and not asked for since are retired.
     pub fn retire_unused(&self, object: &Object, pages: &[u32]) {
-        self.retire_if(object, pages, |resident| resident.unused_hint.load(Ordering::Relaxed) != 0);
+        self.retire_if(object, pages, |resident| resident.hint.load(Ordering::Relaxed) != NOT_HINTED);
     }
 
     fn retire_if(&self, object: &Object, pages: &[u32], wanted: impl Fn(&Resident) -> bool) {
@@ -424,7 +482,7 @@ impl WorkingSet {
         if self.used_hint(resident) {
             counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
         }
-        PageGuard { resident: resident.clone(), shared: self.shared.clone() }
+        PageGuard { resident: resident.clone(), shared: self.shared.clone(), decays: true }
     }
 
     /// Waits until a page that is loading is there.
@@ -540,7 +598,7 @@ impl WorkingSet {
                     retained: AtomicU32::new(0),
                     priority: AtomicU8::new(priority),
                     last_use: AtomicU64::new(self.tick()),
-                    unused_hint: AtomicU8::new(u8::from(hint)),
+                    hint: AtomicU8::new(if hint { READ_FOR_HINT } else { NOT_HINTED }),
                 });
                 *object.slot(page) = Slot::Resident(resident.clone());
                 self.shared.ledger.loaded(resident);

@@ -1,0 +1,141 @@
+//! Sixty-four rays against a box.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{dispatch, f32x16};
+
+use super::packet::LANES;
+use super::simd::SimdLevel;
+use crate::geometry::{Aabb, DVec3, Ray};
+
+/// Rays in columns, prepared for tests against boxes.
+#[derive(Clone, Debug)]
+pub struct BoxTest {
+    simd: SimdLevel,
+    /// What the origins below are counted from, so that single precision will do wherever the scene is.
+    base: DVec3,
+    origin: [[f32; LANES]; 3],
+    inverse_direction: [[f32; LANES]; 3],
+    /// Greatest distance of an origin from the base, along an axis.
+    spread: f64,
+}
+
+/// What rays make of a box.
+#[derive(Clone, Copy, Debug)]
+pub struct Crossing {
+    /// Rays that come within a margin of the box.
+    pub near: u64,
+    /// Rays that pass through the box itself.
+    pub through: u64,
+    /// Distance at which each ray comes within the margin, if it does.
+    pub enter_near: [f32; LANES],
+    /// Distance at which each ray that passes through the box leaves it.
+    pub exit: [f32; LANES],
+    /// And how long it is in it.
+    pub length: [f32; LANES],
+}
+
+impl BoxTest {
+    /// Of at most 64 rays, the last of which fills the columns up.
+    ///
+    /// Panics where there are none.
+    #[must_use]
+    pub fn new(simd: SimdLevel, rays: impl IntoIterator<Item = Ray>) -> Self {
+        let mut rays = rays.into_iter().take(LANES);
+        let mut ray = rays.next().expect("at least one ray");
+        let mut test = Self {
+            simd,
+            base: ray.origin,
+            origin: [[0.0; LANES]; 3],
+            inverse_direction: [[0.0; LANES]; 3],
+            spread: 0.0,
+        };
+        for lane in 0..LANES {
+            let offset = ray.origin - test.base;
+            test.spread = test.spread.max(offset.abs().max_element());
+            for axis in 0..3 {
+                test.origin[axis][lane] = offset[axis] as f32;
+                // Large and of the right sign where the direction has no extent along an axis.
+                let direction = ray.direction[axis] as f32;
+                test.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
+            }
+            ray = rays.next().unwrap_or(ray);
+        }
+        test
+    }
+
+    /// What the rays make of a box; `margin_world` is how far beside it is near. No ray that meets the box is left out
+    /// of those near, even where the margin is 0.
+    #[must_use]
+    pub fn cross(&self, bounds: &Aabb, margin_world: f64) -> Crossing {
+        let (low, high) = (bounds.min - self.base, bounds.max - self.base);
+        // Far above the rounding of coordinates and of the test to single precision.
+        let farthest = low.abs().max(high.abs()).max_element() + self.spread;
+        let margin = margin_world + 1e-6 * farthest;
+        let narrow = |v: DVec3| v.to_array().map(|v| v as f32);
+        dispatch!(self.simd.level(), simd => self.cross_with(simd, narrow(low), narrow(high), margin as f32))
+    }
+
+    #[inline(always)]
+    fn cross_with<S: Simd>(&self, simd: S, low: [f32; 3], high: [f32; 3], margin: f32) -> Crossing {
+        let mut crossing = Crossing {
+            near: 0,
+            through: 0,
+            enter_near: [0.0; LANES],
+            exit: [0.0; LANES],
+            length: [0.0; LANES],
+        };
+        for chunk in 0..LANES / 16 {
+            let range = 16 * chunk..16 * chunk + 16;
+            let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
+            let (mut enter, mut exit) = (zero, infinity);
+            let (mut enter_near, mut exit_near) = (zero, infinity);
+            for axis in 0..3 {
+                let origin = f32x16::from_slice(simd, &self.origin[axis][range.clone()]);
+                let inverse = f32x16::from_slice(simd, &self.inverse_direction[axis][range.clone()]);
+                let (a, b) = ((low[axis] - origin) * inverse, (high[axis] - origin) * inverse);
+                let (first, last, more) = (a.min(b), a.max(b), inverse.abs() * margin);
+                (enter, exit) = (enter.max(first), exit.min(last));
+                (enter_near, exit_near) = (enter_near.max(first - more), exit_near.min(last + more));
+            }
+            crossing.near |= enter_near.simd_le(exit_near).to_bitmask() << (16 * chunk);
+            crossing.through |= enter.simd_le(exit).to_bitmask() << (16 * chunk);
+            enter_near.store_slice(&mut crossing.enter_near[range.clone()]);
+            exit.store_slice(&mut crossing.exit[range.clone()]);
+            (exit - enter).store_slice(&mut crossing.length[range]);
+        }
+        crossing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn vector(size: f64) -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-size..size).prop_map(DVec3::from_array)
+    }
+
+    proptest! {
+        #[test]
+        fn every_ray_that_meets_a_box_is_near_it(
+            far_off in prop::sample::select(vec![0.0, 1e7]),
+            rays in prop::collection::vec((vector(2.0), vector(1.0)), 1..LANES),
+            corner in vector(3.0),
+            size in prop::array::uniform3(0.0_f64..1.0),
+        ) {
+            let place = DVec3::splat(far_off);
+            let bounds = Aabb::new(corner + place, corner + place + DVec3::from_array(size));
+            let rays: Vec<Ray> = rays
+                .into_iter()
+                .map(|(o, d)| Ray { origin: o + place, direction: d.try_normalize().unwrap_or(DVec3::X) })
+                .collect();
+            for simd in SimdLevel::available() {
+                let crossing = BoxTest::new(simd, rays.iter().copied()).cross(&bounds, 0.0);
+                for (lane, ray) in rays.iter().enumerate() {
+                    prop_assert!(bounds.clip(ray).is_none() || crossing.near >> lane & 1 == 1, "{ray:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,304 @@
+//! What is ahead of the tile being traced, block after block: pages are hinted at as room allows, given up when their
+//! block has gone by without them, and retired when no later block can want them.
+
+use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::ops::Range;
+use std::sync::Mutex;
+
+use super::scout::{Scout, Terrain};
+use crate::field::LANES;
+use crate::geometry::curve::hilbert_order;
+use crate::geometry::{Aabb, DVec3, Ray};
+use crate::octree::node::{Node, NodePage};
+use crate::octree::page::PointPage;
+use crate::scene::RayMaker;
+use crate::trace::Region;
+use crate::trace::frontier::NODE_PRIORITY;
+use crate::trace::world::World;
+
+/// Edge, in pixels, of the blocks of tiles that are looked at together.
+const BLOCK_PIXELS: u32 = 16;
+/// Blocks ahead of the one being traced at which a block is looked at for the first time, from what nodes tell.
+const FAR: u32 = 48;
+/// And for the second time, when the points it will meet first have come in and tell more.
+const NEAR: u32 = 12;
+/// Priority of a page that is expected: above that of pages released, below that of pages in use.
+const HINT_PRIORITY: u8 = 150;
+
+/// What is known of the picture being made: where rays will go.
+pub struct Lookahead<'a> {
+    world: &'a World<'a>,
+    rays: &'a RayMaker,
+    region: Region,
+    columns: u32,
+    rows: u32,
+    /// Blocks along the curve that tiles are taken on.
+    order: Vec<(u32, u32)>,
+    /// Place of each block along the curve.
+    place: Vec<u32>,
+    queue: Mutex<Queue>,
+}
+
+/// Blocks are known by their place along the curve.
+#[derive(Default)]
+struct Queue {
+    /// Next block to be looked at for the first time.
+    next_far: u32,
+    /// Blocks to be looked at for the second time: those that wanted absent pages.
+    again: VecDeque<u32>,
+    /// Block for which pages were last retired.
+    retired_at: u32,
+    /// Pages that are wanted and not yet hinted at: the block that wants each first, their order in that, the page.
+    waiting: BTreeSet<(u32, u32, u32)>,
+    /// Pages seen ahead that some block to come may meet.
+    seen: HashMap<u32, Seen>,
+    /// Pages seen so far, for their order.
+    sights: u32,
+}
+
+/// A page seen ahead.
+struct Seen {
+    /// Its place among those waiting.
+    waits: Option<(u32, u32)>,
+    /// The last block known to want it.
+    wanted_by: u32,
+    /// The last block whose rays can meet it.
+    use_by: u32,
+}
+
+impl Queue {
+    /// Notes that a block wants a page.
+    fn want(&mut self, page: u32, block: u32, use_by: u32) {
+        self.sights += 1;
+        let key = (block, self.sights);
+        let seen = self.seen.entry(page).or_insert(Seen { waits: None, wanted_by: block, use_by });
+        seen.wanted_by = seen.wanted_by.max(block);
+        seen.use_by = seen.use_by.max(use_by);
+        match seen.waits {
+            Some(earlier) if earlier.0 <= block => return,
+            Some(later) => drop(self.waiting.remove(&(later.0, later.1, page))),
+            None => {}
+        }
+        seen.waits = Some(key);
+        self.waiting.insert((key.0, key.1, page));
+    }
+
+    /// Takes the first waiting pages away.
+    fn dealt_with(&mut self, count: usize) {
+        for _ in 0..count {
+            let Some((_, _, page)) = self.waiting.pop_first() else { return };
+            if let Some(seen) = self.seen.get_mut(&page) {
+                seen.waits = None;
+            }
+        }
+    }
+}
+
+impl<'a> Lookahead<'a> {
+    pub(in crate::trace) fn new(world: &'a World<'a>, rays: &'a RayMaker, region: &Region) -> Self {
+        let blocks = |range: &Range<u32>| range.end.div_ceil(BLOCK_PIXELS) - range.start / BLOCK_PIXELS;
+        let (columns, rows) = (blocks(&region.columns), blocks(&region.rows));
+        let order = hilbert_order(columns, rows);
+        let mut place = vec![0; order.len()];
+        for (at, (i, j)) in order.iter().enumerate() {
+            place[(j * columns + i) as usize] = at as u32;
+        }
+        Self { world, rays, region: region.clone(), columns, rows, order, place, queue: Mutex::default() }
+    }
+
+    fn block(&self, x: u32, y: u32) -> usize {
+        let i = x / BLOCK_PIXELS - self.region.columns.start / BLOCK_PIXELS;
+        let j = y / BLOCK_PIXELS - self.region.rows.start / BLOCK_PIXELS;
+        (j * self.columns + i) as usize
+    }
+
+    /// Looks at the blocks that come within reach with the tile at a pixel, and hints at what there is room for.
+    pub(super) fn scout(&self, x: u32, y: u32) {
+        if self.world.header.points == 0 {
+            return;
+        }
+        // One thread at a time; the others have tiles to trace.
+        let Ok(mut queue) = self.queue.try_lock() else { return };
+        let here = self.place[self.block(x, y)];
+        self.retire(&mut queue, here);
+        let within = |distance: u32| (here + distance).min(self.order.len() as u32 - 1);
+        while let Some(&block) = queue.again.front().filter(|&&block| block <= within(NEAR)) {
+            if block >= here && self.look(block, true, &mut queue).is_none() {
+                break;
+            }
+            queue.again.pop_front();
+        }
+        queue.next_far = queue.next_far.max(here);
+        while self.hint(&mut queue) && queue.next_far <= within(FAR) {
+            let block = queue.next_far;
+            let Some(wants_absent) = self.look(block, false, &mut queue) else { return };
+            queue.next_far += 1;
+            if wants_absent {
+                queue.again.push_back(block);
+            }
+        }
+    }
+
+    /// Hints at the pages that wait; false where there was no room for some.
+    fn hint(&self, queue: &mut Queue) -> bool {
+        let pages: Vec<u32> = queue.waiting.iter().map(|&(_, _, page)| page).collect();
+        let dealt_with = self.world.pages.hint(&self.world.object, &pages, HINT_PRIORITY);
+        queue.dealt_with(dealt_with);
+        queue.waiting.is_empty()
+    }
+
+    /// Gives up the pages whose blocks have gone by, one block late: other threads may still be there.
+    fn retire(&self, queue: &mut Queue, here: u32) {
+        if here <= queue.retired_at {
+            return;
+        }
+        let (from, here) = (queue.retired_at.saturating_sub(1), here - 1);
+        queue.retired_at = here + 1;
+        let (mut unused, mut finished) = (Vec::new(), Vec::new());
+        let waiting = &mut queue.waiting;
+        queue.seen.retain(|&page, seen| {
+            if (from..here).contains(&seen.wanted_by) {
+                unused.push(page);
+                if let Some((block, order)) = seen.waits.take() {
+                    waiting.remove(&(block, order, page));
+                }
+            }
+            if seen.use_by < here {
+                finished.push(page);
+            }
+            seen.use_by >= here
+        });
+        self.world.pages.retire_unused(&self.world.object, &unused);
+        self.world.pages.retire(&self.world.object, &finished);
+    }
+
+    /// Place along the curve of the last block whose rays may meet a box.
+    fn last_block(&self, bounds: &Aabb) -> u32 {
+        let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
+        for corner in 0..8 {
+            let pick = |bit: u32, axis: usize| {
+                if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] }
+            };
+            let Some((x, y)) = self.rays.project(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2))) else {
+                return self.order.len() as u32;
+            };
+            low = (low.0.min(x), low.1.min(y));
+            high = (high.0.max(x), high.1.max(y));
+        }
+        let index = |v: f64, start: u32, count: u32| {
+            let first = f64::from(start / BLOCK_PIXELS);
+            (v / f64::from(BLOCK_PIXELS) - first).clamp(0.0, f64::from(count - 1)) as u32
+        };
+        let columns = index(low.0, self.region.columns.start, self.columns)
+            ..=index(high.0, self.region.columns.start, self.columns);
+        let rows = index(low.1, self.region.rows.start, self.rows)
+            ..=index(high.1, self.region.rows.start, self.rows);
+        rows.flat_map(|j| columns.clone().map(move |i| self.place[(j * self.columns + i) as usize]))
+            .max()
+            .unwrap_or(0)
+    }
+
+    /// Lists the pages that a block wants, and says whether any were absent. Nothing where node pages were absent: they
+    /// are then on their way, and the block has to be looked at again.
+    fn look(&self, at: u32, closely: bool, queue: &mut Queue) -> Option<bool> {
+        let (i, j) = self.order[at as usize];
+        let mut view =
+            View { ahead: self, queue, at, closely, absent_nodes: Vec::new(), wants_absent: false };
+        let root = self.world.header.root;
+        match view.node_at(root.page, root.index) {
+            Some(root) => self.scout_of(i, j).explore(root, &self.world.expected, &mut view),
+            None => view.absent_nodes.push(self.world.first_node_page + root.page),
+        }
+        let View { absent_nodes, wants_absent, .. } = view;
+        self.world.pages.hint(&self.world.object, &absent_nodes, NODE_PRIORITY);
+        absent_nodes.is_empty().then_some(wants_absent)
+    }
+
+    /// Rays on the edges and within a block.
+    fn scout_of(&self, i: u32, j: u32) -> Scout {
+        let x0 =
+            ((self.region.columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(self.region.columns.start);
+        let y0 = ((self.region.rows.start / BLOCK_PIXELS + j) * BLOCK_PIXELS).max(self.region.rows.start);
+        let x1 = (x0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.columns.end);
+        let y1 = (y0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.rows.end);
+        let rays: [Ray; LANES] = std::array::from_fn(|lane| {
+            let (u, v) = (lane % 8, lane / 8);
+            let x = f64::from(x0) + f64::from(x1 - x0) * u as f64 / 7.0;
+            let y = f64::from(y0) + f64::from(y1 - y0) * v as f64 / 7.0;
+            self.rays.ray(x, y)
+        });
+        Scout::new(self.world.splatter.simd, &rays)
+    }
+}
+
+/// The octree as far as it is in memory, seen for one block.
+struct View<'v, 'a> {
+    ahead: &'v Lookahead<'a>,
+    queue: &'v mut Queue,
+    at: u32,
+    /// Whether runs are looked at too.
+    closely: bool,
+    absent_nodes: Vec<u32>,
+    wants_absent: bool,
+}
+
+impl View<'_, '_> {
+    /// A record, if its page is in memory.
+    fn node_at(&self, page: u32, index: u16) -> Option<Node> {
+        let world = self.ahead.world;
+        let guard = world.pages.peek(&world.object, world.first_node_page + page)?;
+        NodePage::trusted(&guard).get(usize::from(index))
+    }
+}
+
+impl Terrain for View<'_, '_> {
+    fn bounds(&self, node: &Node) -> Aabb {
+        node.bounds(self.ahead.world.root_cell)
+    }
+
+    fn children(&mut self, node: &Node, found: &mut Vec<Node>) {
+        let first = node.first_child;
+        for k in 0..node.child_mask.count_ones() as u16 {
+            match self.node_at(first.page, first.index + k) {
+                Some(child) => found.push(child),
+                None => return self.absent_nodes.push(self.ahead.world.first_node_page + first.page),
+            }
+        }
+    }
+
+    fn want(&mut self, node: &Node) {
+        let pages = self.ahead.world.own_pages(node);
+        if !pages.is_empty() {
+            let use_by = self.ahead.last_block(&self.bounds(node));
+            for page in pages {
+                self.wants_absent |= !self.ahead.world.is_resident(page);
+                self.queue.want(page, self.at, use_by);
+            }
+        }
+    }
+
+    fn runs(&mut self, node: &Node, found: &mut Vec<(Aabb, usize)>) -> bool {
+        if !self.closely {
+            return false;
+        }
+        let world = self.ahead.world;
+        let (mut page, mut run, mut left) =
+            (node.own.first_page, usize::from(node.own.first_run), node.own.runs as usize);
+        while left > 0 {
+            let Some(guard) = world.pages.peek(&world.object, page) else { return false };
+            let points = PointPage::trusted(&guard, world.header);
+            let here = left.min(points.len().saturating_sub(run));
+            if here == 0 {
+                return false;
+            }
+            found.extend((run..run + here).map(|index| {
+                let head = points.head(index);
+                let bounds = head.position_bounds(world.root_cell).inflated(f64::from(head.radius_max()));
+                (bounds, head.len())
+            }));
+            left -= here;
+            (page, run) = (page + 1, 0);
+        }
+        true
+    }
+}

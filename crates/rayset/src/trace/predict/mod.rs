@@ -1,0 +1,56 @@
+//! Bringing pages in before rays need them. A prediction can be wrong without harm to the picture.
+
+mod lookahead;
+mod scout;
+
+pub use lookahead::Lookahead;
+pub(super) use scout::Expected;
+
+/// Turns known rays, or past accesses, into hints.
+pub trait Predictor: Send + Sync {
+    /// Called by a thread that is about to trace the tile at a pixel.
+    fn ahead(&self, lookahead: &Lookahead<'_>, x: u32, y: u32);
+
+    /// Where a packet meets a page that is absent: how many of the slabs that come next it asks for the pages of, in one
+    /// batch, before its tile is put off until they are there. Where 0, it waits for each page as it comes to it.
+    fn slabs_on_a_miss(&self) -> u64;
+
+    /// What to call it in reports.
+    fn name(&self) -> &'static str;
+}
+
+/// Predicts nothing: every page is read when it is needed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoPredictor;
+
+impl Predictor for NoPredictor {
+    fn ahead(&self, _: &Lookahead<'_>, _: u32, _: u32) {}
+
+    fn slabs_on_a_miss(&self) -> u64 {
+        0
+    }
+
+    fn name(&self) -> &'static str {
+        "none"
+    }
+}
+
+/// The rays of the next tiles are known: walks the octree ahead of them, a block of tiles at a time, and hints at the
+/// pages that they will meet before they end. Where that falls short, the packet that misses a page asks for what its
+/// own next slabs need, and its tile is put off until that is there.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PacketPredictor;
+
+impl Predictor for PacketPredictor {
+    fn ahead(&self, lookahead: &Lookahead<'_>, x: u32, y: u32) {
+        lookahead.scout(x, y);
+    }
+
+    fn slabs_on_a_miss(&self) -> u64 {
+        2
+    }
+
+    fn name(&self) -> &'static str {
+        "packet"
+    }
+}

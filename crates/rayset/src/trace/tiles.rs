@@ -1,0 +1,104 @@
+//! The tiles of a picture, and the order in which threads take them.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use super::Region;
+use super::access::Access;
+use super::world::World;
+use crate::geometry::curve::hilbert_order;
+
+/// A tile: its upper left pixel and its size.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tile {
+    pub(super) x: u32,
+    pub(super) y: u32,
+    pub(super) width: u32,
+    pub(super) height: u32,
+}
+
+/// The tiles of a region in Hilbert order, so that threads work side by side on the same pages. Tiles lie on a lattice
+/// of the whole picture; those at the edges of the region are cut.
+pub(super) struct Tiles {
+    tiles: Vec<Tile>,
+    next: AtomicUsize,
+}
+
+impl Tiles {
+    pub(super) fn new(region: &Region, edge: u32) -> Self {
+        let (x0, y0) = (region.columns.start / edge, region.rows.start / edge);
+        let (x1, y1) = (region.columns.end.div_ceil(edge), region.rows.end.div_ceil(edge));
+        let tiles = hilbert_order(x1 - x0, y1 - y0)
+            .into_iter()
+            .map(|(i, j)| {
+                let x = ((x0 + i) * edge).max(region.columns.start);
+                let y = ((y0 + j) * edge).max(region.rows.start);
+                let (end_x, end_y) = ((x0 + i + 1) * edge, (y0 + j + 1) * edge);
+                Tile {
+                    x,
+                    y,
+                    width: end_x.min(region.columns.end) - x,
+                    height: end_y.min(region.rows.end) - y,
+                }
+            })
+            .collect();
+        Self { tiles, next: AtomicUsize::new(0) }
+    }
+
+    fn take(&self) -> Option<Tile> {
+        self.tiles.get(self.next.fetch_add(1, Ordering::Relaxed)).copied()
+    }
+}
+
+/// Tiles that a thread may have put off at a time. More would cover slower disks, and spread the work over more pages.
+const MOST_PUT_OFF: usize = 32;
+/// Attempts at a tile without waiting. One more waits for every page, so that even a budget that keeps none of them
+/// between attempts gets on.
+const IMPATIENT_ATTEMPTS: u32 = 6;
+
+/// A tile, and how to go about it.
+#[derive(Clone, Copy)]
+pub(super) struct Attempt<'a> {
+    pub(super) tile: Tile,
+    pub(super) access: Access<'a>,
+    number: u32,
+}
+
+/// The tiles that one thread works on: fresh ones, and those that it put off.
+pub(super) struct Agenda<'a> {
+    world: &'a World<'a>,
+    tiles: &'a Tiles,
+    /// Each with the page it lacked, the longest waiting first.
+    put_off: VecDeque<(Attempt<'a>, u32)>,
+}
+
+impl<'a> Agenda<'a> {
+    pub(super) fn new(world: &'a World<'a>, tiles: &'a Tiles) -> Self {
+        Self { world, tiles, put_off: VecDeque::new() }
+    }
+
+    /// A tile whose page has come, else a fresh one, else the one put off first, which then waits.
+    pub(super) fn next(&mut self) -> Option<Attempt<'a>> {
+        let ready = self.put_off.iter().position(|&(_, page)| self.world.is_resident(page));
+        if let Some((attempt, _)) = ready.and_then(|at| self.put_off.remove(at)) {
+            let waits = attempt.number >= IMPATIENT_ATTEMPTS;
+            return Some(self.again(attempt, waits));
+        }
+        if self.put_off.len() < MOST_PUT_OFF
+            && let Some(tile) = self.tiles.take()
+        {
+            let access = Access { world: self.world, waits: self.world.slabs_on_a_miss == 0 };
+            return Some(Attempt { tile, access, number: 1 });
+        }
+        let (attempt, _) = self.put_off.pop_front()?;
+        Some(self.again(attempt, true))
+    }
+
+    fn again(&self, attempt: Attempt<'a>, waits: bool) -> Attempt<'a> {
+        Attempt { access: Access { world: self.world, waits }, number: attempt.number + 1, ..attempt }
+    }
+
+    pub(super) fn put_off(&mut self, attempt: Attempt<'a>, page: u32) {
+        self.put_off.push_back((attempt, page));
+    }
+}
