@@ -126,7 +126,7 @@ fn budgets_in_all_by_kind_and_by_object_hold_at_every_moment() {
                     let page = (random.unit() * 60.0) as u32;
                     let priority = (random.unit() * 255.0) as u8;
                     if random.unit() < 0.3 {
-                        set.hint(object, &[page, (page + 1) % 60], priority);
+                        set.hint(object, &[page, (page + 1) % 60], priority, u64::MAX);
                     } else {
                         let guard = set.retain(object, page, priority).expect("a page");
                         assert!(guard.iter().all(|&b| b == page as u8));
@@ -162,7 +162,7 @@ fn a_page_that_many_threads_want_is_read_once() {
 #[test]
 fn a_hint_brings_a_page_in_before_it_is_asked_for() {
     let (set, object, numbers) = set(Numbers::new(64), pages(64));
-    assert_eq!(set.hint(&object, &[5, 6, 7], 100), 3);
+    assert_eq!(set.hint(&object, &[5, 6, 7], 100, 9 * PAGE as u64), 3);
     while !(5..8).all(|p| set.is_resident(&object, p)) {
         std::thread::yield_now();
     }
@@ -171,18 +171,18 @@ fn a_hint_brings_a_page_in_before_it_is_asked_for() {
     assert_eq!((found.total(|k| k.hits), found.total(|k| k.misses)), (1, 0));
     assert_eq!((found.total(|k| k.hinted), found.total(|k| k.hinted_in_time)), (3, 1));
     assert_eq!(numbers.reads.load(Ordering::SeqCst), 3);
-    // Hints that nobody takes up may fill an eighth of the budget and no more.
-    assert_eq!(set.hint(&object, &(10..40).collect::<Vec<_>>(), 100), 6);
+    // Hints that nobody takes up may fill as much as was said and no more: two are unused already.
+    assert_eq!(set.hint(&object, &(10..40).collect::<Vec<_>>(), 100, 9 * PAGE as u64), 7);
 }
 
 #[test]
 fn hints_never_evict_a_page_of_the_same_or_a_higher_priority() {
     let (set, object, _) = set(Numbers::new(64), pages(8));
     let held: Vec<_> = (0..8).map(|p| set.retain(&object, p, 200).expect("a page")).collect();
-    assert_eq!(set.hint(&object, &[20], 250), 0, "all are retained");
+    assert_eq!(set.hint(&object, &[20], 250, u64::MAX), 0, "all are retained");
     drop(held);
-    assert_eq!(set.hint(&object, &[20], 100), 0, "released pages keep half of their priority");
-    assert_eq!(set.hint(&object, &[20], 101), 1);
+    assert_eq!(set.hint(&object, &[20], 100, u64::MAX), 0, "released pages keep half of their priority");
+    assert_eq!(set.hint(&object, &[20], 101, u64::MAX), 1);
 }
 
 #[test]

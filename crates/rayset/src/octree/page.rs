@@ -89,6 +89,11 @@ impl Header {
     }
 }
 
+/// 2^−(COARSEST_STEP + code), from its bits: this is asked for with every run that a ray comes near.
+fn step_fraction(code: u8) -> f64 {
+    f64::from_bits((1023 - COARSEST_STEP as u64 - u64::from(code)) << 52)
+}
+
 impl RunHead {
     fn decode(bytes: &[u8]) -> Result<Self, PageError> {
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
@@ -155,7 +160,7 @@ impl RunHead {
     /// Length of one offset step, world space.
     #[must_use]
     pub fn step(&self, root: RootCell) -> f64 {
-        root.size * 2_f64.powi(-COARSEST_STEP - i32::from(self.step_code))
+        root.size * step_fraction(self.step_code)
     }
 
     /// The box that contains the run's positions.
@@ -218,7 +223,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
 
     // The finest step whose largest offset fits, for each encoding, from the finest encoding that is good enough.
     let finest = |steps: f64| step_code_for(extent.max_element() / steps, root.size);
-    let step = |code: u8| root.size * 2_f64.powi(-COARSEST_STEP - i32::from(code));
+    let step = |code: u8| root.size * step_fraction(code);
     let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
     let good = |code: u8| worst_error(code) <= precision * radius_min;
     let (code_u16, code_u32) = (finest(65279.0), finest(4_278_000_000.0));

@@ -53,6 +53,8 @@ pub(crate) struct RayMaker {
     right: DVec3,
     up: DVec3,
     size: [f64; 2],
+    /// Half the height of the picture: of the plane at distance 1 in perspective, else in world units.
+    half_height: f64,
 }
 
 impl Camera {
@@ -115,7 +117,12 @@ impl Camera {
             return Err(CameraError::Projection);
         }
         let up = right.cross(forward);
-        Ok(RayMaker { camera: *self, forward, right, up, size: [f64::from(width), f64::from(height)] })
+        let size = [f64::from(width), f64::from(height)];
+        let half_height = match self.projection {
+            Projection::Perspective { fovy } => (fovy * 0.5).tan(),
+            Projection::Orthographic { height } => height * 0.5,
+        };
+        Ok(RayMaker { camera: *self, forward, right, up, size, half_height })
     }
 }
 
@@ -125,15 +132,13 @@ impl RayMaker {
         let [width, height] = self.size;
         // Picture coordinates in units of half the picture's height, up and right positive.
         let (u, v) = ((2.0 * x - width) / height, 1.0 - 2.0 * y / height);
+        let across = (self.right * u + self.up * v) * self.half_height;
         match self.camera.projection {
-            Projection::Perspective { fovy } => {
-                let tangent = (fovy * 0.5).tan();
-                let direction = self.forward + (self.right * u + self.up * v) * tangent;
-                Ray { origin: self.camera.position, direction: direction.normalize() }
+            Projection::Perspective { .. } => {
+                Ray { origin: self.camera.position, direction: (self.forward + across).normalize() }
             }
-            Projection::Orthographic { height } => {
-                let origin = self.camera.position + (self.right * u + self.up * v) * (height * 0.5);
-                Ray { origin, direction: self.forward }
+            Projection::Orthographic { .. } => {
+                Ray { origin: self.camera.position + across, direction: self.forward }
             }
         }
     }
@@ -144,14 +149,14 @@ impl RayMaker {
         let offset = p - self.camera.position;
         let (u, v) = (offset.dot(self.right), offset.dot(self.up));
         let half = match self.camera.projection {
-            Projection::Perspective { fovy } => {
+            Projection::Perspective { .. } => {
                 let depth = offset.dot(self.forward);
                 if depth <= 0.0 {
                     return None;
                 }
-                depth * (fovy * 0.5).tan()
+                depth * self.half_height
             }
-            Projection::Orthographic { height } => height * 0.5,
+            Projection::Orthographic { .. } => self.half_height,
         };
         Some(((u / half * height + width) * 0.5, (1.0 - v / half) * height * 0.5))
     }

@@ -38,7 +38,7 @@ impl Access<'_> {
         match pages.retain_resident(object, page, priority) {
             Some(outcome) => Ok(outcome?),
             None => {
-                pages.request(object, &[page], priority);
+                pages.hint(object, &[page], priority, u64::MAX);
                 Err(Halt::PutOff { page })
             }
         }

@@ -144,7 +144,7 @@ impl Frontier {
                 pages.extend(world.pages_to_open(node));
             }
         }
-        world.pages.request(&world.object, &pages, POINT_PRIORITY);
+        world.pages.hint(&world.object, &pages, POINT_PRIORITY, u64::MAX);
     }
 
     fn push_node(&mut self, access: Access<'_>, rays: &LiveRays<'_>, node: Node) {

@@ -226,7 +226,7 @@ impl Job<'_> {
         sink: &mut dyn Sink,
     ) -> Result<RenderCounts, RenderError> {
         let tiles = Tiles::new(region, self.exec.tile_pixels);
-        let lookahead = Lookahead::new(self.world, self.rays, region);
+        let lookahead = Lookahead::new(self.world, self.rays, region, self.exec.threads);
         let failed = AtomicBool::new(false);
         let width = region.columns.len() as u32;
         let shared = Mutex::new(Shared {
@@ -240,7 +240,7 @@ impl Job<'_> {
             let mut tracer = PacketTracer::new(self.world, self.exec.slab_samples);
             let mut agenda = Agenda::new(self.world, &tiles);
             while !failed.load(Ordering::Relaxed)
-                && let Some(attempt) = agenda.next()
+                && let Some(attempt) = agenda.next(lookahead.tiles_to_put_off())
             {
                 let tile = attempt.tile;
                 self.exec.predictor.ahead(&lookahead, tile.x, tile.y);

@@ -50,8 +50,6 @@ impl Tiles {
     }
 }
 
-/// Tiles that a thread may have put off at a time. More would cover slower disks, and spread the work over more pages.
-const MOST_PUT_OFF: usize = 32;
 /// Attempts at a tile without waiting. One more waits for every page, so that even a budget that keeps none of them
 /// between attempts gets on.
 const IMPATIENT_ATTEMPTS: u32 = 6;
@@ -77,18 +75,19 @@ impl<'a> Agenda<'a> {
         Self { world, tiles, put_off: VecDeque::new() }
     }
 
-    /// A tile whose page has come, else a fresh one, else the one put off first, which then waits.
-    pub(super) fn next(&mut self) -> Option<Attempt<'a>> {
+    /// A tile whose page has come, else a fresh one, else the one put off first, which then waits. A fresh tile waits too
+    /// where none may be put off.
+    pub(super) fn next(&mut self, most_put_off: usize) -> Option<Attempt<'a>> {
         let ready = self.put_off.iter().position(|&(_, page)| self.world.is_resident(page));
         if let Some((attempt, _)) = ready.and_then(|at| self.put_off.remove(at)) {
             let waits = attempt.number >= IMPATIENT_ATTEMPTS;
             return Some(self.again(attempt, waits));
         }
-        if self.put_off.len() < MOST_PUT_OFF
+        if (self.put_off.is_empty() || self.put_off.len() < most_put_off)
             && let Some(tile) = self.tiles.take()
         {
-            let access = Access { world: self.world, waits: self.world.slabs_on_a_miss == 0 };
-            return Some(Attempt { tile, access, number: 1 });
+            let waits = self.world.slabs_on_a_miss == 0 || most_put_off == 0;
+            return Some(Attempt { tile, access: Access { world: self.world, waits }, number: 1 });
         }
         let (attempt, _) = self.put_off.pop_front()?;
         Some(self.again(attempt, true))

@@ -280,6 +280,12 @@ impl WorkingSet {
         u64::from(pages) * (size_of::<Mutex<Slot>>() + size_of::<AtomicU32>()) as u64
     }
 
+    /// The budget for all pages.
+    #[must_use]
+    pub fn budget_bytes(&self) -> u64 {
+        self.shared.ledger.total_limit()
+    }
+
     /// Changes the budget, also while other threads use the set; evicts what no longer fits and is not retained.
     pub fn set_limits(&self, limits: Limits) {
         let evicted = self.shared.ledger.set_limits(limits);
@@ -349,26 +355,16 @@ impl WorkingSet {
 
     /// Asks for pages that will be wanted soon. Those that are absent are read in one batch, as far as there is room
     /// without evicting a page of the same or a higher priority, and as long as pages that were read for hints and not
-    /// yet asked for take no more than a third of the budget. Those that are resident are kept. Returns
-    /// how many of `pages`, from the first, were dealt with.
-    pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8) -> usize {
-        self.bring_in(object, pages, priority, self.shared.ledger.total_limit() / 3)
-    }
-
-    /// Like [`hint`](Self::hint), for pages that are wanted now by somebody who does not wait for them: however many
-    /// others have been hinted at.
-    pub fn request(&self, object: &Arc<Object>, pages: &[u32], priority: u8) {
-        self.bring_in(object, pages, priority, u64::MAX);
-    }
-
-    fn bring_in(&self, object: &Arc<Object>, pages: &[u32], priority: u8, most_unused: u64) -> usize {
+    /// yet asked for take no more than `most_bytes`. Those that are resident are kept. Returns how many of `pages`, from
+    /// the first, were dealt with.
+    pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8, most_bytes: u64) -> usize {
         let mut batch = Vec::new();
         let mut dealt_with = pages.len();
         for (at, &page) in pages.iter().enumerate() {
             let unused = self.shared.unused_hint_bytes.load(Ordering::Relaxed);
             let mut slot = object.slot(page);
             match &*slot {
-                Slot::Absent if unused + object.bytes() > most_unused => {
+                Slot::Absent if unused + object.bytes() > most_bytes => {
                     dealt_with = at;
                     break;
                 }

@@ -4,13 +4,13 @@
 use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::ops::Range;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::scout::{Scout, Terrain};
 use crate::field::LANES;
 use crate::geometry::curve::hilbert_order;
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
-use crate::octree::page::PointPage;
 use crate::scene::RayMaker;
 use crate::trace::Region;
 use crate::trace::frontier::NODE_PRIORITY;
@@ -18,10 +18,8 @@ use crate::trace::world::World;
 
 /// Edge, in pixels, of the blocks of tiles that are looked at together.
 const BLOCK_PIXELS: u32 = 16;
-/// Blocks ahead of the one being traced at which a block is looked at for the first time, from what nodes tell.
-const FAR: u32 = 48;
-/// And for the second time, when the points it will meet first have come in and tell more.
-const NEAR: u32 = 12;
+/// Blocks looked at ahead of the one being traced.
+const BLOCKS_AHEAD: u32 = 48;
 /// Priority of a page that is expected: above that of pages released, below that of pages in use.
 const HINT_PRIORITY: u8 = 150;
 
@@ -30,6 +28,7 @@ pub struct Lookahead<'a> {
     world: &'a World<'a>,
     rays: &'a RayMaker,
     region: Region,
+    threads: usize,
     columns: u32,
     rows: u32,
     /// Blocks along the curve that tiles are taken on.
@@ -37,15 +36,15 @@ pub struct Lookahead<'a> {
     /// Place of each block along the curve.
     place: Vec<u32>,
     queue: Mutex<Queue>,
+    /// Pages of the budget that the blocks being traced do not need themselves.
+    spare_pages: AtomicU64,
 }
 
 /// Blocks are known by their place along the curve.
 #[derive(Default)]
 struct Queue {
-    /// Next block to be looked at for the first time.
-    next_far: u32,
-    /// Blocks to be looked at for the second time: those that wanted absent pages.
-    again: VecDeque<u32>,
+    /// Next block to be looked at.
+    next: u32,
     /// Block for which pages were last retired.
     retired_at: u32,
     /// Pages that are wanted and not yet hinted at: the block that wants each first, their order in that, the page.
@@ -54,6 +53,8 @@ struct Queue {
     seen: HashMap<u32, Seen>,
     /// Pages seen so far, for their order.
     sights: u32,
+    /// The blocks that have been looked at and not yet traced, and how many pages each wants.
+    columns: VecDeque<(u32, u64)>,
 }
 
 /// A page seen ahead.
@@ -95,7 +96,7 @@ impl Queue {
 }
 
 impl<'a> Lookahead<'a> {
-    pub(in crate::trace) fn new(world: &'a World<'a>, rays: &'a RayMaker, region: &Region) -> Self {
+    pub(in crate::trace) fn new(world: &'a World<'a>, rays: &'a RayMaker, region: &Region, threads: usize) -> Self {
         let blocks = |range: &Range<u32>| range.end.div_ceil(BLOCK_PIXELS) - range.start / BLOCK_PIXELS;
         let (columns, rows) = (blocks(&region.columns), blocks(&region.rows));
         let order = hilbert_order(columns, rows);
@@ -103,7 +104,10 @@ impl<'a> Lookahead<'a> {
         for (at, (i, j)) in order.iter().enumerate() {
             place[(j * columns + i) as usize] = at as u32;
         }
-        Self { world, rays, region: region.clone(), columns, rows, order, place, queue: Mutex::default() }
+        let region = region.clone();
+        let (queue, spare_pages) = (Mutex::default(), AtomicU64::new(0));
+        let threads = threads.max(1);
+        Self { world, rays, region, threads, columns, rows, order, place, queue, spare_pages }
     }
 
     fn block(&self, x: u32, y: u32) -> usize {
@@ -121,30 +125,54 @@ impl<'a> Lookahead<'a> {
         let Ok(mut queue) = self.queue.try_lock() else { return };
         let here = self.place[self.block(x, y)];
         self.retire(&mut queue, here);
-        let within = |distance: u32| (here + distance).min(self.order.len() as u32 - 1);
-        while let Some(&block) = queue.again.front().filter(|&&block| block <= within(NEAR)) {
-            if block >= here && self.look(block, true, &mut queue).is_none() {
-                break;
-            }
-            queue.again.pop_front();
-        }
-        queue.next_far = queue.next_far.max(here);
-        while self.hint(&mut queue) && queue.next_far <= within(FAR) {
-            let block = queue.next_far;
-            let Some(wants_absent) = self.look(block, false, &mut queue) else { return };
-            queue.next_far += 1;
-            if wants_absent {
-                queue.again.push_back(block);
-            }
+        queue.next = queue.next.max(here);
+        let until = (here + 1 + BLOCKS_AHEAD).min(self.order.len() as u32);
+        // This block and the next are looked at in any case, to know how much room they need.
+        while queue.next < until
+            && (self.hint(&mut queue, here) || queue.next <= here + 1)
+            && self.look(queue.next, &mut queue)
+        {
+            queue.next += 1;
         }
     }
 
+    /// How many tiles a thread may put off: as many as there is room for besides what is being traced. Where rays need
+    /// most of the budget at a time, going elsewhere meanwhile would only drive their pages out.
+    pub(in crate::trace) fn tiles_to_put_off(&self) -> usize {
+        /// Enough to cover a slow disk.
+        const MOST: u64 = 32;
+        /// Pages that a tile may bring in before it is put off once more.
+        const PAGES_EACH: u64 = 4;
+        let spare = self.spare_pages.load(Ordering::Relaxed);
+        (spare / (PAGES_EACH * self.threads as u64)).min(MOST) as usize
+    }
+
     /// Hints at the pages that wait; false where there was no room for some.
-    fn hint(&self, queue: &mut Queue) -> bool {
+    fn hint(&self, queue: &mut Queue, here: u32) -> bool {
+        /// More than this part of the budget would leave too little for pages to be met again by later blocks.
+        const MOST_OF_BUDGET: u64 = 3;
+        let world = self.world;
+        let spare = self.spare(queue, here) * u64::from(world.header.page_bytes);
+        let most = spare.min(world.pages.budget_bytes() / MOST_OF_BUDGET);
+        if most == 0 {
+            return false;
+        }
         let pages: Vec<u32> = queue.waiting.iter().map(|&(_, _, page)| page).collect();
-        let dealt_with = self.world.pages.hint(&self.world.object, &pages, HINT_PRIORITY);
+        let dealt_with = world.pages.hint(&world.object, &pages, HINT_PRIORITY, most);
         queue.dealt_with(dealt_with);
         queue.waiting.is_empty()
+    }
+
+    /// Pages of the budget that the blocks being traced do not need themselves.
+    fn spare(&self, queue: &mut Queue, here: u32) -> u64 {
+        let past = queue.columns.iter().take_while(|&&(block, _)| block < here).count();
+        queue.columns.drain(..past);
+        // Columns are taken over page by page, and threads may be in different ones.
+        let columns = queue.columns.iter().take(1 + self.threads).map(|&(_, pages)| pages);
+        let budget = self.world.pages.budget_bytes() / u64::from(self.world.header.page_bytes);
+        let spare = budget.saturating_sub(columns.sum());
+        self.spare_pages.store(spare, Ordering::Relaxed);
+        spare
     }
 
     /// Gives up the pages whose blocks have gone by, one block late: other threads may still be there.
@@ -198,20 +226,21 @@ impl<'a> Lookahead<'a> {
             .unwrap_or(0)
     }
 
-    /// Lists the pages that a block wants, and says whether any were absent. Nothing where node pages were absent: they
-    /// are then on their way, and the block has to be looked at again.
-    fn look(&self, at: u32, closely: bool, queue: &mut Queue) -> Option<bool> {
+    /// Lists the pages that a block wants; false where node pages were absent, which are then on their way.
+    fn look(&self, at: u32, queue: &mut Queue) -> bool {
         let (i, j) = self.order[at as usize];
-        let mut view =
-            View { ahead: self, queue, at, closely, absent_nodes: Vec::new(), wants_absent: false };
+        let mut view = View { ahead: self, queue, at, absent_nodes: Vec::new(), pages: 0 };
         let root = self.world.header.root;
         match view.node_at(root.page, root.index) {
             Some(root) => self.scout_of(i, j).explore(root, &self.world.expected, &mut view),
             None => view.absent_nodes.push(self.world.first_node_page + root.page),
         }
-        let View { absent_nodes, wants_absent, .. } = view;
-        self.world.pages.hint(&self.world.object, &absent_nodes, NODE_PRIORITY);
-        absent_nodes.is_empty().then_some(wants_absent)
+        let View { absent_nodes, pages, .. } = view;
+        self.world.pages.hint(&self.world.object, &absent_nodes, NODE_PRIORITY, u64::MAX);
+        if absent_nodes.is_empty() {
+            queue.columns.push_back((at, pages));
+        }
+        absent_nodes.is_empty()
     }
 
     /// Rays on the edges and within a block.
@@ -236,10 +265,9 @@ struct View<'v, 'a> {
     ahead: &'v Lookahead<'a>,
     queue: &'v mut Queue,
     at: u32,
-    /// Whether runs are looked at too.
-    closely: bool,
     absent_nodes: Vec<u32>,
-    wants_absent: bool,
+    /// Pages wanted, each counted for every node that has points in it.
+    pages: u64,
 }
 
 impl View<'_, '_> {
@@ -269,36 +297,9 @@ impl Terrain for View<'_, '_> {
     fn want(&mut self, node: &Node) {
         let pages = self.ahead.world.own_pages(node);
         if !pages.is_empty() {
+            self.pages += pages.len() as u64;
             let use_by = self.ahead.last_block(&self.bounds(node));
-            for page in pages {
-                self.wants_absent |= !self.ahead.world.is_resident(page);
-                self.queue.want(page, self.at, use_by);
-            }
+            pages.for_each(|page| self.queue.want(page, self.at, use_by));
         }
-    }
-
-    fn runs(&mut self, node: &Node, found: &mut Vec<(Aabb, usize)>) -> bool {
-        if !self.closely {
-            return false;
-        }
-        let world = self.ahead.world;
-        let (mut page, mut run, mut left) =
-            (node.own.first_page, usize::from(node.own.first_run), node.own.runs as usize);
-        while left > 0 {
-            let Some(guard) = world.pages.peek(&world.object, page) else { return false };
-            let points = PointPage::trusted(&guard, world.header);
-            let here = left.min(points.len().saturating_sub(run));
-            if here == 0 {
-                return false;
-            }
-            found.extend((run..run + here).map(|index| {
-                let head = points.head(index);
-                let bounds = head.position_bounds(world.root_cell).inflated(f64::from(head.radius_max()));
-                (bounds, head.len())
-            }));
-            left -= here;
-            (page, run) = (page + 1, 0);
-        }
-        true
     }
 }

@@ -1,5 +1,4 @@
-//! Sixty-four rays sent ahead of the rest, each as far as it is expected to go: through the records of nodes and, where
-//! pages are in memory already, the bounds of runs.
+//! Sixty-four rays sent ahead of the rest, through node records alone, each as far as it is expected to go.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -70,12 +69,11 @@ impl Scout {
     /// Wants, nearest first, the nodes that the rays are expected to reach.
     pub(super) fn explore(&mut self, root: Node, expected: &Expected, terrain: &mut impl Terrain) {
         let mut heap = BinaryHeap::new();
-        let (mut nodes, mut runs) = (vec![root], Vec::new());
+        let mut found = vec![root];
         loop {
-            for node in nodes.drain(..) {
-                heap.extend(
-                    self.first_meeting(&terrain.bounds(&node)).map(|distance| Ahead { distance, node }),
-                );
+            for node in found.drain(..) {
+                let meeting = self.first_meeting(&terrain.bounds(&node));
+                heap.extend(meeting.map(|distance| Ahead { distance, node }));
             }
             let Some(Ahead { distance, node }) = heap.pop() else { return };
             let bounds = terrain.bounds(&node);
@@ -84,19 +82,10 @@ impl Scout {
                 continue;
             }
             terrain.want(&node);
-            terrain.children(&node, &mut nodes);
-            runs.clear();
-            if terrain.runs(&node, &mut runs) {
-                for (bounds, points) in &runs {
-                    if self.first_meeting(bounds).is_some() {
-                        let crossing = self.cross(bounds, distance);
-                        let extinction = expected.extinction(&node, *points as f64, bounds);
-                        self.absorb(&crossing, extinction, expected.opaque_thickness);
-                    }
-                }
-            } else if node.child_mask == 0 {
-                let extinction = expected.extinction(&node, node.points as f64, &bounds);
-                self.absorb(&crossing, extinction, expected.opaque_thickness);
+            if node.child_mask == 0 {
+                self.absorb(&crossing, expected.extinction(&node, &bounds), expected.opaque_thickness);
+            } else {
+                terrain.children(&node, &mut found);
             }
         }
     }
@@ -112,9 +101,6 @@ pub(super) trait Terrain {
 
     /// A node that rays are expected to reach.
     fn want(&mut self, node: &Node);
-
-    /// Bounds of influence, and number of points, of a node's own runs; false where they are not all in memory.
-    fn runs(&mut self, node: &Node, found: &mut Vec<(Aabb, usize)>) -> bool;
 }
 
 /// A node ahead of the rays.
@@ -164,11 +150,10 @@ impl Expected {
         }
     }
 
-    /// Extinction in world units of the mean density of some points of a node, within their bounds of influence.
-    fn extinction(&self, node: &Node, points: f64, bounds: &Aabb) -> f64 {
-        let weight = node.weight_sum / node.points as f64;
+    /// Extinction in world units of the mean density of all points below a node, within their bounds of influence.
+    fn extinction(&self, node: &Node, bounds: &Aabb) -> f64 {
         let radius = (f64::from(node.radius_min) * f64::from(node.radius_max)).sqrt();
         let point = if self.normalised { 1.0 } else { self.point_integral * radius.powi(3) };
-        self.transfer.extinction(points * weight * point / bounds.size().element_product())
+        self.transfer.extinction(node.weight_sum * point / bounds.size().element_product())
     }
 }
