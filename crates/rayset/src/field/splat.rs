@@ -47,6 +47,8 @@ pub struct FieldSamples {
     pub attribute: [Vec<SampleRow>; 3],
     /// Lanes that received anything since [`clear`](Self::clear); the rows of all others are stale.
     pub touched: u64,
+    /// Room to work in, kept from run to run: its contents need not be cleared.
+    pairs: Option<Box<Pairs>>,
 }
 
 impl FieldSamples {
@@ -59,6 +61,7 @@ impl FieldSamples {
             gradient: std::array::from_fn(|_| rows(channels.gradient)),
             attribute: std::array::from_fn(|_| rows(channels.attributes)),
             touched: 0,
+            pairs: None,
         }
     }
 
@@ -241,7 +244,7 @@ fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: boo
     }
     let frames = Frames::new(job.run, job.packet, job.slab);
     let mut lanes = job.lanes & frames.lanes_that_meet(simd, job.run, job.packet, job.slab.samples);
-    let mut pairs = Pairs::new();
+    let mut pairs = job.samples.pairs.take().unwrap_or_default();
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;
@@ -255,6 +258,7 @@ fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: boo
             counts.kernel_evaluations += added * 16;
         }
     }
+    job.samples.pairs = Some(pairs);
     counts
 }
 
@@ -322,6 +326,7 @@ impl<S: Simd> LaneRay<S> {
 }
 
 /// One ray against points of a run, in units of their radii.
+#[derive(Clone, Debug)]
 struct Pairs {
     /// Distance along the ray from the foot to where the point is nearest, over the radius.
     nearest: [f32; RUN_POINTS],
@@ -333,9 +338,8 @@ struct Pairs {
     hits: [[u64; 2]; BLOCKS],
 }
 
-impl Pairs {
-    #[inline(always)]
-    fn new() -> Self {
+impl Default for Pairs {
+    fn default() -> Self {
         Self {
             nearest: [0.0; RUN_POINTS],
             inside: [0.0; RUN_POINTS],
@@ -343,7 +347,9 @@ impl Pairs {
             hits: [[0; 2]; BLOCKS],
         }
     }
+}
 
+impl Pairs {
     /// Finds the points that reach samples of the slab; false where there are none.
     #[inline(always)]
     fn test<S: Simd, const GRADIENT: bool>(

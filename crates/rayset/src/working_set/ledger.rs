@@ -63,6 +63,8 @@ struct Books {
 pub(super) struct Ledger {
     books: Mutex<Books>,
     changed: Condvar,
+    /// Threads that wait for room, and all that wait. Notifying costs a system call, whether anybody listens or not.
+    waiting_for_room: AtomicUsize,
     waiting: AtomicUsize,
 }
 
@@ -105,7 +107,12 @@ impl Ledger {
             candidates: Vec::new(),
             spare: Vec::new(),
         };
-        Self { books: Mutex::new(books), changed: Condvar::new(), waiting: AtomicUsize::new(0) }
+        Self {
+            books: Mutex::new(books),
+            changed: Condvar::new(),
+            waiting_for_room: AtomicUsize::new(0),
+            waiting: AtomicUsize::new(0),
+        }
     }
 
     pub(super) fn add_object(&self) -> ObjectId {
@@ -169,46 +176,55 @@ impl Ledger {
             }
             // A release that happens between the search and the wait notifies only if it sees us waiting, and
             // notifies without the lock; a short wait bounds what a missed one costs.
-            self.waiting.fetch_add(1, Ordering::SeqCst);
+            self.waiting_for_room.fetch_add(1, Ordering::SeqCst);
             books = self.wait(books, left.min(Duration::from_millis(2)));
-            self.waiting.fetch_sub(1, Ordering::SeqCst);
+            self.waiting_for_room.fetch_sub(1, Ordering::SeqCst);
         }
     }
 
     fn wait<'a>(&self, books: MutexGuard<'a, Books>, limit: Duration) -> MutexGuard<'a, Books> {
-        self.changed.wait_timeout(books, limit).unwrap_or_else(PoisonError::into_inner).0
+        self.waiting.fetch_add(1, Ordering::SeqCst);
+        let books = self.changed.wait_timeout(books, limit).unwrap_or_else(PoisonError::into_inner).0;
+        self.waiting.fetch_sub(1, Ordering::SeqCst);
+        books
     }
 
     /// Waits until `ready` gives something. It is asked under the lock of the books, which every change of a slot
-    /// from loading takes before it notifies, so no change is missed.
+    /// from loading takes before it notifies: whoever waits was counted before that, so no change is missed.
     pub(super) fn wait_until<T>(&self, ready: impl Fn() -> Option<T>) -> T {
         let mut books = lock(&self.books);
         loop {
             if let Some(result) = ready() {
                 return result;
             }
-            books = self.changed.wait(books).unwrap_or_else(PoisonError::into_inner);
+            books = self.wait(books, Duration::from_secs(1));
         }
     }
 
     pub(super) fn loaded(&self, resident: Arc<Resident>) {
         lock(&self.books).residents.push(resident);
-        self.changed.notify_all();
+        self.notify_waiting();
     }
 
     pub(super) fn failed(&self, kind: Kind, object: &Object, buffer: PageBuffer) {
         drop(buffer);
         lock(&self.books).give_back(kind, object);
-        self.changed.notify_all();
+        self.notify_waiting();
     }
 
     pub(super) fn notify(&self) {
         drop(lock(&self.books));
-        self.changed.notify_all();
+        self.notify_waiting();
+    }
+
+    fn notify_waiting(&self) {
+        if self.waiting.load(Ordering::SeqCst) > 0 {
+            self.changed.notify_all();
+        }
     }
 
     pub(super) fn released(&self) {
-        if self.waiting.load(Ordering::SeqCst) > 0 {
+        if self.waiting_for_room.load(Ordering::SeqCst) > 0 {
             self.changed.notify_all();
         }
     }

@@ -17,9 +17,9 @@ use crate::trace::frontier::NODE_PRIORITY;
 use crate::trace::world::World;
 
 /// Edge, in pixels, of the blocks of tiles that are looked at together.
-const BLOCK_PIXELS: u32 = 16;
+const BLOCK_PIXELS: u32 = 32;
 /// Blocks looked at ahead of the one being traced.
-const BLOCKS_AHEAD: u32 = 48;
+const BLOCKS_AHEAD: u32 = 16;
 /// Priority of a page that is expected: above that of pages released, below that of pages in use.
 const HINT_PRIORITY: u8 = 150;
 
@@ -150,7 +150,7 @@ impl<'a> Lookahead<'a> {
     /// Hints at the pages that wait; false where there was no room for some.
     fn hint(&self, queue: &mut Queue, here: u32) -> bool {
         /// More than this part of the budget would leave too little for pages to be met again by later blocks.
-        const MOST_OF_BUDGET: u64 = 3;
+        const MOST_OF_BUDGET: u64 = 4;
         let world = self.world;
         let spare = self.spare(queue, here) * u64::from(world.header.page_bytes);
         let most = spare.min(world.pages.budget_bytes() / MOST_OF_BUDGET);
@@ -168,7 +168,7 @@ impl<'a> Lookahead<'a> {
         let past = queue.columns.iter().take_while(|&&(block, _)| block < here).count();
         queue.columns.drain(..past);
         // Columns are taken over page by page, and threads may be in different ones.
-        let columns = queue.columns.iter().take(1 + self.threads).map(|&(_, pages)| pages);
+        let columns = queue.columns.iter().take(self.threads).map(|&(_, pages)| pages);
         let budget = self.world.pages.budget_bytes() / u64::from(self.world.header.page_bytes);
         let spare = budget.saturating_sub(columns.sum());
         self.spare_pages.store(spare, Ordering::Relaxed);

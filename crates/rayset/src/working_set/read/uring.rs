@@ -13,6 +13,8 @@ use super::{Read, ReadBackend};
 #[derive(Default)]
 struct Queue {
     reads: VecDeque<Read>,
+    /// The thread has nothing to do and has to be woken.
+    asleep: bool,
     closed: bool,
 }
 
@@ -64,8 +66,10 @@ impl Driver {
                 if queue.closed {
                     return;
                 }
+                queue.asleep = true;
                 queue = shared.filled.wait(queue).unwrap_or_else(PoisonError::into_inner);
             }
+            queue.asleep = false;
             let room = self.flight.len() - self.flying;
             let count = room.min(queue.reads.len());
             let batch: Vec<Read> = queue.reads.drain(..count).collect();
@@ -142,8 +146,13 @@ impl Driver {
 
 impl ReadBackend for Uring {
     fn submit(&self, batch: Vec<Read>) {
-        self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner).reads.extend(batch);
-        self.shared.filled.notify_one();
+        let mut queue = self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        queue.reads.extend(batch);
+        let asleep = queue.asleep;
+        drop(queue);
+        if asleep {
+            self.shared.filled.notify_one();
+        }
     }
 
     fn name(&self) -> String {
