@@ -157,10 +157,10 @@ fn describe(report: &Report) -> Result<()> {
             m.build_seconds,
             m.render_seconds,
             m.of_in_core,
-            m.kernel_evaluations as f64 / m.render_seconds / 1e9,
+            m.counts.kernel_evaluations as f64 / m.render_seconds / 1e9,
             m.of_bare_loop,
-            m.stall_seconds,
-            m.reads_per_page,
+            m.pages.stall_seconds,
+            m.pages.reads_per_page,
             m.peak_rss_bytes.map_or_else(|| "-".to_owned(), |b| (b / 1_000_000).to_string())
         ));
     }

@@ -17,6 +17,7 @@ use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
 use rayset::working_set::{CloudPages, Limits, Object, Statistics, WorkingSet};
 
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use crate::statistics::{PageStatistics, WorkStatistics};
 use crate::{generate, report};
 
 /// A condition to render under.
@@ -71,25 +72,13 @@ pub(crate) struct Measured {
     pub(crate) render_seconds: f64,
     all_render_seconds: Vec<f64>,
     pub(crate) of_in_core: f64,
-    pub(crate) kernel_evaluations: u64,
-    pairs_tested: u64,
-    samples: u64,
-    nonzero_samples: u64,
     /// Evaluations a second over those of the bare loop, a thread.
     pub(crate) of_bare_loop: f64,
     pub(crate) peak_rss_bytes: Option<u64>,
-    pub(crate) stall_seconds: f64,
-    pub(crate) reads_per_page: f64,
-    hits: u64,
-    misses: u64,
-    late: u64,
-    hinted: u64,
-    hinted_in_time: u64,
-    reads: u64,
-    bytes_read: u64,
-    bytes_unique: u64,
-    evictions: u64,
-    working_set_peak_bytes: u64,
+    #[serde(flatten)]
+    pub(crate) counts: WorkStatistics,
+    #[serde(flatten)]
+    pub(crate) pages: PageStatistics,
 }
 
 /// A workload with its cloud on disk.
@@ -222,7 +211,6 @@ impl Prepared {
         let header = self.cloud.header();
         let render_seconds = median(&run.seconds);
         let set = &run.statistics;
-        let unique = set.total(|k| k.bytes_unique);
         let evaluations = run.counts.splats.kernel_evaluations;
         let measured = Measured {
             workload: self.workload.to_string(),
@@ -237,24 +225,10 @@ impl Prepared {
             render_seconds,
             all_render_seconds: run.seconds.clone(),
             of_in_core: render_seconds / in_core,
-            kernel_evaluations: evaluations,
-            pairs_tested: run.counts.splats.pairs_tested,
-            samples: run.counts.samples,
-            nonzero_samples: run.counts.nonzero_samples,
             of_bare_loop: evaluations as f64 / render_seconds / bare,
             peak_rss_bytes: run.peak,
-            stall_seconds: set.total(|k| k.stall_nanoseconds) as f64 / 1e9,
-            reads_per_page: if unique > 0 { set.total(|k| k.bytes_read) as f64 / unique as f64 } else { 0.0 },
-            hits: set.total(|k| k.hits),
-            misses: set.total(|k| k.misses),
-            late: set.total(|k| k.late),
-            hinted: set.total(|k| k.hinted),
-            hinted_in_time: set.total(|k| k.hinted_in_time),
-            reads: set.total(|k| k.reads),
-            bytes_read: set.total(|k| k.bytes_read),
-            bytes_unique: unique,
-            evictions: set.total(|k| k.evictions),
-            working_set_peak_bytes: set.peak_bytes,
+            counts: run.counts.into(),
+            pages: set.into(),
         };
         report::remark(format_args!(
             "{} {} {}: {:.3} s",

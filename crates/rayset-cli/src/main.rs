@@ -10,6 +10,7 @@ mod memory;
 mod progress;
 mod render;
 mod report;
+mod statistics;
 mod values;
 mod verify;
 

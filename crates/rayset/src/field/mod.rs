@@ -10,8 +10,8 @@ mod run;
 mod simd;
 mod splat;
 
-pub use box_test::{BoxTest, Crossing};
 pub use bare::{BARE_SAMPLES, bare_loop};
+pub use box_test::{BoxTest, Crossing};
 pub use kernel::Kernel;
 pub use packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 pub use run::{AttributeSource, DecodedRun, RunDecoder, linear_from_srgb};

@@ -133,13 +133,7 @@ impl<'a> PacketTracer<'a> {
     }
 
     /// Adds all active runs to the samples of a slab, in the order of the file, one page retained at a time.
-    fn gather(
-        &mut self,
-        access: Access<'_>,
-        packet: &Packet,
-        slab: Slab,
-        lanes: u64,
-    ) -> Result<(), Halt> {
+    fn gather(&mut self, access: Access<'_>, packet: &Packet, slab: Slab, lanes: u64) -> Result<(), Halt> {
         self.counts.slabs += 1;
         self.samples.clear();
         self.active.sort_unstable();

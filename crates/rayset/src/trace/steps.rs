@@ -45,11 +45,7 @@ impl StepRule {
     }
 
     /// Sorts the rays of a tile into groups of the same step, finest first.
-    pub(super) fn groups(
-        &self,
-        access: Access<'_>,
-        rays: &[(Ray, f64)],
-    ) -> Result<Vec<StepGroup>, Halt> {
+    pub(super) fn groups(&self, access: Access<'_>, rays: &[(Ray, f64)]) -> Result<Vec<StepGroup>, Halt> {
         if !self.varies {
             return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
         }

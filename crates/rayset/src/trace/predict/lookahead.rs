@@ -96,7 +96,12 @@ impl Queue {
 }
 
 impl<'a> Lookahead<'a> {
-    pub(in crate::trace) fn new(world: &'a World<'a>, rays: &'a RayMaker, region: &Region, threads: usize) -> Self {
+    pub(in crate::trace) fn new(
+        world: &'a World<'a>,
+        rays: &'a RayMaker,
+        region: &Region,
+        threads: usize,
+    ) -> Self {
         let blocks = |range: &Range<u32>| range.end.div_ceil(BLOCK_PIXELS) - range.start / BLOCK_PIXELS;
         let (columns, rows) = (blocks(&region.columns), blocks(&region.rows));
         let order = hilbert_order(columns, rows);

@@ -1,0 +1,99 @@
+//! Where a picture is taken from.
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use rayset::geometry::DVec3;
+use rayset::octree::format::Header;
+use rayset::scene::{Camera, Projection, RenderSettings};
+
+use crate::{report, values};
+
+#[derive(Args, Clone, Default)]
+#[command(next_help_heading = "Camera (by default it frames the whole cloud)")]
+pub(crate) struct CameraArgs {
+    /// Eye
+    #[arg(long, value_parser = values::vector, allow_hyphen_values = true)]
+    pub(crate) position: Option<[f64; 3]>,
+    /// What the eye looks at; the centre of the cloud by default
+    #[arg(long, value_parser = values::vector, allow_hyphen_values = true, requires = "position")]
+    pub(crate) look_at: Option<[f64; 3]>,
+    /// Viewing direction: with an eye instead of --look-at, without one to frame the cloud from another side
+    #[arg(long, value_parser = values::vector, allow_hyphen_values = true, conflicts_with = "look_at")]
+    pub(crate) direction: Option<[f64; 3]>,
+    /// Up
+    #[arg(long, value_parser = values::vector, allow_hyphen_values = true)]
+    pub(crate) up: Option<[f64; 3]>,
+    /// Vertical field of view in degrees
+    #[arg(long, default_value_t = 45.0)]
+    pub(crate) fovy: f64,
+    /// Parallel rays
+    #[arg(long)]
+    pub(crate) orthographic: bool,
+    /// Height of an orthographic picture, in units of the cloud
+    #[arg(long, requires = "orthographic")]
+    pub(crate) height: Option<f64>,
+}
+
+impl CameraArgs {
+    pub(super) fn camera(&self, header: &Header, settings: RenderSettings) -> Result<Camera> {
+        let aspect = f64::from(settings.width) / f64::from(settings.height);
+        let bounds = header.bounds.inflated(0.5 * header.radius_mean);
+        let (view, vertical) = customary_view(header);
+        let vector = |v: [f64; 3]| DVec3::from_array(v);
+        let direction = self.direction.map_or(view, vector);
+        let up = self.up.map_or(vertical, vector);
+        // A direction along up says nothing of the roll: any will do.
+        let up = if direction.cross(up).length_squared() > 1e-12 * direction.length_squared() {
+            up
+        } else {
+            direction.any_orthonormal_vector()
+        };
+        let fovy = self.fovy.to_radians();
+        ensure!(
+            self.fovy > 0.0 && self.fovy < 180.0,
+            "--fovy {} is not between 0 and 180 degrees",
+            self.fovy
+        );
+        let mut camera = Camera::framing(&bounds, direction, up, fovy, aspect, self.orthographic);
+        if let Some(position) = self.position {
+            camera.position = vector(position);
+            camera.direction = match (self.look_at, self.direction) {
+                (Some(target), _) => vector(target) - camera.position,
+                (None, Some(direction)) => vector(direction),
+                (None, None) => bounds.center() - camera.position,
+            };
+            camera.up = up;
+        }
+        if let Some(height) = self.height {
+            camera.projection = Projection::Orthographic { height };
+        }
+        Ok(camera)
+    }
+}
+
+/// The side from which a cloud is customarily seen: terrain obliquely from the south, everything else from the front,
+/// slightly from above.
+fn customary_view(header: &Header) -> (DVec3, DVec3) {
+    let size = header.bounds.size();
+    if size.z < 0.5 * size.x.min(size.y) {
+        (DVec3::new(0.3, 1.0, -0.9), DVec3::Z)
+    } else {
+        (DVec3::new(-0.15, -0.15, -1.0), DVec3::Y)
+    }
+}
+
+/// Points smaller than a pixel are missed by most rays.
+pub(super) fn warn_of_small_radii(header: &Header, camera: &Camera, settings: RenderSettings) {
+    let distance = (header.bounds.center() - camera.position).length();
+    let pixel = match camera.projection {
+        Projection::Perspective { fovy } => 2.0 * distance * (fovy * 0.5).tan() / f64::from(settings.height),
+        Projection::Orthographic { height } => height / f64::from(settings.height),
+    };
+    if header.points > 0 && header.radius_mean < pixel * 0.5 {
+        report::remark(format_args!(
+            "the mean radius ({:.3e}) is under a pixel ({pixel:.3e}): expect noise; a larger picture or a larger \
+             --radius-scale helps",
+            header.radius_mean
+        ));
+    }
+}

@@ -1,0 +1,172 @@
+//! What decides the picture: its options, and the scene and settings they make.
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use clap::{Args, ValueEnum};
+use rayset::field::{Kernel, linear_from_srgb};
+use rayset::octree::Cloud;
+use rayset::octree::format::Header;
+use rayset::scene::{
+    ColorRule, Colormap, MapInput, Phase, RenderSettings, Scene, Shading, Step, TransferFunction,
+};
+use rayset::trace::Region;
+
+use crate::values;
+
+#[derive(Args, Clone)]
+#[command(next_help_heading = "Picture")]
+pub(crate) struct PictureArgs {
+    /// Width and height in pixels
+    #[arg(long, value_parser = values::dimensions, default_value = "512x512")]
+    pub(crate) size: (u32, u32),
+    /// Only a part of the picture: left,top,width,height
+    #[arg(long, value_delimiter = ',')]
+    crop: Option<Vec<u32>>,
+    /// Kernel: wyvill, chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight
+    #[arg(long, default_value = "wyvill")]
+    kernel: Kernel,
+    /// Kernels integrate to one (smoothed-particle hydrodynamics)
+    #[arg(long)]
+    normalised: bool,
+    /// Opacity from density: clamp, extinction:K, or a curve like 0:0,1:0.5,4:1
+    #[arg(long, default_value = "clamp")]
+    opacity: String,
+    /// Length that opacity refers to, in units of the cloud; the mean radius by default
+    #[arg(long)]
+    unit_distance: Option<f64>,
+    /// One colour for all, as #c8b090
+    #[arg(long, value_parser = values::color, conflicts_with_all = ["colormap", "color_by"])]
+    color: Option<[f64; 3]>,
+    /// Colour map: viridis, inferno, magma, plasma, turbo, grey, coolwarm; with _r reversed
+    #[arg(long)]
+    colormap: Option<Colormap>,
+    /// What the colour map shows: density, or a stored attribute
+    #[arg(long)]
+    color_by: Option<String>,
+    /// Values at the ends of the colour map, as 0:10
+    #[arg(long, value_parser = values::range)]
+    value_range: Option<(f64, f64)>,
+    /// Light: from the eye, or none
+    #[arg(long, value_enum, default_value = "headlight")]
+    shading: ShadingArg,
+    /// Background colour; transparent by default
+    #[arg(long, value_parser = values::color)]
+    background: Option<[f64; 3]>,
+    /// Distance between samples, in units of the cloud, or `auto`
+    #[arg(long, default_value = "auto")]
+    step: String,
+    /// Automatic distance between samples as a fraction of the radius
+    #[arg(long, default_value_t = 0.25)]
+    step_fraction: f64,
+    /// Samples of a ray begin half a step from the eye, or a different fraction for each pixel
+    #[arg(long, value_enum, default_value = "half")]
+    phase: PhaseArg,
+    /// Rays end where less than this is seen through
+    #[arg(long, default_value_t = 0.01)]
+    stop: f32,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ShadingArg {
+    None,
+    Headlight,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PhaseArg {
+    Half,
+    Hashed,
+}
+
+impl PictureArgs {
+    pub(super) fn settings(&self) -> Result<RenderSettings> {
+        let step = match self.step.as_str() {
+            "auto" => Step::Automatic { fraction: self.step_fraction },
+            number => Step::Fixed(
+                number.parse().with_context(|| format!("--step {number}: expected a length or `auto`"))?,
+            ),
+        };
+        Ok(RenderSettings {
+            width: self.size.0,
+            height: self.size.1,
+            step,
+            phase: match self.phase {
+                PhaseArg::Half => Phase::Half,
+                PhaseArg::Hashed => Phase::Hashed,
+            },
+            stop_transmittance: self.stop,
+        })
+    }
+
+    pub(super) fn region(&self, settings: RenderSettings) -> Result<Region> {
+        let Some(crop) = &self.crop else {
+            return Ok(Region { columns: 0..settings.width, rows: 0..settings.height });
+        };
+        let &[x, y, width, height] = crop.as_slice() else {
+            bail!("--crop takes four numbers: left,top,width,height")
+        };
+        let (right, bottom) = (x.saturating_add(width), y.saturating_add(height));
+        ensure!(
+            width > 0 && height > 0 && right <= settings.width && bottom <= settings.height,
+            "--crop {x},{y},{width},{height} does not lie within the picture"
+        );
+        Ok(Region { columns: x..right, rows: y..bottom })
+    }
+
+    pub(super) fn scene(&self, cloud: &Arc<Cloud>) -> Result<Scene> {
+        let header = cloud.header();
+        let linear = |c: [f64; 3]| c.map(|v| linear_from_srgb(v) as f32);
+        Ok(Scene {
+            cloud: cloud.clone(),
+            kernel: self.kernel,
+            normalised: self.normalised,
+            transfer: TransferFunction {
+                opacity: values::opacity(&self.opacity)?,
+                unit_distance: self.unit_distance.unwrap_or(header.radius_mean),
+                color: self.color_rule(header)?,
+            },
+            shading: match self.shading {
+                ShadingArg::None => Shading::None,
+                ShadingArg::Headlight => Shading::Headlight,
+            },
+            background: self.background.map(linear),
+        })
+    }
+
+    fn color_rule(&self, header: &Header) -> Result<ColorRule> {
+        if let Some(color) = self.color {
+            return Ok(ColorRule::Uniform(color.map(|v| linear_from_srgb(v) as f32)));
+        }
+        if self.colormap.is_none() && self.color_by.is_none() {
+            /// Unpainted plaster.
+            const PLAIN: [f64; 3] = [0.86, 0.80, 0.70];
+            return Ok(if header.has_color {
+                ColorRule::Points
+            } else {
+                ColorRule::Uniform(PLAIN.map(|v| linear_from_srgb(v) as f32))
+            });
+        }
+        let map = match self.colormap {
+            Some(map) => map,
+            None => "viridis".parse()?,
+        };
+        let (input, known_range) = match self.color_by.as_deref() {
+            None | Some("density") => (MapInput::Density, (0.0, 1.0)),
+            Some(name) => {
+                let found = header.attributes.iter().position(|a| a.name == name);
+                let index = found.ok_or_else(|| {
+                    let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
+                    anyhow!(
+                        "--color-by {name}: the cloud stores {}; keep columns with `build --attributes`",
+                        if stored.is_empty() { "no attributes".to_owned() } else { stored.join(", ") }
+                    )
+                })?;
+                let attribute = &header.attributes[index];
+                let (low, high) = (f64::from(attribute.min), f64::from(attribute.max));
+                (MapInput::Attribute(index), (low, if high > low { high } else { low + 1.0 }))
+            }
+        };
+        Ok(ColorRule::Map { map, input, range: self.value_range.unwrap_or(known_range) })
+    }
+}

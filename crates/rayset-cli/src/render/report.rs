@@ -1,0 +1,83 @@
+//! A render in numbers.
+
+use std::path::Path;
+use std::time::Duration;
+
+use rayset::octree::format::Header;
+use rayset::trace::RenderCounts;
+use rayset::trace::memory::MemoryPlan;
+
+use super::work::Work;
+use crate::memory::peak_rss;
+use crate::report;
+use crate::statistics::{PageStatistics, WorkStatistics};
+
+/// What `--stats` writes.
+#[derive(serde::Serialize)]
+pub(super) struct RenderReport {
+    seconds: f64,
+    threads: usize,
+    simd: &'static str,
+    predictor: &'static str,
+    io: String,
+    page_bytes: u32,
+    pub(super) memory_bytes: u64,
+    pages_budget_bytes: u64,
+    peak_rss_bytes: Option<u64>,
+    #[serde(flatten)]
+    counts: WorkStatistics,
+    #[serde(flatten)]
+    pub(super) pages: PageStatistics,
+}
+
+impl RenderReport {
+    pub(super) fn new(
+        work: &Work,
+        plan: &MemoryPlan,
+        counts: RenderCounts,
+        header: &Header,
+        elapsed: Duration,
+    ) -> Self {
+        Self {
+            seconds: elapsed.as_secs_f64(),
+            threads: work.exec.threads,
+            simd: work.exec.simd.name(),
+            predictor: work.exec.predictor.name(),
+            io: work.io.clone(),
+            page_bytes: header.page_bytes,
+            memory_bytes: work.memory,
+            pages_budget_bytes: plan.page_bytes,
+            peak_rss_bytes: peak_rss(),
+            counts: counts.into(),
+            pages: (&work.pages.statistics()).into(),
+        }
+    }
+
+    pub(super) fn describe(&self, output: &Path) {
+        report::say(format_args!(
+            "{}: {:.2} s, {} million kernel evaluations, {}{}",
+            output.display(),
+            self.seconds,
+            self.counts.kernel_evaluations / 1_000_000,
+            self.simd,
+            self.peak_rss_bytes.map_or_else(String::new, |b| format!(", peak memory {}", report::bytes(b)))
+        ));
+        self.describe_working_set();
+    }
+
+    /// One line on what the working set did.
+    fn describe_working_set(&self) {
+        let set = &self.pages;
+        report::say(format_args!(
+            "working set: {} page requests, {} reads of {} ({:.2} a page), {} evictions, waited {:.3} s, at most {} of {}",
+            report::count(set.working_set.hits + set.working_set.misses),
+            report::count(set.working_set.reads),
+            report::bytes(u64::from(self.page_bytes)),
+            set.reads_per_page,
+            report::count(set.working_set.evictions),
+            set.stall_seconds,
+            report::bytes(set.working_set_peak_bytes),
+            report::bytes(self.pages_budget_bytes)
+        ));
+    }
+}

@@ -1,0 +1,126 @@
+//! The means of a render, none of which changes a pixel: memory, threads, reads.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow, ensure};
+use clap::{Args, ValueEnum};
+use rayset::field::SimdLevel;
+use rayset::octree::Cloud;
+use rayset::scene::RenderSettings;
+use rayset::trace::ExecSettings;
+use rayset::trace::memory::{self, MemoryPlan};
+use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
+use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
+use rayset::working_set::{CloudPages, Limits, WorkingSet};
+
+use crate::memory::PROCESS_BYTES;
+use crate::{report, values};
+
+/// Memory where neither the command line nor the file says any.
+const DEFAULT_MEMORY: u64 = 256 << 20;
+
+#[derive(Args, Clone)]
+#[command(next_help_heading = "Work")]
+pub(crate) struct WorkArgs {
+    /// Memory for the whole process. By default what the cloud was built with (--render-memory), else 256MiB
+    #[arg(long, value_parser = values::size)]
+    pub(crate) memory: Option<u64>,
+    /// Threads; as many as there are processors by default
+    #[arg(long)]
+    pub(crate) threads: Option<usize>,
+    /// What brings pages in before they are needed
+    #[arg(long, value_enum, default_value = "packet")]
+    pub(crate) predictor: PredictorArg,
+    /// How pages are read: io_uring where there is one, or a pool of threads
+    #[arg(long, value_enum, default_value = "auto")]
+    pub(crate) io: IoArg,
+    /// Read past the operating system's page cache
+    #[arg(long)]
+    pub(crate) direct: bool,
+    /// Add this many milliseconds to every read, as a distant disk would
+    #[arg(long)]
+    pub(crate) read_delay: Option<f64>,
+    /// Vector instructions: auto, or one of those that this processor has
+    #[arg(long, default_value = "auto")]
+    pub(crate) simd: SimdLevel,
+    /// Edge of a tile of rays in pixels, 1 to 8
+    #[arg(long, default_value_t = 8, hide = true)]
+    pub(crate) tile: u32,
+    /// Samples worked on at a time, 1 to 32
+    #[arg(long, default_value_t = 32, hide = true)]
+    pub(crate) slab: usize,
+}
+
+#[derive(Clone, Copy, ValueEnum, PartialEq, Eq)]
+pub(crate) enum PredictorArg {
+    None,
+    Packet,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum IoArg {
+    Auto,
+    Uring,
+    Pool,
+}
+
+/// The means of a render: settings that change no pixel, and pages.
+pub(crate) struct Work {
+    pub(crate) exec: ExecSettings,
+    pub(crate) pages: WorkingSet,
+    pub(crate) object: Arc<rayset::working_set::Object>,
+    pub(crate) memory: u64,
+    pub(crate) io: String,
+}
+
+impl Work {
+    pub(crate) fn prepare(
+        args: &WorkArgs,
+        cloud: &Arc<Cloud>,
+        settings: RenderSettings,
+    ) -> Result<(Self, MemoryPlan)> {
+        let header = cloud.header();
+        let threads = args.threads.unwrap_or_else(|| ExecSettings::default().threads).max(1);
+        let stored = (header.render_memory > 0).then_some(header.render_memory);
+        let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);
+        let plan = memory::plan(header, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
+            |least| {
+                anyhow!(
+                    "--memory {} is too small for this picture with {threads} threads; the smallest that would do \
+                     is {least} bytes ({})",
+                    report::bytes(memory),
+                    report::bytes(least)
+                )
+            },
+        )?;
+        let storage = FileStorage::open(cloud.path(), args.direct)
+            .with_context(|| format!("cannot open {}", cloud.path().display()))?;
+        let kind = match args.io {
+            IoArg::Auto => BackendKind::Auto,
+            IoArg::Uring => BackendKind::Uring,
+            IoArg::Pool => BackendKind::Pool,
+        };
+        let mut backend = read::backend(kind).context("io_uring is not available here; try --io pool")?;
+        if let Some(milliseconds) = args.read_delay {
+            ensure!((0.0..1e6).contains(&milliseconds), "--read-delay {milliseconds} is out of range");
+            backend = Arc::new(Delayed::new(backend, Duration::from_secs_f64(milliseconds / 1e3))?);
+        }
+        let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
+        let pages = WorkingSet::new(Limits::total(plan.page_bytes), backend);
+        let object = pages.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
+        let predictor: Arc<dyn Predictor> = match args.predictor {
+            PredictorArg::None => Arc::new(NoPredictor),
+            PredictorArg::Packet => Arc::new(PacketPredictor),
+        };
+        let exec = ExecSettings {
+            threads,
+            predictor,
+            simd: args.simd,
+            tile_pixels: args.tile,
+            slab_samples: args.slab,
+            band_rows: plan.band_rows,
+        };
+        Ok((Self { exec, pages, object, memory, io }, plan))
+    }
+}

@@ -1,0 +1,111 @@
+//! What rendering cost, in numbers: the same names in every report.
+
+use rayset::trace::RenderCounts;
+use rayset::working_set::{Kind, Statistics};
+
+/// Work on rays and points.
+#[derive(serde::Serialize, Clone)]
+pub(crate) struct WorkStatistics {
+    pub(crate) kernel_evaluations: u64,
+    pairs_tested: u64,
+    samples: u64,
+    nonzero_samples: u64,
+    packets: u64,
+    tiles_put_off: u64,
+    slabs: u64,
+    runs_decoded: u64,
+}
+
+impl From<RenderCounts> for WorkStatistics {
+    fn from(counts: RenderCounts) -> Self {
+        Self {
+            kernel_evaluations: counts.splats.kernel_evaluations,
+            pairs_tested: counts.splats.pairs_tested,
+            samples: counts.samples,
+            nonzero_samples: counts.nonzero_samples,
+            packets: counts.packets,
+            tiles_put_off: counts.put_off,
+            slabs: counts.slabs,
+            runs_decoded: counts.runs,
+        }
+    }
+}
+
+/// What a working set did.
+#[derive(serde::Serialize, Clone)]
+pub(crate) struct PageStatistics {
+    pub(crate) stall_seconds: f64,
+    /// Bytes read over bytes of the pages they came from.
+    pub(crate) reads_per_page: f64,
+    pub(crate) working_set_peak_bytes: u64,
+    /// Over all kinds of pages.
+    pub(crate) working_set: PageCounts,
+    working_set_by_kind: Vec<KindCounts>,
+}
+
+/// Pages of one kind.
+#[derive(serde::Serialize, Clone)]
+struct KindCounts {
+    kind: &'static str,
+    peak_bytes: u64,
+    #[serde(flatten)]
+    counts: PageCounts,
+}
+
+#[derive(serde::Serialize, Clone)]
+pub(crate) struct PageCounts {
+    pub(crate) hits: u64,
+    pub(crate) misses: u64,
+    late: u64,
+    hinted: u64,
+    hinted_in_time: u64,
+    stalls: u64,
+    stall_nanoseconds: u64,
+    pub(crate) reads: u64,
+    bytes_read: u64,
+    bytes_unique: u64,
+    pub(crate) evictions: u64,
+}
+
+impl PageCounts {
+    /// Those of the kinds for which `wanted` holds.
+    fn new(set: &Statistics, wanted: impl Fn(Kind) -> bool) -> Self {
+        let sum = |number: fn(&rayset::working_set::KindStatistics) -> u64| {
+            Kind::ALL.into_iter().filter(|&kind| wanted(kind)).map(|kind| number(set.kind(kind))).sum()
+        };
+        Self {
+            hits: sum(|k| k.hits),
+            misses: sum(|k| k.misses),
+            late: sum(|k| k.late),
+            hinted: sum(|k| k.hinted),
+            hinted_in_time: sum(|k| k.hinted_in_time),
+            stalls: sum(|k| k.stalls),
+            stall_nanoseconds: sum(|k| k.stall_nanoseconds),
+            reads: sum(|k| k.reads),
+            bytes_read: sum(|k| k.bytes_read),
+            bytes_unique: sum(|k| k.bytes_unique),
+            evictions: sum(|k| k.evictions),
+        }
+    }
+}
+
+impl From<&Statistics> for PageStatistics {
+    fn from(set: &Statistics) -> Self {
+        let all = PageCounts::new(set, |_| true);
+        let used = Kind::ALL.into_iter().filter(|&kind| set.kind(kind).hits + set.kind(kind).misses > 0);
+        let by_kind = used.map(|kind| KindCounts {
+            kind: kind.name(),
+            peak_bytes: set.kind(kind).peak_bytes,
+            counts: PageCounts::new(set, |k| k == kind),
+        });
+        let reads_per_page =
+            if all.bytes_unique > 0 { all.bytes_read as f64 / all.bytes_unique as f64 } else { 0.0 };
+        Self {
+            stall_seconds: all.stall_nanoseconds as f64 / 1e9,
+            reads_per_page,
+            working_set_peak_bytes: set.peak_bytes,
+            working_set_by_kind: by_kind.collect(),
+            working_set: all,
+        }
+    }
+}
