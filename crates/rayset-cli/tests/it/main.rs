@@ -7,6 +7,8 @@ mod bad_bytes;
 mod build_is_pure;
 mod common;
 mod edges;
+mod golden;
+mod house;
 mod interrupted;
 mod memory;
 mod program;

@@ -90,7 +90,7 @@ fn the_bunny_builds_and_renders_under_20_megabytes() {
     };
     let folder = folder();
     let scan = scan.to_string_lossy().into_owned();
-    let paper = ["--radius", "confidence", "--radius-scale", "0.005", "--weight", "intensity"];
+    let paper = ["--radius", "confidence", "--radius-scale", "0.006", "--weight", "intensity"];
     for (options, skipped) in [(&[][..], 0.0), (&paper[..], 160.0)] {
         let common = ["build", &scan, "-o", "c.rset", "--threads", "2", "--memory", "20MB", "--json"];
         let built = rayset(folder.path(), &[&common[..], options].concat());

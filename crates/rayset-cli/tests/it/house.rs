@@ -1,0 +1,58 @@
+//! The order of the modules, and what the library keeps away from.
+
+use std::path::{Path, PathBuf};
+
+/// Data flows this way: a module knows those before it and none behind.
+const ORDER: [&str; 8] = ["geometry", "points", "octree", "working_set", "field", "scene", "image", "trace"];
+
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("the folder of the library") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+/// Each file of the library with its module and its code without comments.
+fn library() -> Vec<(PathBuf, String, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/src");
+    let mut files = Vec::new();
+    sources(&root, &mut files);
+    assert!(files.len() > 40, "the library has moved: {}", root.display());
+    files
+        .into_iter()
+        .map(|path| {
+            let place = path.strip_prefix(&root).expect("below the root").to_path_buf();
+            let first = place.iter().next().expect("a name").to_string_lossy();
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            let code: String =
+                text.lines().filter(|l| !l.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n");
+            (place.clone(), first.trim_end_matches(".rs").to_owned(), code)
+        })
+        .collect()
+}
+
+#[test]
+fn modules_know_only_those_before_them() {
+    for (path, module, code) in library() {
+        let Some(own) = ORDER.iter().position(|m| *m == module) else { continue };
+        for other in ORDER.iter().skip(own + 1) {
+            let known = format!("crate::{other}::");
+            assert!(!code.contains(&known), "{} knows `{other}`, which comes after it", path.display());
+        }
+    }
+}
+
+#[test]
+fn the_library_neither_prints_nor_reads_arguments_nor_keeps_global_state() {
+    for (path, _, code) in library() {
+        for word in
+            ["println!", "eprintln!", "env::args", "static mut ", "thread_local!", "OnceLock", "LazyLock"]
+        {
+            assert!(!code.contains(word), "{}: {word}", path.display());
+        }
+    }
+}
