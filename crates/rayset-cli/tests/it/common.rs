@@ -18,10 +18,9 @@ pub(crate) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
 
-/// Real scans, in the folder that `RAYSET_TEST_DATA` names or beside the project; tests use them when they are there and never need them.
+/// Real scans, where `RAYSET_TEST_DATA` names a folder of them; tests never need them.
 pub(crate) fn real_data(name: &str) -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let root = std::env::var_os("RAYSET_TEST_DATA").map_or(root, PathBuf::from);
+    let root = PathBuf::from(std::env::var_os("RAYSET_TEST_DATA")?);
     Some(root.join(name)).filter(|p| p.exists())
 }
 

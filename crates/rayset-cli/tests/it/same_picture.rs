@@ -8,7 +8,7 @@ use rayset::octree::build::BuildOptions;
 use rayset::scene::{Phase, RenderSettings, Scene, Step};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
-use rayset::trace::{ExecSettings, Region, WholePicture, render_region};
+use rayset::trace::{ExecSettings, Region, WholePicture, render, render_region};
 use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
 
 use crate::common::{
@@ -71,6 +71,21 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
                 }
             }
         }
+    }
+}
+
+#[test]
+fn tiles_that_are_put_off_become_the_same_pixels() {
+    let folder = folder();
+    for (scene, settings) in scenes(folder.path()) {
+        let expected = bits(&plain_picture(&scene, &settings));
+        let pool = read::backend(BackendKind::Pool).expect("a pool");
+        let slow = Arc::new(Delayed::new(pool, Duration::from_millis(5)).expect("a thread"));
+        let (pages, object) = pages_with(&scene.cloud, 1 << 30, slow, false);
+        let mut found = WholePicture::default();
+        let counts = render(&scene, &camera(), &settings, &exec(2), &pages, &object, &mut found);
+        assert!(counts.expect("a picture").put_off > 0, "nothing was put off");
+        assert!(bits(&found.pixels) == expected);
     }
 }
 

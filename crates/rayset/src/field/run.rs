@@ -97,16 +97,13 @@ impl RunDecoder {
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
         run.decode_local(self.root, &mut out.position);
         let mut radius_min = f64::INFINITY;
-        match self.radius {
-            Some(r) => {
-                radius_min = f64::from(r);
-                out.inverse_radius[..n].fill(1.0 / r);
-            }
-            None => {
-                for (i, r) in run.radii(header).into_iter().flatten().enumerate() {
-                    radius_min = radius_min.min(f64::from(r));
-                    out.inverse_radius[i] = 1.0 / r;
-                }
+        if let Some(r) = self.radius {
+            radius_min = f64::from(r);
+            out.inverse_radius[..n].fill(1.0 / r);
+        } else if let Some(radii) = run.radii(header) {
+            for (inverse, r) in out.inverse_radius.iter_mut().zip(radii) {
+                radius_min = radius_min.min(f64::from(r));
+                *inverse = 1.0 / r;
             }
         }
         out.pad_last_chunk();
@@ -120,9 +117,10 @@ impl RunDecoder {
     #[inline(always)]
     fn decode_weights(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
         let n = run.head.len();
-        match self.weight {
-            Some(w) => out.weight[..n].fill(w),
-            None => run.weights(header).into_iter().flatten().zip(&mut out.weight).for_each(|(w, o)| *o = w),
+        if let Some(w) = self.weight {
+            out.weight[..n].fill(w);
+        } else if let Some(weights) = run.weights(header) {
+            out.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
         }
         if let Some(factor) = self.normalisation {
             for (w, inverse) in out.weight[..n].iter_mut().zip(&out.inverse_radius) {
@@ -137,7 +135,8 @@ impl RunDecoder {
         match self.source {
             AttributeSource::None => {}
             AttributeSource::Color => {
-                for (i, c) in run.colors(header).into_iter().flatten().enumerate() {
+                let Some(colors) = run.colors(header) else { return };
+                for (i, c) in colors.enumerate() {
                     for channel in 0..3 {
                         out.attribute[channel][i] = self.linear_from_srgb[usize::from(c[channel])];
                     }

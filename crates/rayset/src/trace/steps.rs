@@ -6,8 +6,8 @@
 use super::RenderError;
 use super::access::{Access, Halt};
 use super::frontier::NODE_PRIORITY;
-use crate::field::Packet;
-use crate::geometry::Ray;
+use crate::field::BoxTest;
+use crate::geometry::{Beam, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::{RenderSettings, Scene, Step};
 
@@ -69,15 +69,17 @@ impl StepRule {
 
     fn exponents(&self, access: Access<'_>, rays: &[(Ray, f64)]) -> Result<Vec<i32>, Halt> {
         let world = access.world;
-        let packet = Packet::new(rays, self.coarsest);
-        let beam = packet.beam(packet.all());
+        let mut beam = Beam::EMPTY;
+        rays.iter().for_each(|(ray, _)| beam.include(ray));
+        // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
+        let test = BoxTest::new(world.splatter.simd, rays.iter().map(|&(ray, _)| ray));
         let mut exponents = vec![0; rays.len()];
         let mut stack: Vec<Node> = access.root()?.into_iter().collect();
         while let Some(node) = stack.pop() {
             let below = self.exponent(node.radius_min);
             let bounds = node.bounds(world.root_cell);
             let finest_known = exponents.iter().copied().max().unwrap_or(0);
-            if below >= finest_known || packet.samples_in(&beam, &bounds).is_none() {
+            if below >= finest_known || beam.span(&bounds).is_none() {
                 continue;
             }
             let own = if node.child_mask == 0 {
@@ -90,8 +92,9 @@ impl StepRule {
                 None
             };
             if let Some(own) = own {
-                for (k, (ray, _)) in exponents.iter_mut().zip(rays) {
-                    if own < *k && bounds.clip(ray).is_some() {
+                let near = test.cross(&bounds, 0.0).near;
+                for (lane, (k, (ray, _))) in exponents.iter_mut().zip(rays).enumerate() {
+                    if own < *k && near >> lane & 1 == 1 && bounds.clip(ray).is_some() {
                         *k = own;
                     }
                 }
