@@ -1,10 +1,14 @@
 //! How one attempt at a tile comes by its pages: it waits for those that are absent, or is put off until they are there.
 
 use super::RenderError;
-use super::frontier::NODE_PRIORITY;
 use super::world::World;
 use crate::octree::node::{Node, NodePage};
 use crate::working_set::PageGuard;
+
+/// Priority of node pages: every packet needs the upper ones.
+pub(super) const NODE_PRIORITY: u8 = 255;
+/// Priority of point pages that samples wait for.
+pub(super) const POINT_PRIORITY: u8 = 200;
 
 /// Why an attempt ended early.
 pub(super) enum Halt {

@@ -6,17 +6,12 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::access::{Access, Halt};
-use crate::field::{BoxTest, Packet, SLAB_SAMPLES, SimdLevel};
+use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
+use crate::field::{Packet, RayColumns, SLAB_SAMPLES, SimdLevel};
 use crate::geometry::{Aabb, Beam};
 use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage, RunRange};
 use crate::octree::page::PointPage;
-
-/// Priority of node pages: every packet needs the upper ones.
-pub(super) const NODE_PRIORITY: u8 = 255;
-/// Priority of point pages that samples wait for.
-pub(super) const POINT_PRIORITY: u8 = 200;
 
 #[derive(Clone, Copy, Debug)]
 enum Item {
@@ -68,19 +63,19 @@ pub(super) struct LiveRays<'a> {
     packet: &'a Packet,
     beam: Beam,
     /// Each ray by itself, where some have ended: the bound of the others may hold much that none of them meets.
-    each: Option<BoxTest>,
+    each: Option<RayColumns>,
 }
 
 impl<'a> LiveRays<'a> {
     pub(super) fn new(packet: &'a Packet, lanes: u64, simd: SimdLevel) -> Self {
-        let each = (lanes != packet.all() && lanes != 0).then(|| BoxTest::new(simd, packet.rays(lanes)));
+        let each = (lanes != packet.all() && lanes != 0).then(|| RayColumns::new(simd, packet.rays(lanes)));
         Self { packet, beam: packet.beam(lanes), each }
     }
 
     /// The samples that may lie in a box, or nothing where none does.
     fn samples_in(&self, bounds: &Aabb) -> Option<(u64, u64)> {
         let samples = self.packet.samples_in(&self.beam, bounds)?;
-        let met = self.each.as_ref().is_none_or(|test| test.cross(bounds, 0.0).near != 0);
+        let met = self.each.as_ref().is_none_or(|rays| rays.cross(bounds, 0.0).near != 0);
         met.then_some(samples)
     }
 }

@@ -1,8 +1,8 @@
 //! One packet of rays, slab after slab: the loop that all time goes into.
 
-use super::access::{Access, Halt};
+use super::access::{Access, Halt, POINT_PRIORITY};
 use super::composite::RayState;
-use super::frontier::{ActiveRun, Frontier, LiveRays, POINT_PRIORITY};
+use super::frontier::{ActiveRun, Frontier, LiveRays};
 use super::steps::StepGroup;
 use super::world::World;
 use crate::field::{DecodedRun, FieldSamples, LANES, Packet, Slab, SplatCounts};

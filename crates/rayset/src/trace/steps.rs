@@ -4,9 +4,8 @@
 //! function of ray and scene alone, whatever packet the ray travels in. Lattices of different k nest.
 
 use super::RenderError;
-use super::access::{Access, Halt};
-use super::frontier::NODE_PRIORITY;
-use crate::field::BoxTest;
+use super::access::{Access, Halt, NODE_PRIORITY};
+use crate::field::RayColumns;
 use crate::geometry::{Beam, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::{RenderSettings, Scene, Step};
@@ -72,7 +71,7 @@ impl StepRule {
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|(ray, _)| beam.include(ray));
         // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
-        let test = BoxTest::new(world.splatter.simd, rays.iter().map(|&(ray, _)| ray));
+        let columns = RayColumns::new(world.splatter.simd, rays.iter().map(|&(ray, _)| ray));
         let mut exponents = vec![0; rays.len()];
         let mut stack: Vec<Node> = access.root()?.into_iter().collect();
         while let Some(node) = stack.pop() {
@@ -92,7 +91,7 @@ impl StepRule {
                 None
             };
             if let Some(own) = own {
-                let near = test.cross(&bounds, 0.0).near;
+                let near = columns.cross(&bounds, 0.0).near;
                 for (lane, (k, (ray, _))) in exponents.iter_mut().zip(rays).enumerate() {
                     if own < *k && near >> lane & 1 == 1 && bounds.clip(ray).is_some() {
                         *k = own;

@@ -13,7 +13,7 @@ use crate::geometry::{Aabb, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
 use crate::trace::Region;
-use crate::trace::frontier::NODE_PRIORITY;
+use crate::trace::access::NODE_PRIORITY;
 use crate::trace::world::World;
 
 /// Edge, in pixels, of the blocks of tiles that are looked at together.

@@ -3,14 +3,14 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use crate::field::{BoxTest, Crossing, Kernel, LANES, SimdLevel};
+use crate::field::{Crossing, Kernel, LANES, RayColumns, SimdLevel};
 use crate::geometry::{Aabb, Beam, DVec3, Ray};
 use crate::octree::node::Node;
 use crate::scene::{RenderSettings, Scene, TransferFunction};
 
 /// Rays on a lattice over a block of the picture.
 pub(super) struct Scout {
-    test: BoxTest,
+    rays: RayColumns,
     beam: Beam,
     /// Half the gap between neighbouring rays, at distance 0 and what a unit of distance adds to it.
     gap: (f64, f64),
@@ -27,7 +27,7 @@ impl Scout {
         rays.iter().for_each(|ray| beam.include(ray));
         let half_gap = |v: fn(&Ray) -> DVec3| 0.5 * v(&rays[0]).distance(v(&rays[9]));
         Self {
-            test: BoxTest::new(simd, rays.iter().copied()),
+            rays: RayColumns::new(simd, rays.iter().copied()),
             beam,
             gap: (half_gap(|r| r.origin), half_gap(|r| r.direction)),
             ends: [f32::INFINITY; LANES],
@@ -43,7 +43,7 @@ impl Scout {
     /// What the rays make of a box that they first meet at a distance: near are those beside which, within half a gap,
     /// there may be rays that meet it. Only rays that have not ended before it count.
     fn cross(&self, bounds: &Aabb, distance: f64) -> Crossing {
-        let mut crossing = self.test.cross(bounds, self.gap.0 + self.gap.1 * distance);
+        let mut crossing = self.rays.cross(bounds, self.gap.0 + self.gap.1 * distance);
         let mut before_their_ends = 0;
         for lane in 0..LANES {
             before_their_ends |= u64::from(crossing.enter_near[lane] < self.ends[lane]) << lane;

@@ -1,4 +1,4 @@
-//! Sixty-four rays against a box.
+//! Sixty-four rays in columns, tested against boxes together.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{dispatch, f32x16};
@@ -9,7 +9,7 @@ use crate::geometry::{Aabb, DVec3, Ray};
 
 /// Rays in columns, prepared for tests against boxes.
 #[derive(Clone, Debug)]
-pub struct BoxTest {
+pub struct RayColumns {
     simd: SimdLevel,
     /// What the origins below are counted from, so that single precision will do wherever the scene is.
     base: DVec3,
@@ -34,7 +34,7 @@ pub struct Crossing {
     pub length: [f32; LANES],
 }
 
-impl BoxTest {
+impl RayColumns {
     /// Of at most 64 rays, the last of which fills the columns up.
     ///
     /// Panics where there are none.
@@ -42,7 +42,7 @@ impl BoxTest {
     pub fn new(simd: SimdLevel, rays: impl IntoIterator<Item = Ray>) -> Self {
         let mut rays = rays.into_iter().take(LANES);
         let mut ray = rays.next().expect("at least one ray");
-        let mut test = Self {
+        let mut columns = Self {
             simd,
             base: ray.origin,
             origin: [[0.0; LANES]; 3],
@@ -50,17 +50,17 @@ impl BoxTest {
             spread: 0.0,
         };
         for lane in 0..LANES {
-            let offset = ray.origin - test.base;
-            test.spread = test.spread.max(offset.abs().max_element());
+            let offset = ray.origin - columns.base;
+            columns.spread = columns.spread.max(offset.abs().max_element());
             for axis in 0..3 {
-                test.origin[axis][lane] = offset[axis] as f32;
+                columns.origin[axis][lane] = offset[axis] as f32;
                 // Large and of the right sign where the direction has no extent along an axis.
                 let direction = ray.direction[axis] as f32;
-                test.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
+                columns.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
             }
             ray = rays.next().unwrap_or(ray);
         }
-        test
+        columns
     }
 
     /// What the rays make of a box; `margin_world` is how far beside it is near. No ray that meets the box is left out
@@ -131,7 +131,7 @@ mod tests {
                 .map(|(o, d)| Ray { origin: o + place, direction: d.try_normalize().unwrap_or(DVec3::X) })
                 .collect();
             for simd in SimdLevel::available() {
-                let crossing = BoxTest::new(simd, rays.iter().copied()).cross(&bounds, 0.0);
+                let crossing = RayColumns::new(simd, rays.iter().copied()).cross(&bounds, 0.0);
                 for (lane, ray) in rays.iter().enumerate() {
                     prop_assert!(bounds.clip(ray).is_none() || crossing.near >> lane & 1 == 1, "{ray:?}");
                 }
