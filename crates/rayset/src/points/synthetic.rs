@@ -196,11 +196,13 @@ fn knot(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     let flute = 0.06 * (8.0 * v + 24.0 * u).sin();
     let tube = 0.42 + flute;
     let p = center + (side * v.cos() + across * v.sin()) * tube;
-    // Tube area over the number of points is the square of the spacing; the radius covers about four spacings, enough to hide the noise of random points.
-    let radius = 4.0 * (2.7 * TAU * TAU * 0.42 / points.max(1) as f64).sqrt();
+    // Tube area over the number of points is the square of the spacing. The radius covers about five spacings, and the
+    // weight puts half opacity well inside the shell of overlapping kernels, where many points have a say: both hide
+    // the noise of random points.
+    let radius = 5.0 * (2.7 * TAU * TAU * 0.42 / points.max(1) as f64).sqrt();
     let shade = 0.75 + 3.0 * flute;
     let [r, g, b] = hue(2.0 * u / TAU);
-    (p.to_array(), [radius, 1.0, r * shade, g * shade, b * shade])
+    (p.to_array(), [radius, 0.4, r * shade, g * shade, b * shade])
 }
 
 /// A two-armed spiral with a bulge: translucent, with radii over two orders of magnitude.
