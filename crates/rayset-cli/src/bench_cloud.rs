@@ -9,12 +9,14 @@ use rayset::field::{Kernel, SimdLevel};
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress};
 use rayset::points::{self, ReadOptions, Workload};
-use rayset::scene::{Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction};
+use rayset::scene::{
+    Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
+};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
-use rayset::working_set::{CloudPages, Limits, Object, Statistics, WorkingSet};
+use rayset::working_set::{Limits, PagedClouds, Statistics, WorkingSet};
 
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
 use crate::statistics::{PageStatistics, WorkStatistics};
@@ -131,19 +133,18 @@ impl Prepared {
             for run in &mut runs {
                 let all_fit = run.budget >= self.cloud.header().file_bytes;
                 if !all_fit {
-                    run.set.clear();
+                    run.paged.pages.clear();
                 }
-                run.set.reset_statistics();
+                run.paged.pages.reset_statistics();
                 reset_peak_rss();
                 let started = Instant::now();
                 let mut picture = WholePicture::default();
                 let camera = self.camera();
-                run.counts =
-                    render(&scene, &camera, &settings, &run.exec, &run.set, &run.object, &mut picture)?;
+                run.counts = render(&scene, &camera, &settings, &run.exec, &run.paged, &mut picture)?;
                 if round > 0 {
                     run.seconds.push(started.elapsed().as_secs_f64());
                 }
-                run.statistics = run.set.statistics();
+                run.statistics = run.paged.pages.statistics();
                 run.peak = peak_rss();
             }
         }
@@ -168,14 +169,13 @@ impl Prepared {
         if let Some(delay) = case.delay {
             backend = Arc::new(Delayed::new(backend, delay)?);
         }
-        let set = WorkingSet::new(Limits::total(budget), backend);
-        let object = set.add(Arc::new(CloudPages::new(self.cloud.clone(), Arc::new(storage))));
+        let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(budget), backend));
+        paged.add(&self.cloud, Arc::new(storage));
         let predictor: Arc<dyn Predictor> =
             if case.packet { Arc::new(PacketPredictor) } else { Arc::new(NoPredictor) };
         let exec = ExecSettings { threads, predictor, simd, ..ExecSettings::default() };
         Ok(Run {
-            set,
-            object,
+            paged,
             exec,
             budget,
             seconds: Vec::new(),
@@ -188,18 +188,15 @@ impl Prepared {
     fn scene(&self, translucent: bool) -> Scene {
         let radius = self.cloud.header().radius_mean;
         let kappa = if translucent { 0.02 } else { 2.0 } / radius;
-        Scene {
-            cloud: self.cloud.clone(),
+        let object = CloudObject {
             kernel: Kernel::Triweight,
-            normalised: false,
             transfer: TransferFunction {
                 opacity: OpacityRule::Extinction(kappa),
-                unit_distance: radius,
                 color: ColorRule::Uniform([1.0; 3]),
             },
-            shading: Shading::None,
-            background: None,
-        }
+            ..CloudObject::plain(self.cloud.clone())
+        };
+        Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) }
     }
 
     fn camera(&self) -> Camera {
@@ -239,8 +236,7 @@ impl Prepared {
 }
 
 struct Run {
-    set: WorkingSet,
-    object: Arc<Object>,
+    paged: PagedClouds,
     exec: ExecSettings,
     budget: u64,
     seconds: Vec<f64>,

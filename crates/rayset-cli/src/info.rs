@@ -1,12 +1,14 @@
 //! `rayset info`
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Result;
 use clap::Args;
 use rayset::octree::Cloud;
 use rayset::octree::format::Column;
-use rayset::trace::memory;
+use rayset::scene::{CloudObject, Scene};
+use rayset::trace::memory::{self, SceneNeeds};
 
 use crate::memory::PROCESS_BYTES;
 use crate::report;
@@ -48,10 +50,11 @@ struct Info {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    let cloud = Cloud::open(&args.cloud)?;
+    let cloud = Arc::new(Cloud::open(&args.cloud)?);
     let h = cloud.header();
+    let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let plan = memory::plan(h, 512, 512, threads, PROCESS_BYTES, u64::MAX / 2)
+    let plan = memory::plan(&SceneNeeds::of(&scene), 512, 512, threads, PROCESS_BYTES, u64::MAX / 2)
         .map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
     let info = Info {
         points: h.points,

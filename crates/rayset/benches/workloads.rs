@@ -14,10 +14,12 @@ use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::points::{self, PlyWriter, PointBatch, ReadOptions, Workload};
-use rayset::scene::{Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction};
+use rayset::scene::{
+    Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
+};
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
-use rayset::working_set::read::{self, BackendKind, FileStorage};
-use rayset::working_set::{CloudPages, Limits, Object, WorkingSet};
+use rayset::working_set::read::{self, BackendKind};
+use rayset::working_set::{Limits, PagedClouds, WorkingSet};
 
 /// A standard workload as a PLY file and as a cloud, in a folder that stays between runs.
 struct Prepared {
@@ -70,8 +72,7 @@ impl Prepared {
 /// A cloud that is in memory after its first render.
 struct InCore {
     cloud: Arc<Cloud>,
-    pages: WorkingSet,
-    object: Arc<Object>,
+    paged: PagedClouds,
 }
 
 impl InCore {
@@ -80,34 +81,30 @@ impl InCore {
             prepared.build();
         }
         let cloud = Arc::new(Cloud::open(&prepared.rset).expect("the cloud opens"));
-        let storage = FileStorage::open(&prepared.rset, false).expect("the cloud opens");
         let backend = read::backend(BackendKind::Auto).expect("a way to read");
-        let pages = WorkingSet::new(Limits::total(cloud.header().file_bytes), backend);
-        let object = pages.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
-        Self { cloud, pages, object }
+        let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(cloud.header().file_bytes), backend));
+        paged.open(&cloud, false).expect("the cloud opens");
+        Self { cloud, paged }
     }
 
     fn render(&self, workload: &Workload, translucent: bool) -> RenderCounts {
         let radius = self.cloud.header().radius_mean;
         let (kappa, stop_transmittance) = if translucent { (0.02, 0.0) } else { (2.0, 0.01) };
-        let scene = Scene {
-            cloud: self.cloud.clone(),
+        let object = CloudObject {
             kernel: Kernel::Triweight,
-            normalised: false,
             transfer: TransferFunction {
                 opacity: OpacityRule::Extinction(kappa / radius),
-                unit_distance: radius,
                 color: ColorRule::Uniform([1.0; 3]),
             },
-            shading: Shading::None,
-            background: None,
+            ..CloudObject::plain(self.cloud.clone())
         };
+        let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) };
         let view = workload.view();
         let camera = Camera::look_at(view.position, view.look_at, view.up, view.fovy_degrees.to_radians());
         let settings = RenderSettings { stop_transmittance, ..RenderSettings::default() };
         let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
         let mut picture = WholePicture::default();
-        render(&scene, &camera, &settings, &exec, &self.pages, &self.object, &mut picture).expect("a picture")
+        render(&scene, &camera, &settings, &exec, &self.paged, &mut picture).expect("a picture")
     }
 }
 

@@ -1,11 +1,12 @@
 //! Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 //!
 //! Points become a cloud file ([`octree::build`]); a [`working_set`] brings its pages into memory, never more than it
-//! may; [`trace::render`] marches packets of rays through the density that the points' kernels add up to.
+//! may; a [`scene::Scene`] combines clouds and procedural solids by constructive operators, lit; [`trace::render`] marches
+//! packets of rays through it.
 //!
 //! ```
 //! use std::sync::Arc;
-//! use rayset::{geometry::DVec3, octree::{Cloud, build}, points::Workload, scene::*, trace, working_set::*};
+//! use rayset::{geometry::{DAffine3, DVec3}, octree::{Cloud, build}, points::Workload, scene::*, trace, working_set::*};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let folder = std::env::temp_dir().join("rayset-doc");
@@ -19,22 +20,20 @@
 //!
 //! // A working set of at most one mebibyte over its pages.
 //! let cloud = Arc::new(Cloud::open(&path)?);
-//! let storage = read::FileStorage::open(&path, false)?;
-//! let pages = WorkingSet::new(Limits::total(1 << 20), read::backend(read::BackendKind::Auto)?);
-//! let object = pages.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
+//! let set = WorkingSet::new(Limits::total(1 << 20), read::backend(read::BackendKind::Auto)?);
+//! let mut paged = PagedClouds::new(set);
+//! paged.open(&cloud, false)?;
 //!
-//! // A picture of 16 × 16 pixels.
-//! let transfer = TransferFunction {
-//!     opacity: OpacityRule::Clamp,
-//!     unit_distance: 0.3,
-//!     color: ColorRule::Uniform([1.0; 3]),
-//! };
-//! let (shading, background) = (Shading::Headlight, None);
-//! let scene = Scene { cloud, kernel: Default::default(), normalised: false, transfer, shading, background };
+//! // The ball with a corner cut away, in a picture of 16 × 16 pixels.
+//! let ball = Node::new(Shape::Cloud(CloudObject::plain(cloud)));
+//! let block = Solid::new(Form::Box { size: DVec3::ONE });
+//! let block = Node::new(Shape::Procedural(Arc::new(block))).moved(DAffine3::from_translation(DVec3::ONE));
+//! let root = Arc::new(Node::operator(Operator::Difference, [ball, block]));
+//! let scene = Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 0.3 };
 //! let camera = Camera::look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, 1.0);
 //! let settings = RenderSettings { width: 16, height: 16, ..Default::default() };
 //! let mut picture = trace::WholePicture::default();
-//! trace::render(&scene, &camera, &settings, &Default::default(), &pages, &object, &mut picture)?;
+//! trace::render(&scene, &camera, &settings, &Default::default(), &paged, &mut picture)?;
 //! assert!(picture.pixels[8 * 16 + 8][3] > 0.9 && picture.pixels[0][3] == 0.0);
 //! # std::fs::remove_dir_all(&folder)?;
 //! # Ok(())

@@ -53,10 +53,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let camera = args.camera.camera(header, settings)?;
     let region = args.picture.region(settings)?;
     warn_of_small_radii(header, &camera, settings);
-    let (work, plan) = Work::prepare(&args.work, &cloud, settings)?;
+    let (work, plan) = Work::prepare(&args.work, &scene, settings)?;
     let mut sink = PngSink::create(&args.output, &region)?;
-    let counts =
-        render_region(&scene, &camera, &settings, &region, &work.exec, &work.pages, &work.object, &mut sink)?;
+    let counts = render_region(&scene, &camera, &settings, &region, &work.exec, &work.paged, &mut sink)?;
     sink.finish()?;
     let report = RenderReport::new(&work, &plan, counts, header, started.elapsed());
     if let Some(path) = &args.stats {

@@ -8,7 +8,8 @@ use rayset::field::{Kernel, linear_from_srgb};
 use rayset::octree::Cloud;
 use rayset::octree::format::Header;
 use rayset::scene::{
-    ColorRule, Colormap, MapInput, Phase, RenderSettings, Scene, Shading, Step, TransferFunction,
+    CloudObject, ColorMap, ColorRule, Colormap, Lighting, MapInput, Phase, RenderSettings, Scene, Step,
+    TransferFunction,
 };
 use rayset::trace::Region;
 
@@ -117,20 +118,18 @@ impl PictureArgs {
     pub(super) fn scene(&self, cloud: &Arc<Cloud>) -> Result<Scene> {
         let header = cloud.header();
         let linear = |c: [f64; 3]| c.map(|v| linear_from_srgb(v) as f32);
+        let transfer =
+            TransferFunction { opacity: values::opacity(&self.opacity)?, color: self.color_rule(header)? };
+        let object =
+            CloudObject { cloud: cloud.clone(), kernel: self.kernel, normalised: self.normalised, transfer };
         Ok(Scene {
-            cloud: cloud.clone(),
-            kernel: self.kernel,
-            normalised: self.normalised,
-            transfer: TransferFunction {
-                opacity: values::opacity(&self.opacity)?,
-                unit_distance: self.unit_distance.unwrap_or(header.radius_mean),
-                color: self.color_rule(header)?,
-            },
-            shading: match self.shading {
-                ShadingArg::None => Shading::None,
-                ShadingArg::Headlight => Shading::Headlight,
+            lighting: match self.shading {
+                ShadingArg::None => Lighting::Unlit,
+                ShadingArg::Headlight => Lighting::headlight(),
             },
             background: self.background.map(linear),
+            unit_distance: self.unit_distance.unwrap_or(header.radius_mean),
+            ..Scene::of_cloud(object)
         })
     }
 
@@ -167,6 +166,7 @@ impl PictureArgs {
                 (MapInput::Attribute(index), (low, if high > low { high } else { low + 1.0 }))
             }
         };
-        Ok(ColorRule::Map { map, input, range: self.value_range.unwrap_or(known_range) })
+        let map = ColorMap::named(map, self.value_range.unwrap_or(known_range));
+        Ok(ColorRule::Map { map, input })
     }
 }

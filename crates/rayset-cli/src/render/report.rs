@@ -49,7 +49,7 @@ impl RenderReport {
             pages_budget_bytes: plan.page_bytes,
             peak_rss_bytes: peak_rss(),
             counts: counts.into(),
-            pages: (&work.pages.statistics()).into(),
+            pages: (&work.paged.pages.statistics()).into(),
         }
     }
 

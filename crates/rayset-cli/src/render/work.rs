@@ -6,13 +6,12 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, ensure};
 use clap::{Args, ValueEnum};
 use rayset::field::SimdLevel;
-use rayset::octree::Cloud;
-use rayset::scene::RenderSettings;
+use rayset::scene::{RenderSettings, Scene};
 use rayset::trace::ExecSettings;
-use rayset::trace::memory::{self, MemoryPlan};
+use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
-use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
-use rayset::working_set::{CloudPages, Limits, WorkingSet};
+use rayset::working_set::read::{self, BackendKind, Delayed};
+use rayset::working_set::{Limits, PagedClouds, WorkingSet};
 
 use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
@@ -68,8 +67,7 @@ pub(crate) enum IoArg {
 /// The means of a render: settings that change no pixel, and pages.
 pub(crate) struct Work {
     pub(crate) exec: ExecSettings,
-    pub(crate) pages: WorkingSet,
-    pub(crate) object: Arc<rayset::working_set::Object>,
+    pub(crate) paged: PagedClouds,
     pub(crate) memory: u64,
     pub(crate) io: String,
 }
@@ -77,14 +75,14 @@ pub(crate) struct Work {
 impl Work {
     pub(crate) fn prepare(
         args: &WorkArgs,
-        cloud: &Arc<Cloud>,
+        scene: &Scene,
         settings: RenderSettings,
     ) -> Result<(Self, MemoryPlan)> {
-        let header = cloud.header();
+        let needs = SceneNeeds::of(scene);
         let threads = args.threads.unwrap_or_else(|| ExecSettings::default().threads).max(1);
-        let stored = (header.render_memory > 0).then_some(header.render_memory);
+        let stored = needs.clouds().iter().map(|cloud| cloud.header().render_memory).max().filter(|&m| m > 0);
         let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);
-        let plan = memory::plan(header, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
+        let plan = memory::plan(&needs, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
             |least| {
                 anyhow!(
                     "--memory {} is too small for this picture with {threads} threads; the smallest that would do \
@@ -94,8 +92,6 @@ impl Work {
                 )
             },
         )?;
-        let storage = FileStorage::open(cloud.path(), args.direct)
-            .with_context(|| format!("cannot open {}", cloud.path().display()))?;
         let kind = match args.io {
             IoArg::Auto => BackendKind::Auto,
             IoArg::Uring => BackendKind::Uring,
@@ -107,8 +103,11 @@ impl Work {
             backend = Arc::new(Delayed::new(backend, Duration::from_secs_f64(milliseconds / 1e3))?);
         }
         let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
-        let pages = WorkingSet::new(Limits::total(plan.page_bytes), backend);
-        let object = pages.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
+        let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(plan.page_bytes), backend));
+        for cloud in needs.clouds() {
+            let opened = paged.open(cloud, args.direct);
+            opened.with_context(|| format!("cannot open {}", cloud.path().display()))?;
+        }
         let predictor: Arc<dyn Predictor> = match args.predictor {
             PredictorArg::None => Arc::new(NoPredictor),
             PredictorArg::Packet => Arc::new(PacketPredictor),
@@ -121,6 +120,6 @@ impl Work {
             slab_samples: args.slab,
             band_rows: plan.band_rows,
         };
-        Ok((Self { exec, pages, object, memory, io }, plan))
+        Ok((Self { exec, paged, memory, io }, plan))
     }
 }

@@ -11,7 +11,7 @@ use rayset::octree::build::BuildOptions;
 use rayset::octree::verify::{Depth, verify};
 use rayset::trace::ExecSettings;
 
-use crate::common::{build_at, camera, folder, mixed_points, pages, picture, scene, settings};
+use crate::common::{build_at, camera, folder, mixed_points, paged, picture, scene, settings};
 
 /// What opening and checking a file comes to, as a message.
 fn check(path: &Path) -> Result<(), String> {
@@ -86,14 +86,8 @@ fn a_render_over_a_damaged_page_fails_and_says_where() {
     let cloud = build_at(&path, Box::new(mixed_points(3000, 1.0, 23)), &options);
     let expected = {
         let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
-        picture(
-            &scene(&cloud, Kernel::Wyvill, false),
-            &camera(),
-            &settings(40, 40),
-            &exec,
-            &pages(&cloud, 1 << 30),
-        )
-        .expect("a picture")
+        let scene = scene(&cloud, Kernel::Wyvill, false);
+        picture(&scene, &camera(), &settings(40, 40), &exec, &paged(&scene, 1 << 30)).expect("a picture")
     };
     let bytes = std::fs::read(&path).expect("the file reads");
     let mut failed = 0;
@@ -105,7 +99,7 @@ fn a_render_over_a_damaged_page_fails_and_says_where() {
         let cloud = Arc::new(Cloud::open(&path).expect("the header is whole"));
         let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
         let scene = scene(&cloud, Kernel::Wyvill, false);
-        match picture(&scene, &camera(), &settings(40, 40), &exec, &pages(&cloud, 1 << 30)) {
+        match picture(&scene, &camera(), &settings(40, 40), &exec, &paged(&scene, 1 << 30)) {
             Err(e) => {
                 let message = e.to_string();
                 assert!(message.contains("c.rset") && message.contains("byte"), "{message}");

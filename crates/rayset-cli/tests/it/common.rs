@@ -8,10 +8,13 @@ use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::points::{ArraySource, PointSource, Workload};
-use rayset::scene::{Camera, ColorRule, OpacityRule, RenderSettings, Scene, Shading, TransferFunction};
+use rayset::scene::{
+    Camera, CloudObject, ColorRule, Lighting, Node, OpacityRule, RenderSettings, Scene, Shape,
+    TransferFunction,
+};
 use rayset::trace::{ExecSettings, RenderError, WholePicture, render};
-use rayset::working_set::read::{self, BackendKind, FileStorage, ReadBackend};
-use rayset::working_set::{CloudPages, Limits, Object, WorkingSet};
+use rayset::working_set::read::{self, BackendKind, ReadBackend};
+use rayset::working_set::{Limits, PagedClouds, WorkingSet};
 
 /// A folder that goes with the test.
 pub(crate) fn folder() -> tempfile::TempDir {
@@ -70,22 +73,36 @@ pub(crate) fn workload_cloud(name: &str, folder: &Path) -> Arc<Cloud> {
     build_at(&folder.join(format!("{name}.rset")), workload.source(), &options)
 }
 
-/// The standard look: triweight, extinction, no light; or colours under a headlight.
-pub(crate) fn scene(cloud: &Arc<Cloud>, kernel: Kernel, lit: bool) -> Scene {
+/// The standard look of a cloud: extinction, in its own colours where it has any.
+pub(crate) fn look(cloud: &Arc<Cloud>, kernel: Kernel) -> CloudObject {
     let header = cloud.header();
-    let radius = header.radius_mean;
-    Scene {
-        cloud: cloud.clone(),
-        kernel,
-        normalised: false,
-        transfer: TransferFunction {
-            opacity: OpacityRule::Extinction(0.3 / radius),
-            unit_distance: radius,
-            color: if header.has_color { ColorRule::Points } else { ColorRule::Uniform([0.9, 0.6, 0.3]) },
-        },
-        shading: if lit { Shading::Headlight } else { Shading::None },
-        background: None,
-    }
+    let color = if header.has_color { ColorRule::Points } else { ColorRule::Uniform([0.9, 0.6, 0.3]) };
+    let transfer = TransferFunction { opacity: OpacityRule::Extinction(0.3 / header.radius_mean), color };
+    CloudObject { kernel, transfer, ..CloudObject::plain(cloud.clone()) }
+}
+
+/// A cloud alone, lit by a headlight or not at all.
+pub(crate) fn scene_of(object: CloudObject, lit: bool) -> Scene {
+    let lighting = if lit { Lighting::headlight() } else { Lighting::Unlit };
+    Scene { lighting, ..Scene::of_cloud(object) }
+}
+
+/// The standard look, alone.
+pub(crate) fn scene(cloud: &Arc<Cloud>, kernel: Kernel, lit: bool) -> Scene {
+    scene_of(look(cloud, kernel), lit)
+}
+
+/// Every cloud of a graph, each once.
+pub(crate) fn clouds_of(scene: &Scene) -> Vec<Arc<Cloud>> {
+    let mut clouds: Vec<Arc<Cloud>> = Vec::new();
+    scene.root.for_each(&mut |node: &Node| {
+        if let Shape::Cloud(object) = &node.shape
+            && !clouds.iter().any(|known| Arc::ptr_eq(known, &object.cloud))
+        {
+            clouds.push(object.cloud.clone());
+        }
+    });
+    clouds
 }
 
 pub(crate) fn settings(width: u32, height: u32) -> RenderSettings {
@@ -97,21 +114,22 @@ pub(crate) fn camera() -> Camera {
     Camera::look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, 45_f64.to_radians())
 }
 
-/// A working set over a cloud's own file.
-pub(crate) fn pages(cloud: &Arc<Cloud>, budget: u64) -> (WorkingSet, Arc<Object>) {
-    pages_with(cloud, budget, read::backend(BackendKind::Pool).expect("a pool"), false)
+/// A working set over the files of all clouds of a scene.
+pub(crate) fn paged(scene: &Scene, budget: u64) -> PagedClouds {
+    paged_with(scene, budget, read::backend(BackendKind::Pool).expect("a pool"), false)
 }
 
-pub(crate) fn pages_with(
-    cloud: &Arc<Cloud>,
+pub(crate) fn paged_with(
+    scene: &Scene,
     budget: u64,
     backend: Arc<dyn ReadBackend>,
     direct: bool,
-) -> (WorkingSet, Arc<Object>) {
-    let storage = FileStorage::open(cloud.path(), direct).expect("the file opens");
-    let set = WorkingSet::new(Limits::total(budget), backend);
-    let object = set.add(Arc::new(CloudPages::new(cloud.clone(), Arc::new(storage))));
-    (set, object)
+) -> PagedClouds {
+    let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(budget), backend));
+    for cloud in clouds_of(scene) {
+        paged.open(&cloud, direct).expect("the file opens");
+    }
+    paged
 }
 
 pub(crate) fn picture(
@@ -119,18 +137,18 @@ pub(crate) fn picture(
     camera: &Camera,
     settings: &RenderSettings,
     exec: &ExecSettings,
-    pages: &(WorkingSet, Arc<Object>),
+    paged: &PagedClouds,
 ) -> Result<Vec<[f32; 4]>, RenderError> {
     let mut sink = WholePicture::default();
-    render(scene, camera, settings, exec, &pages.0, &pages.1, &mut sink)?;
+    render(scene, camera, settings, exec, paged, &mut sink)?;
     Ok(sink.pixels)
 }
 
 /// The picture with everything in memory.
 pub(crate) fn plain_picture(scene: &Scene, settings: &RenderSettings) -> Vec<[f32; 4]> {
     let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
-    picture(scene, &camera(), settings, &exec, &pages(&scene.cloud, u64::MAX / 2))
-        .expect("the picture is made")
+    let paged = paged(scene, u64::MAX / 2);
+    picture(scene, &camera(), settings, &exec, &paged).expect("the picture is made")
 }
 
 /// Bits, so that equality means equality.

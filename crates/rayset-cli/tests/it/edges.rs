@@ -8,9 +8,12 @@ use rayset::octree::format::Header;
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::ArraySource;
 use rayset::scene::Camera;
-use rayset::trace::{ExecSettings, judge};
+use rayset::trace::ExecSettings;
+use rayset::trace::judge::Judge;
 
-use crate::common::{build_at, camera, folder, pages, picture, plain_picture, scene, settings};
+use crate::common::{
+    build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
+};
 
 #[test]
 fn invalid_positions_radii_and_weights_are_counted_and_skipped_or_rejected() {
@@ -107,13 +110,12 @@ fn millimetres_at_ten_million_metres_keep_their_shape() {
         let eye = Camera::look_at(center + DVec3::Z * 3.0, center, DVec3::Y, 45_f64.to_radians());
         let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
         let size = settings(64, 64);
-        let found = picture(&far, &eye, &size, &exec, &pages(&cloud, 1 << 30)).expect("a picture");
-        let field = rayset::field::judge::JudgeField::load(&cloud, far.kernel, false, far.attribute_source())
-            .expect("it reads");
+        let found = picture(&far, &eye, &size, &exec, &paged(&far, 1 << 30)).expect("a picture");
+        let judge = Judge::load(&far).expect("it reads");
         let (mut covered, mut wrong) = (0, 0);
         for y in 0..64 {
             for x in 0..64 {
-                let exact = judge::pixel(&far, &field, &eye, &size, 0.001, x, y).expect("a camera");
+                let exact = judge.pixel(&eye, &size, 0.001, x, y).expect("a camera");
                 covered += usize::from(exact[3] > 0.01);
                 wrong +=
                     usize::from((exact[3] - f64::from(found[(y * 64 + x) as usize][3])).abs() > 1.0 / 1024.0);
@@ -153,13 +155,11 @@ fn rays_along_the_axes_and_from_inside_are_like_any_other() {
             if orthographic {
                 view.projection = rayset::scene::Projection::Orthographic { height: 1.2 };
             }
-            let found = picture(&scene, &view, &size, &exec, &pages(&cloud, 1 << 30)).expect("a picture");
-            let field =
-                rayset::field::judge::JudgeField::load(&cloud, scene.kernel, false, scene.attribute_source())
-                    .expect("it reads");
+            let found = picture(&scene, &view, &size, &exec, &paged(&scene, 1 << 30)).expect("a picture");
+            let judge = Judge::load(&scene).expect("it reads");
             let step = f64::from(cloud.header().radius.max()) * 0.25;
             for (x, y) in [(3, 4), (12, 12), (20, 7), (11, 23)] {
-                let exact = judge::pixel(&scene, &field, &view, &size, step, x, y).expect("a camera");
+                let exact = judge.pixel(&view, &size, step, x, y).expect("a camera");
                 let error = (exact[3] - f64::from(found[(y * 24 + x) as usize][3])).abs();
                 assert!(error < 1.0 / 1024.0, "{eye} to {target}: {error}");
             }
@@ -173,16 +173,17 @@ fn cameras_and_settings_out_of_range_are_errors() {
     let cloud = crate::common::workload_cloud("cube-1k", folder.path());
     let scene = scene(&cloud, Kernel::Wyvill, false);
     let exec = ExecSettings::default();
-    let set = pages(&cloud, 1 << 30);
+    let set = paged(&scene, 1 << 30);
     let mut bad = camera();
     bad.up = bad.direction;
     assert!(picture(&scene, &bad, &settings(8, 8), &exec, &set).is_err());
     assert!(picture(&scene, &camera(), &settings(0, 8), &exec, &set).is_err());
     let mut dark = scene.clone();
-    dark.transfer.unit_distance = 0.0;
+    dark.unit_distance = 0.0;
     assert!(picture(&dark, &camera(), &settings(8, 8), &exec, &set).is_err());
-    let mut colored = scene;
-    colored.transfer.color = rayset::scene::ColorRule::Points;
+    let mut object = look(&cloud, Kernel::Wyvill);
+    object.transfer.color = rayset::scene::ColorRule::Points;
+    let colored = scene_of(object, false);
     let error = picture(&colored, &camera(), &settings(8, 8), &exec, &set).expect_err("there are no colours");
     assert!(error.to_string().contains("stores no colours"), "{error}");
 }

@@ -9,9 +9,9 @@ use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::{BuildOptions, Precision};
 use rayset::points::ArraySource;
-use rayset::scene::{ColorRule, MapInput, OpacityRule, Scene};
+use rayset::scene::{ColorMap, ColorRule, MapInput, OpacityRule, Scene};
 
-use crate::common::{build_at, folder, mixed_points, plain_picture, scene, settings};
+use crate::common::{build_at, folder, look, mixed_points, plain_picture, scene, scene_of, settings};
 
 const PAGE: u32 = 16384;
 
@@ -129,14 +129,13 @@ fn pictures_look_as_they_always_did() {
     let path = folder.path().join("mixed.rset");
     let cloud = build_at(&path, Box::new(mixed_points(300, 3.0, 5)), &BuildOptions::default());
     let lit = scene(&cloud, Kernel::Wyvill, true);
-    let mut mapped = scene(&cloud, Kernel::CubicSpline, false);
-    mapped.transfer.color = ColorRule::Map {
-        map: "viridis".parse().expect("a map"),
-        input: MapInput::Density,
-        range: (0.0, 3.0),
-    };
-    let mut clamped = scene(&cloud, Kernel::Gaussian, true);
+    let mut mapped = look(&cloud, Kernel::CubicSpline);
+    let map = ColorMap::named("viridis".parse().expect("a map"), (0.0, 3.0));
+    mapped.transfer.color = ColorRule::Map { map, input: MapInput::Density };
+    let mapped = scene_of(mapped, false);
+    let mut clamped = look(&cloud, Kernel::Gaussian);
     clamped.transfer.opacity = OpacityRule::Clamp;
+    let mut clamped = scene_of(clamped, true);
     clamped.background = Some([0.1, 0.2, 0.4]);
     for (name, scene) in [("lit", lit), ("mapped", mapped), ("clamped", clamped)] {
         let pixels = plain_picture(&scene as &Scene, &settings(SIDE, SIDE));

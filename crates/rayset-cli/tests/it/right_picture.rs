@@ -8,11 +8,12 @@ use rayset::field::{
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
 use rayset::octree::build::{BuildOptions, Rule};
-use rayset::scene::{ColorRule, OpacityRule, RenderSettings, Scene, Shading, Step};
-use rayset::trace::judge;
+use rayset::scene::{ColorMap, ColorRule, OpacityRule, RenderSettings, Scene, Step};
+use rayset::trace::judge::Judge;
 
 use crate::common::{
-    Random, build_at, camera, folder, mixed_points, plain_picture, scene, settings, workload_cloud,
+    Random, build_at, camera, folder, look, mixed_points, plain_picture, scene, scene_of, settings,
+    workload_cloud,
 };
 
 /// Largest density error allowed, in units of the largest density.
@@ -104,15 +105,14 @@ fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
 /// Random pixels of a picture against the judge; returns how many of them differ by more than the bound.
 fn count_wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64, pixels: usize) -> usize {
     let fast = plain_picture(scene, settings);
-    let field = JudgeField::load(&scene.cloud, scene.kernel, scene.normalised, scene.attribute_source())
-        .expect("it reads");
+    let judge = Judge::load(scene).expect("it reads");
     let mut random = Random(99);
     let mut wrong = 0;
     let mut covered = 0;
     for _ in 0..pixels {
         let x = (random.unit() * f64::from(settings.width)) as u32;
         let y = (random.unit() * f64::from(settings.height)) as u32;
-        let exact = judge::pixel(scene, &field, &camera(), settings, step, x, y).expect("a camera");
+        let exact = judge.pixel(&camera(), settings, step, x, y).expect("a camera");
         let found = fast[(y * settings.width + x) as usize];
         covered += usize::from(exact[3] > 0.0);
         let worst = (0..4).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max);
@@ -131,15 +131,15 @@ fn pixels_of_the_standard_workloads_are_right() {
     for name in &names[..if all { 4 } else { 3 }] {
         let cloud = workload_cloud(name, folder.path());
         for translucent in [false, true] {
-            let mut scene = scene(&cloud, Kernel::Triweight, false);
+            let mut object = look(&cloud, Kernel::Triweight);
             let radius = cloud.header().radius_mean;
-            scene.transfer.opacity = OpacityRule::Extinction(if translucent { 0.02 } else { 2.0 } / radius);
+            object.transfer.opacity = OpacityRule::Extinction(if translucent { 0.02 } else { 2.0 } / radius);
             let settings = RenderSettings {
                 stop_transmittance: if translucent { 0.0 } else { 0.01 },
                 ..settings(512, 512)
             };
             let step = f64::from(cloud.header().radius.max()) * 0.25;
-            let wrong = count_wrong_pixels(&scene, &settings, step, 256);
+            let wrong = count_wrong_pixels(&scene_of(object, false), &settings, step, 256);
             assert_eq!(wrong, 0, "{name}, translucent: {translucent}");
         }
     }
@@ -160,16 +160,16 @@ fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
         OpacityRule::Curve(vec![(0.1, 0.0), (0.5, 0.3), (2.0, 0.9), (5.0, 0.2)]),
     ];
     for (i, kernel) in Kernel::ALL.into_iter().enumerate() {
-        let mut scene = scene(&cloud, kernel, true);
-        scene.normalised = i % 2 == 1;
-        if scene.normalised {
-            scene.transfer.unit_distance = 0.02;
-        }
-        scene.transfer.opacity = rules[i % 3].clone();
+        let mut object = look(&cloud, kernel);
+        object.normalised = i % 2 == 1;
+        object.transfer.opacity = rules[i % 3].clone();
         if i % 3 == 1 {
-            let map = "viridis".parse().expect("a map");
-            scene.transfer.color =
-                ColorRule::Map { map, input: rayset::scene::MapInput::Density, range: (0.0, 3.0) };
+            let map = ColorMap::named("viridis".parse().expect("a map"), (0.0, 3.0));
+            object.transfer.color = ColorRule::Map { map, input: rayset::scene::MapInput::Density };
+        }
+        let mut scene = scene_of(object, true);
+        if i % 2 == 1 {
+            scene.unit_distance = 0.02;
         }
         scene.background = (i % 2 == 0).then_some([0.1, 0.2, 0.3]);
         let settings = RenderSettings { step: Step::Fixed(step), ..settings(48, 48) };
@@ -186,8 +186,7 @@ fn automatic_steps_come_close_to_steps_eight_times_finer() {
         Box::new(mixed_points(2500, 3.0, 4)),
         &BuildOptions::default(),
     );
-    let mut scene = scene(&cloud, Kernel::Wyvill, false);
-    scene.shading = Shading::None;
+    let scene = scene(&cloud, Kernel::Wyvill, false);
     let auto = settings(64, 64);
     let fine = RenderSettings { step: Step::Automatic { fraction: 0.25 / 8.0 }, ..auto };
     let (a, b) = (plain_picture(&scene, &auto), plain_picture(&scene, &fine));

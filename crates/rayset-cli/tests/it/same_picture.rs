@@ -12,8 +12,8 @@ use rayset::trace::{ExecSettings, Region, WholePicture, render, render_region};
 use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
 
 use crate::common::{
-    bits, build_at, camera, folder, mixed_points, pages, pages_with, picture, plain_picture, scene, settings,
-    workload_cloud,
+    bits, build_at, camera, clouds_of, folder, mixed_points, paged, paged_with, picture, plain_picture,
+    scene, settings, workload_cloud,
 };
 
 fn exec(threads: usize) -> ExecSettings {
@@ -37,7 +37,7 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
     let folder = folder();
     for (scene, settings) in scenes(folder.path()) {
         let expected = bits(&plain_picture(&scene, &settings));
-        let page = u64::from(scene.cloud.header().page_bytes);
+        let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
         let predictors: [Arc<dyn Predictor>; 2] = [Arc::new(NoPredictor), Arc::new(PacketPredictor)];
         let mut backends: Vec<Arc<dyn ReadBackend>> = vec![read::backend(BackendKind::Pool).expect("a pool")];
         if let Ok(uring) = read::backend(BackendKind::Uring) {
@@ -54,7 +54,7 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
                             if backend.name().contains("a read") && (threads != 2 || direct) {
                                 continue;
                             }
-                            let set = pages_with(&scene.cloud, budget_pages * page, backend.clone(), direct);
+                            let set = paged_with(&scene, budget_pages * page, backend.clone(), direct);
                             let exec = ExecSettings { predictor: predictor.clone(), ..exec(threads) };
                             let found =
                                 picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
@@ -64,7 +64,7 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
                                 backend.name()
                             );
                             assert!(bits(&found) == expected, "{what}");
-                            let peak = set.0.statistics().peak_bytes;
+                            let peak = set.pages.statistics().peak_bytes;
                             assert!(peak <= budget_pages * page, "{what}: {peak} bytes of pages");
                         }
                     }
@@ -81,9 +81,9 @@ fn tiles_that_are_put_off_become_the_same_pixels() {
         let expected = bits(&plain_picture(&scene, &settings));
         let pool = read::backend(BackendKind::Pool).expect("a pool");
         let slow = Arc::new(Delayed::new(pool, Duration::from_millis(5)).expect("a thread"));
-        let (pages, object) = pages_with(&scene.cloud, 1 << 30, slow, false);
+        let paged = paged_with(&scene, 1 << 30, slow, false);
         let mut found = WholePicture::default();
-        let counts = render(&scene, &camera(), &settings, &exec(2), &pages, &object, &mut found);
+        let counts = render(&scene, &camera(), &settings, &exec(2), &paged, &mut found);
         assert!(counts.expect("a picture").put_off > 0, "nothing was put off");
         assert!(bits(&found.pixels) == expected);
     }
@@ -94,7 +94,7 @@ fn the_picture_is_the_same_for_every_tile_slab_and_band() {
     let folder = folder();
     for (scene, settings) in scenes(folder.path()) {
         let expected = bits(&plain_picture(&scene, &settings));
-        let set = pages(&scene.cloud, 1 << 30);
+        let set = paged(&scene, 1 << 30);
         for (tile_pixels, slab_samples, band_rows) in
             [(8, 32, 8), (1, 32, 100), (3, 16, 7), (5, 1, 100), (8, 7, 33)]
         {
@@ -113,11 +113,11 @@ fn a_pixel_alone_and_a_part_of_the_picture_equal_the_whole() {
     let folder = folder();
     for (scene, settings) in scenes(folder.path()) {
         let whole = bits(&plain_picture(&scene, &settings));
-        let set = pages(&scene.cloud, 1 << 30);
+        let set = paged(&scene, 1 << 30);
         for (columns, rows) in [(30..31, 20..21), (11..12, 34..35), (5..40, 17..23), (0..48, 39..40)] {
             let region = Region { columns, rows };
             let mut sink = WholePicture::default();
-            render_region(&scene, &camera(), &settings, &region, &exec(1), &set.0, &set.1, &mut sink)
+            render_region(&scene, &camera(), &settings, &region, &exec(1), &set, &mut sink)
                 .expect("a picture");
             let mut found = bits(&sink.pixels).into_iter();
             for y in region.rows.clone() {
@@ -138,7 +138,7 @@ fn instruction_sets_agree_within_a_thousandth() {
     let folder = folder();
     for (scene, settings) in scenes(folder.path()) {
         let settings = RenderSettings { step: Step::Fixed(0.02), ..settings };
-        let set = pages(&scene.cloud, 1 << 30);
+        let set = paged(&scene, 1 << 30);
         let mut pictures = rayset::field::SimdLevel::available().into_iter().map(|simd| {
             let exec = ExecSettings { simd, ..exec(2) };
             picture(&scene, &camera(), &settings, &exec, &set).expect("a picture")
@@ -157,9 +157,9 @@ fn a_budget_may_change_while_rendering() {
     let folder = folder();
     let (scene, settings) = scenes(folder.path()).remove(0);
     let expected = bits(&plain_picture(&scene, &settings));
-    let page = u64::from(scene.cloud.header().page_bytes);
-    let set = pages(&scene.cloud, 40 * page);
-    let (changing, done) = (set.0.clone(), Arc::new(std::sync::atomic::AtomicBool::new(false)));
+    let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
+    let set = paged(&scene, 40 * page);
+    let (changing, done) = (set.pages.clone(), Arc::new(std::sync::atomic::AtomicBool::new(false)));
     let stop = done.clone();
     let changer = std::thread::spawn(move || {
         let mut pages = 40;

@@ -2,26 +2,35 @@
 //!
 //! Samples of a ray sit on its own lattice t = (j + ξ)·δ, j = 0, 1, …; all rays of a packet share δ. What is computed
 //! for a sample depends on its ray and its number alone.
+//!
+//! A packet is in world space, or in the local space of an object that is transformed: there a step has another length
+//! on every ray, and sample numbers mean the same places.
 
-use crate::geometry::{Aabb, Beam, DVec3, Ray};
+use crate::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
 
 /// Rays in a packet.
 pub const LANES: usize = 64;
 /// Samples of a ray that are worked on at a time.
 pub const SLAB_SAMPLES: usize = 32;
 
-/// Up to 64 rays in columns, in world space.
+/// Up to 64 rays in columns.
 #[derive(Clone, Debug)]
 pub struct Packet {
     pub(super) origin: [[f64; LANES]; 3],
+    /// Unit directions.
     pub(super) direction: [[f64; LANES]; 3],
+    /// What a unit of world-space length along a ray is in the packet's space.
+    pub(super) scale: [f64; LANES],
+    /// Distance between samples in the packet's space.
+    pub(super) step: [f64; LANES],
+    pub(super) step_f32: [f32; LANES],
     /// Offset of the lattice, ξ in [0, 1).
     pub(super) phase: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
     /// 1 / direction, large and of the right sign where the direction has no extent along an axis.
     pub(super) inverse_direction: [[f32; LANES]; 3],
     rays: usize,
-    step: f64,
+    step_world: f64,
 }
 
 impl Packet {
@@ -34,31 +43,80 @@ impl Packet {
         let mut packet = Self {
             origin: [[0.0; LANES]; 3],
             direction: [[0.0; LANES]; 3],
+            scale: [1.0; LANES],
+            step: [step_world; LANES],
+            step_f32: [step_world as f32; LANES],
             phase: [0.0; LANES],
             direction_f32: [[0.0; LANES]; 3],
             inverse_direction: [[0.0; LANES]; 3],
             rays: rays.len(),
-            step: step_world,
+            step_world,
         };
         for lane in 0..LANES {
             // Lanes that are left over repeat the last ray; their results are never looked at.
             let (ray, phase) = rays[lane.min(rays.len() - 1)];
-            for axis in 0..3 {
-                packet.origin[axis][lane] = ray.origin[axis];
-                packet.direction[axis][lane] = ray.direction[axis];
-                let direction = ray.direction[axis] as f32;
-                packet.direction_f32[axis][lane] = direction;
-                packet.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
-            }
+            packet.set_ray(lane, &ray);
             packet.phase[lane] = phase;
         }
         packet
+    }
+
+    fn set_ray(&mut self, lane: usize, ray: &Ray) {
+        for axis in 0..3 {
+            self.origin[axis][lane] = ray.origin[axis];
+            self.direction[axis][lane] = ray.direction[axis];
+            let direction = ray.direction[axis] as f32;
+            self.direction_f32[axis][lane] = direction;
+            self.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
+        }
+    }
+
+    /// The same rays and samples in the local space of an object. The map must not be singular.
+    #[must_use]
+    pub fn in_local_space(&self, local_from_world: &DAffine3) -> Self {
+        let mut local = self.clone();
+        for lane in 0..LANES {
+            let ray = self.ray(lane);
+            let direction = local_from_world.transform_vector3(ray.direction);
+            let scale = direction.length();
+            let origin = local_from_world.transform_point3(ray.origin);
+            local.set_ray(lane, &Ray { origin, direction: direction / scale });
+            local.scale[lane] = self.scale[lane] * scale;
+            local.step[lane] = self.step[lane] * scale;
+            local.step_f32[lane] = local.step[lane] as f32;
+        }
+        local
+    }
+
+    /// A ray, in the packet's space.
+    #[must_use]
+    pub fn ray(&self, lane: usize) -> Ray {
+        let column = |c: &[[f64; LANES]; 3]| DVec3::new(c[0][lane], c[1][lane], c[2][lane]);
+        Ray { origin: column(&self.origin), direction: column(&self.direction) }
+    }
+
+    /// Distance of sample `sample` of a ray from its origin, in the packet's space.
+    #[must_use]
+    pub fn sample_t(&self, lane: usize, sample: u64) -> f64 {
+        (sample as f64 + self.phase[lane]) * self.step[lane]
+    }
+
+    /// Distance of sample `sample` of a ray from its origin, world space.
+    #[must_use]
+    pub fn sample_t_world(&self, lane: usize, sample: u64) -> f64 {
+        (sample as f64 + self.phase[lane]) * self.step_world
     }
 
     /// Direction of a ray in single precision.
     #[must_use]
     pub fn direction_f32(&self, lane: usize) -> [f32; 3] {
         std::array::from_fn(|axis| self.direction_f32[axis][lane])
+    }
+
+    /// ξ of a ray.
+    #[must_use]
+    pub fn phase(&self, lane: usize) -> f64 {
+        self.phase[lane]
     }
 
     /// Number of rays.
@@ -81,30 +139,23 @@ impl Packet {
 
     /// Distance between samples, world space.
     #[must_use]
-    pub fn step(&self) -> f64 {
-        self.step
-    }
-
-    /// Distance of sample `sample` of a ray from its origin.
-    #[must_use]
-    pub fn sample_t(&self, lane: usize, sample: u64) -> f64 {
-        (sample as f64 + self.phase[lane]) * self.step
+    pub fn step_world(&self) -> f64 {
+        self.step_world
     }
 
     /// The rays in `lanes`.
     pub fn rays(&self, lanes: u64) -> impl Iterator<Item = Ray> {
-        let column = |c: &[[f64; LANES]; 3], lane: usize| DVec3::new(c[0][lane], c[1][lane], c[2][lane]);
-        (0..LANES).filter(move |lane| lanes >> lane & 1 == 1).map(move |lane| Ray {
-            origin: column(&self.origin, lane),
-            direction: column(&self.direction, lane),
-        })
+        (0..LANES).filter(move |lane| lanes >> lane & 1 == 1).map(|lane| self.ray(lane))
     }
 
-    /// The bound of the rays in `lanes`.
+    /// The bound of the rays in `lanes`, by distance in world space.
     #[must_use]
     pub fn beam(&self, lanes: u64) -> Beam {
         let mut beam = Beam::EMPTY;
-        self.rays(lanes).for_each(|ray| beam.include(&ray));
+        for lane in (0..LANES).filter(|lane| lanes >> lane & 1 == 1) {
+            let ray = self.ray(lane);
+            beam.include(&Ray { direction: ray.direction * self.scale[lane], ..ray });
+        }
         beam
     }
 
@@ -114,8 +165,8 @@ impl Packet {
     pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
         let (enter, exit) = beam.span(bounds)?;
         // Rounding in the quotients is far below the two samples of slack.
-        let first = (enter / self.step - 2.0).max(0.0);
-        let last = exit / self.step + 2.0;
+        let first = (enter / self.step_world - 2.0).max(0.0);
+        let last = exit / self.step_world + 2.0;
         Some((first as u64, last as u64))
     }
 }

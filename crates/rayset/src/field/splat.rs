@@ -65,6 +65,12 @@ impl FieldSamples {
         }
     }
 
+    /// What there is room for.
+    #[must_use]
+    pub fn channels(&self) -> Channels {
+        Channels { gradient: !self.gradient[0].is_empty(), attributes: !self.attribute[0].is_empty() }
+    }
+
     /// Forgets all contributions.
     pub fn clear(&mut self) {
         self.touched = 0;
@@ -182,7 +188,7 @@ impl Frames {
             Self { foot: [[0.0; LANES]; 3], first_sample: [0.0; LANES], sample_zero: [0.0; LANES] };
         let (o, d) = (&packet.origin, &packet.direction);
         let center = run.center.to_array();
-        let (step, per_step, first) = (packet.step(), 1.0 / packet.step(), slab.first as f64);
+        let first = slab.first as f64;
         // Plain multiplications and additions: `f64` has digits to spare, and a fused form is slow where there is
         // no instruction for it.
         for lane in 0..LANES {
@@ -191,9 +197,9 @@ impl Frames {
             frames.foot[0][lane] = (x + t_foot * d[0][lane]) as f32;
             frames.foot[1][lane] = (y + t_foot * d[1][lane]) as f32;
             frames.foot[2][lane] = (z + t_foot * d[2][lane]) as f32;
-            let nearest = (t_foot * per_step).floor();
+            let nearest = (t_foot * (1.0 / packet.step[lane])).floor();
             frames.first_sample[lane] = (first - nearest) as f32;
-            frames.sample_zero[lane] = ((nearest + packet.phase[lane]) * step - t_foot) as f32;
+            frames.sample_zero[lane] = ((nearest + packet.phase[lane]) * packet.step[lane] - t_foot) as f32;
         }
         frames
     }
@@ -202,13 +208,13 @@ impl Frames {
     #[inline(always)]
     fn lanes_that_meet<S: Simd>(&self, simd: S, run: &DecodedRun, packet: &Packet, samples: usize) -> u64 {
         let mut mask = 0;
-        let step = packet.step() as f32;
         let last = (samples - 1) as f32;
         for chunk in 0..LANES / 16 {
+            let step = lanes_of(simd, &packet.step_f32, chunk);
             let start =
                 lanes_of(simd, &self.first_sample, chunk) * step + lanes_of(simd, &self.sample_zero, chunk);
             // Half a step of slack on either side covers the rounding of this test.
-            let (mut enter, mut exit) = (start - 0.5 * step, start + (last + 0.5) * step);
+            let (mut enter, mut exit) = (start - step * 0.5, start + step * (last + 0.5));
             for axis in 0..3 {
                 let foot = lanes_of(simd, &self.foot[axis], chunk);
                 let inverse = lanes_of(simd, &packet.inverse_direction[axis], chunk);
@@ -277,7 +283,7 @@ struct LaneRay<S: Simd> {
 impl<S: Simd> LaneRay<S> {
     #[inline(always)]
     fn new(simd: S, job: &Job<'_>, frames: &Frames, lane: usize) -> Self {
-        let step = job.packet.step() as f32;
+        let step = job.packet.step_f32[lane];
         let (first, zero) = (frames.first_sample[lane], frames.sample_zero[lane]);
         let count = f32x16::from_slice(simd, &COUNT);
         let mut ray = Self {
@@ -510,7 +516,7 @@ fn splat_wide<const GRADIENT: bool, const ATTRIBUTES: bool>(
             let distance_squared = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
             let inverse = wide.inverse_radius[i] * wide.inverse_radius[i];
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
-            let number = |t: f64| t / packet.step() - packet.phase[lane];
+            let number = |t: f64| t / packet.step[lane] - packet.phase[lane];
             // Samples in reach, one to spare on either side.
             let first = (number(nearest - half).floor() - 1.0).max(slab.first as f64) as u64;
             let last = (number(nearest + half).ceil() + 1.0).min(slab.end() as f64 - 1.0);

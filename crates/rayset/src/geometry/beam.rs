@@ -21,7 +21,7 @@ impl Beam {
         direction_max: DVec3::NEG_INFINITY,
     };
 
-    /// Grows the bound to contain a ray.
+    /// Grows the bound to contain a ray, whose direction may have any length.
     pub fn include(&mut self, ray: &Ray) {
         self.origin_min = self.origin_min.min(ray.origin);
         self.origin_max = self.origin_max.max(ray.origin);

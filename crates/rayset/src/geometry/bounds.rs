@@ -1,6 +1,6 @@
 //! Axis-aligned boxes.
 
-use super::{DVec3, Ray};
+use super::{DAffine3, DVec3, Ray};
 
 /// An axis-aligned box in world space. Empty when `min` exceeds `max` on any axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +37,30 @@ impl Aabb {
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    /// The box that both have in common; empty where they have nothing.
+    #[must_use]
+    pub fn intersection(self, other: Self) -> Self {
+        Self { min: self.min.max(other.min), max: self.max.min(other.max) }
+    }
+
+    /// A box that contains the image of this one under an affine map. Infinite where this one is, on any axis.
+    #[must_use]
+    pub fn transformed(self, map: &DAffine3) -> Self {
+        if *map == DAffine3::IDENTITY || self.is_empty() {
+            return self;
+        }
+        if !self.size().is_finite() {
+            return Self::new(DVec3::NEG_INFINITY, DVec3::INFINITY);
+        }
+        let center = map.transform_point3(self.center());
+        let half = self.size() * 0.5;
+        let m = map.matrix3;
+        let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
+        // Far above the rounding of the products.
+        let slack = 1e-12 * (center.abs() + reach);
+        Self { min: center - reach - slack, max: center + reach + slack }
     }
 
     /// The box grown by `margin` on every side.

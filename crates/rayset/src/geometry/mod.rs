@@ -9,7 +9,7 @@ pub mod curve;
 
 pub use beam::Beam;
 pub use bounds::Aabb;
-pub use glam::DVec3;
+pub use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// A half-line in world space. `direction` has length one, so the parameter `t` is a world-space length.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,8 +7,6 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::field::linear_from_srgb;
-
 /// A colour for every number from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Colormap {
@@ -44,15 +42,6 @@ impl Colormap {
             let (a, b) = (channel(self.knots[i], shift), channel(self.knots[i + 1], shift));
             a + (b - a) * (x - i as f64)
         })
-    }
-
-    /// The map as `entries` colours in linear light.
-    #[must_use]
-    pub fn linear_table(&self, entries: usize) -> Vec<[f32; 3]> {
-        let last = (entries.max(2) - 1) as f64;
-        (0..entries.max(2))
-            .map(|i| self.display_color(i as f64 / last).map(|v| linear_from_srgb(v) as f32))
-            .collect()
     }
 }
 

@@ -1,10 +1,16 @@
-//! What is to be seen, and what of it decides pixels: a cloud as a volume object, a camera, a transfer function, and the
-//! settings of the picture.
+//! What is to be seen, and what of it decides pixels: a volume scene graph, lights, a camera, and the settings of the
+//! picture.
 //!
 //! Nothing here says how the work is done; threads, memory and input are the business of `trace`.
 
 mod camera;
 mod colormap;
+mod graph;
+mod light;
+mod material;
+mod noise;
+mod procedural;
+mod solid;
 mod transfer;
 
 use std::sync::Arc;
@@ -12,46 +18,56 @@ use std::sync::Arc;
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
 pub use colormap::{Colormap, UnknownColormap};
-pub use transfer::{ColorRule, MAX_OPACITY, MapInput, OpacityRule, TransferError, TransferFunction};
+pub use graph::{Channel, CloudObject, Node, Operator, SceneError, Shape, Transfer, largest_stretch};
+pub use light::{Light, LightKind, Lighting};
+pub use material::Material;
+pub use noise::NoiseCloud;
+pub use procedural::{Pattern, Procedural, ProceduralSample};
+pub use solid::{Form, Solid};
+pub use transfer::{
+    ColorMap, ColorRule, MAX_OPACITY, MapInput, OpacityRule, Palette, TransferError, TransferFunction,
+    curve_at, max_extinction,
+};
 
-use crate::field::{AttributeSource, Kernel};
-use crate::octree::Cloud;
-
-/// A cloud seen as a volume object, and how it is lit.
+/// A volume scene graph, and how it is lit.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The cloud.
-    pub cloud: Arc<Cloud>,
-    /// Its radial basis function.
-    pub kernel: Kernel,
-    /// Whether kernels integrate to one, so that weight = mass (or mass·value/density) as in SPH.
-    pub normalised: bool,
-    /// Opacity and colour from density and attributes.
-    pub transfer: TransferFunction,
+    /// The graph.
+    pub root: Arc<Node>,
     /// Light.
-    pub shading: Shading,
+    pub lighting: Lighting,
     /// Colour behind everything, in linear light; `None` leaves the picture transparent there.
     pub background: Option<[f32; 3]>,
+    /// The length that every opacity refers to, world space.
+    pub unit_distance: f64,
 }
 
-/// How samples are lit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum Shading {
-    /// Not at all: samples have the colour of the transfer function.
-    None,
-    /// By a light at the eye, two-sided, from the gradient of the density.
-    #[default]
-    Headlight,
-}
+impl Scene {
+    /// A single cloud, where its file has it, lit by a headlight. Opacity refers to its mean radius.
+    #[must_use]
+    pub fn of_cloud(object: CloudObject) -> Self {
+        let unit_distance = object.cloud.header().radius_mean;
+        Self {
+            root: Arc::new(Node::new(Shape::Cloud(object))),
+            lighting: Lighting::headlight(),
+            background: None,
+            unit_distance,
+        }
+    }
 
-/// Parts of a headlight's shading; with |cos| the cosine between normal and ray.
-pub mod headlight {
-    /// Always there.
-    pub const AMBIENT: f32 = 0.25;
-    /// Times |cos|.
-    pub const DIFFUSE: f32 = 0.75;
-    /// White, times |cos|³².
-    pub const SPECULAR: f32 = 0.10;
+    /// Checks everything that can be known before rays are traced.
+    ///
+    /// # Errors
+    /// [`SceneError`] that says what is wrong.
+    pub fn check(&self) -> Result<(), SceneError> {
+        if !(self.unit_distance > 0.0 && self.unit_distance.is_finite()) {
+            return Err(SceneError::UnitDistance);
+        }
+        self.root.check()?;
+        self.lighting.check()?;
+        let bounds = self.root.bounds();
+        if bounds.is_empty() || bounds.size().is_finite() { Ok(()) } else { Err(SceneError::Unbounded) }
+    }
 }
 
 /// Distance between samples.
@@ -118,33 +134,6 @@ impl RenderSettings {
                 z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
                 ((z ^ z >> 31) >> 40) as f64 / f64::from(1 << 24)
             }
-        }
-    }
-}
-
-impl Scene {
-    /// Checks that the cloud has the columns that the transfer function reads.
-    ///
-    /// # Errors
-    /// [`TransferError::Missing`] where it has not.
-    pub fn check_channels(&self) -> Result<(), TransferError> {
-        let header = self.cloud.header();
-        match self.attribute_source() {
-            AttributeSource::Color if !header.has_color => Err(TransferError::Missing("colours")),
-            AttributeSource::Scalar(i) if i >= header.attributes.len() => {
-                Err(TransferError::Missing("such attribute"))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// What attribute channels the field has to carry.
-    #[must_use]
-    pub fn attribute_source(&self) -> AttributeSource {
-        match &self.transfer.color {
-            ColorRule::Points => AttributeSource::Color,
-            ColorRule::Map { input: MapInput::Attribute(index), .. } => AttributeSource::Scalar(*index),
-            ColorRule::Map { .. } | ColorRule::Uniform(_) => AttributeSource::None,
         }
     }
 }

@@ -1,9 +1,12 @@
 //! Transfer functions: from density to opacity, from density or an attribute to colour.
 //!
-//! Opacity is per `unit_distance`: a step δ through opacity O absorbs 1 − exp(−σδ) with
+//! Opacity is per `unit_distance`, one length for the whole scene: a step δ through opacity O absorbs 1 − exp(−σδ) with
 //! σ = −ln(1 − min(O, 1 − 1/4096)) / unit_distance. A density that is not positive is transparent.
 
+use std::sync::Arc;
+
 use super::colormap::Colormap;
+use crate::field::{AttributeSource, linear_from_srgb};
 
 /// Opacity is held below this, so that extinction stays finite.
 pub const MAX_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
@@ -19,13 +22,93 @@ pub enum OpacityRule {
     Curve(Vec<(f64, f64)>),
 }
 
-/// What a colour map is read with.
+/// What a colour map of a leaf is read with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapInput {
     /// The density.
     Density,
     /// A stored attribute, by its index in the header.
     Attribute(usize),
+}
+
+/// Colours over the numbers from 0 to 1.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Palette {
+    /// One that has a name.
+    Named(Colormap),
+    /// (place, display-encoded colour) in ascending order from 0 to 1, straight lines between.
+    Stops(Arc<[(f64, [f64; 3])]>),
+}
+
+impl Palette {
+    /// The colour at `x` (clamped to 0–1), display-encoded (sRGB), 0 to 1.
+    #[must_use]
+    pub fn display_color(&self, x: f64) -> [f64; 3] {
+        match self {
+            Self::Named(map) => map.display_color(x),
+            Self::Stops(stops) => {
+                let x = if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
+                let above = stops.partition_point(|&(at, _)| at <= x);
+                match (above.checked_sub(1).map(|i| stops[i]), stops.get(above)) {
+                    (Some((a, low)), Some(&(b, high))) => {
+                        std::array::from_fn(|c| low[c] + (high[c] - low[c]) * (x - a) / (b - a))
+                    }
+                    (Some((_, color)), None) | (None, Some(&(_, color))) => color,
+                    (None, None) => [0.0; 3],
+                }
+            }
+        }
+    }
+
+    /// The palette as `entries` colours in linear light.
+    #[must_use]
+    pub fn linear_table(&self, entries: usize) -> Vec<[f32; 3]> {
+        let last = (entries.max(2) - 1) as f64;
+        (0..entries.max(2))
+            .map(|i| self.display_color(i as f64 / last).map(|v| linear_from_srgb(v) as f32))
+            .collect()
+    }
+}
+
+/// A palette over a range of values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColorMap {
+    /// The colours.
+    pub palette: Palette,
+    /// Values of the palette's two ends.
+    pub range: (f64, f64),
+}
+
+impl ColorMap {
+    /// A named palette over a range of values.
+    #[must_use]
+    pub fn named(palette: Colormap, range: (f64, f64)) -> Self {
+        Self { palette: Palette::Named(palette), range }
+    }
+
+    /// The colour of a value, linear light.
+    #[must_use]
+    pub fn color(&self, value: f64) -> [f64; 3] {
+        let (low, high) = self.range;
+        self.palette.display_color((value - low) / (high - low)).map(linear_from_srgb)
+    }
+
+    pub(super) fn check(&self) -> Result<(), TransferError> {
+        let (low, high) = self.range;
+        if !(low.is_finite() && high.is_finite() && low != high) {
+            return Err(TransferError::Range);
+        }
+        match &self.palette {
+            Palette::Named(_) => Ok(()),
+            Palette::Stops(stops) => {
+                let ascending = stops.windows(2).all(|w| w[0].0 < w[1].0);
+                let in_range = stops.iter().all(|(at, color)| {
+                    (0.0..=1.0).contains(at) && color.iter().all(|v| (0.0..=1.0).contains(v))
+                });
+                if stops.is_empty() || !ascending || !in_range { Err(TransferError::Stops) } else { Ok(()) }
+            }
+        }
+    }
 }
 
 /// Where a sample's colour comes from.
@@ -35,24 +118,20 @@ pub enum ColorRule {
     Uniform([f32; 3]),
     /// The points' own.
     Points,
-    /// A colour map over a range of values.
+    /// A colour map.
     Map {
         /// The map.
-        map: Colormap,
+        map: ColorMap,
         /// What is looked up.
         input: MapInput,
-        /// Values of the map's two ends.
-        range: (f64, f64),
     },
 }
 
-/// Opacity and colour of a volume object.
+/// Opacity and colour of a leaf that has a density.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransferFunction {
     /// Opacity.
     pub opacity: OpacityRule,
-    /// The length that opacity refers to, world space.
-    pub unit_distance: f64,
     /// Colour.
     pub color: ColorRule,
 }
@@ -61,9 +140,6 @@ pub struct TransferFunction {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TransferError {
-    /// The unit distance is not a positive number.
-    #[error("the unit distance must be a positive number")]
-    UnitDistance,
     /// κ is negative or not finite.
     #[error("the extinction coefficient must be a number of at least 0")]
     Extinction,
@@ -73,9 +149,90 @@ pub enum TransferError {
     /// The value range is empty or not finite.
     #[error("the value range must be two different finite numbers, as in 0:10")]
     Range,
+    /// A palette is empty, not ascending, or leaves 0–1.
+    #[error("a palette needs ascending places from 0 to 1 and colours from 0 to 1")]
+    Stops,
     /// The cloud has no such column.
     #[error("the cloud stores no {0}")]
     Missing(&'static str),
+}
+
+impl OpacityRule {
+    /// Checks the numbers.
+    ///
+    /// # Errors
+    /// [`TransferError`] that says which is out of range.
+    pub fn check(&self) -> Result<(), TransferError> {
+        match self {
+            Self::Clamp => Ok(()),
+            Self::Extinction(kappa) if *kappa >= 0.0 && kappa.is_finite() => Ok(()),
+            Self::Extinction(_) => Err(TransferError::Extinction),
+            Self::Curve(points) => {
+                let ascending = points.windows(2).all(|w| w[0].0 < w[1].0);
+                let in_range = points.iter().all(|&(d, o)| d.is_finite() && (0.0..=1.0).contains(&o));
+                if points.is_empty() || !ascending || !in_range { Err(TransferError::Curve) } else { Ok(()) }
+            }
+        }
+    }
+
+    /// Opacity at a density, held to [`MAX_OPACITY`].
+    #[must_use]
+    pub fn opacity(&self, density: f64, unit_distance: f64) -> f64 {
+        if !(density > 0.0) {
+            return 0.0;
+        }
+        let opacity = match self {
+            Self::Clamp => density,
+            Self::Extinction(kappa) => -(-kappa * density * unit_distance).exp_m1(),
+            Self::Curve(points) => curve_at(points, density),
+        };
+        opacity.min(MAX_OPACITY)
+    }
+
+    /// Extinction σ at a density, per world unit of length.
+    #[must_use]
+    pub fn extinction(&self, density: f64, unit_distance: f64) -> f64 {
+        if let Self::Extinction(kappa) = self {
+            // The same as by way of the opacity, without its loss of digits.
+            return (kappa * density.max(0.0)).min(max_extinction(unit_distance));
+        }
+        -(1.0 - self.opacity(density, unit_distance)).ln() / unit_distance
+    }
+
+    /// The density at which the boundary of an object is said to lie: where it first has half its greatest opacity.
+    #[must_use]
+    pub fn boundary_density(&self, unit_distance: f64) -> f64 {
+        match self {
+            Self::Clamp => 0.5,
+            Self::Extinction(kappa) => std::f64::consts::LN_2 / (kappa * unit_distance).max(1e-30),
+            Self::Curve(points) => {
+                let half = 0.5 * points.iter().map(|p| p.1).fold(0.0, f64::max);
+                let above = points.iter().position(|&(_, o)| o >= half).unwrap_or(0);
+                let (d1, o1) = points[above];
+                match above.checked_sub(1).map(|i| points[i]) {
+                    Some((d0, o0)) if o1 > o0 => d0 + (d1 - d0) * (half - o0) / (o1 - o0),
+                    _ => d1.max(0.0),
+                }
+            }
+        }
+    }
+}
+
+/// The value of a curve: straight lines between its points, constant beyond the ends.
+#[must_use]
+pub fn curve_at(points: &[(f64, f64)], x: f64) -> f64 {
+    let above = points.partition_point(|&(d, _)| d <= x);
+    match (above.checked_sub(1).map(|i| points[i]), points.get(above)) {
+        (None, Some(&(_, o))) | (Some((_, o)), None) => o,
+        (Some((d0, o0)), Some(&(d1, o1))) => o0 + (o1 - o0) * (x - d0) / (d1 - d0),
+        (None, None) => 0.0,
+    }
+}
+
+/// The largest extinction there is.
+#[must_use]
+pub fn max_extinction(unit_distance: f64) -> f64 {
+    -(1.0 - MAX_OPACITY).ln() / unit_distance
 }
 
 impl TransferFunction {
@@ -84,62 +241,20 @@ impl TransferFunction {
     /// # Errors
     /// [`TransferError`] that says which is out of range.
     pub fn check(&self) -> Result<(), TransferError> {
-        if !(self.unit_distance > 0.0 && self.unit_distance.is_finite()) {
-            return Err(TransferError::UnitDistance);
-        }
-        match &self.opacity {
-            OpacityRule::Clamp => {}
-            OpacityRule::Extinction(kappa) if *kappa >= 0.0 && kappa.is_finite() => {}
-            OpacityRule::Extinction(_) => return Err(TransferError::Extinction),
-            OpacityRule::Curve(points) => {
-                let ascending = points.windows(2).all(|w| w[0].0 < w[1].0);
-                let in_range = points.iter().all(|&(d, o)| d.is_finite() && (0.0..=1.0).contains(&o));
-                if points.is_empty() || !ascending || !in_range {
-                    return Err(TransferError::Curve);
-                }
-            }
-        }
-        if let ColorRule::Map { range: (low, high), .. } = &self.color
-            && !(low.is_finite() && high.is_finite() && low != high)
-        {
-            return Err(TransferError::Range);
+        self.opacity.check()?;
+        if let ColorRule::Map { map, .. } = &self.color {
+            map.check()?;
         }
         Ok(())
     }
 
-    /// Opacity at a density.
+    /// Which attribute channels the field has to carry.
     #[must_use]
-    pub fn opacity(&self, density: f64) -> f64 {
-        if !(density > 0.0) {
-            return 0.0;
+    pub fn attribute_source(&self) -> AttributeSource {
+        match &self.color {
+            ColorRule::Points => AttributeSource::Color,
+            ColorRule::Map { input: MapInput::Attribute(index), .. } => AttributeSource::Scalar(*index),
+            ColorRule::Map { .. } | ColorRule::Uniform(_) => AttributeSource::None,
         }
-        match &self.opacity {
-            OpacityRule::Clamp => density.min(1.0),
-            OpacityRule::Extinction(kappa) => 1.0 - (-kappa * density * self.unit_distance).exp(),
-            OpacityRule::Curve(points) => {
-                let above = points.partition_point(|&(d, _)| d <= density);
-                match (above.checked_sub(1).map(|i| points[i]), points.get(above)) {
-                    (None, Some(&(_, o))) | (Some((_, o)), None) => o,
-                    (Some((d0, o0)), Some(&(d1, o1))) => o0 + (o1 - o0) * (density - d0) / (d1 - d0),
-                    (None, None) => 0.0,
-                }
-            }
-        }
-    }
-
-    /// Extinction σ at a density, per world unit of length.
-    #[must_use]
-    pub fn extinction(&self, density: f64) -> f64 {
-        if let OpacityRule::Extinction(kappa) = self.opacity {
-            // The same as by way of the opacity, without its loss of digits.
-            return (kappa * density.max(0.0)).min(self.max_extinction());
-        }
-        -(1.0 - self.opacity(density).min(MAX_OPACITY)).ln() / self.unit_distance
-    }
-
-    /// The largest extinction there is.
-    #[must_use]
-    pub fn max_extinction(&self) -> f64 {
-        -(1.0 - MAX_OPACITY).ln() / self.unit_distance
     }
 }

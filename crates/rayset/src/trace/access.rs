@@ -1,21 +1,28 @@
 //! How one attempt at a tile comes by its pages: it waits for those that are absent, or is put off until they are there.
 
+use std::sync::Arc;
+
 use super::RenderError;
-use super::world::World;
+use super::cloud_volume::CloudVolume;
 use crate::octree::node::{Node, NodePage};
-use crate::working_set::PageGuard;
+use crate::working_set::{Object, PageGuard, WorkingSet};
 
 /// Priority of node pages: every packet needs the upper ones.
 pub(super) const NODE_PRIORITY: u8 = 255;
 /// Priority of point pages that samples wait for.
 pub(super) const POINT_PRIORITY: u8 = 200;
 
+/// A page that a tile waits for.
+#[derive(Clone)]
+pub(super) struct Lacking {
+    pub(super) object: Arc<Object>,
+    pub(super) page: u32,
+}
+
 /// Why an attempt ended early.
 pub(super) enum Halt {
     /// A page is absent. It has been asked for; the tile is to be traced again, from its beginning, when it is there.
-    PutOff {
-        page: u32,
-    },
+    PutOff(Lacking),
     Failed(RenderError),
 }
 
@@ -25,39 +32,42 @@ impl<E: Into<RenderError>> From<E> for Halt {
     }
 }
 
-/// The pages of a world, for one attempt.
+/// The pages of a render, for one attempt.
 #[derive(Clone, Copy)]
 pub(super) struct Access<'a> {
-    pub(super) world: &'a World<'a>,
+    pub(super) pages: &'a WorkingSet,
     /// Whether it waits for pages that are absent.
     pub(super) waits: bool,
+    /// Where it does not: how many slabs ahead the pages of are asked for together with one that is absent.
+    pub(super) slabs_on_a_miss: u64,
 }
 
 impl Access<'_> {
-    pub(super) fn retain(&self, page: u32, priority: u8) -> Result<PageGuard, Halt> {
-        let World { pages, object, .. } = self.world;
+    pub(super) fn retain(&self, volume: &CloudVolume, page: u32, priority: u8) -> Result<PageGuard, Halt> {
+        let object = &volume.pages;
         if self.waits {
-            return Ok(pages.retain(object, page, priority)?);
+            return Ok(self.pages.retain(object, page, priority)?);
         }
-        match pages.retain_resident(object, page, priority) {
+        match self.pages.retain_resident(object, page, priority) {
             Some(outcome) => Ok(outcome?),
             None => {
-                pages.hint(object, &[page], priority, u64::MAX);
-                Err(Halt::PutOff { page })
+                self.pages.hint(object, &[page], priority, u64::MAX);
+                Err(Halt::PutOff(Lacking { object: object.clone(), page }))
             }
         }
     }
 
-    /// The root node, or nothing where the cloud is empty.
-    pub(super) fn root(&self) -> Result<Option<Node>, Halt> {
-        if self.world.header.points == 0 {
+    /// The root node of a cloud, or nothing where it is empty.
+    pub(super) fn root(&self, volume: &CloudVolume) -> Result<Option<Node>, Halt> {
+        let header = volume.header();
+        if header.points == 0 {
             return Ok(None);
         }
-        let place = self.world.header.root;
-        let guard = self.retain(self.world.first_node_page + place.page, NODE_PRIORITY)?;
+        let place = header.root;
+        let guard = self.retain(volume, volume.first_node_page + place.page, NODE_PRIORITY)?;
         match NodePage::trusted(&guard).get(usize::from(place.index)) {
             Some(root) => Ok(Some(root)),
-            None => Err(self.world.broken(place.page).into()),
+            None => Err(volume.broken(place.page).into()),
         }
     }
 }

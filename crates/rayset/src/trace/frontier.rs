@@ -7,6 +7,7 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
+use super::cloud_volume::CloudVolume;
 use crate::field::{Packet, RayColumns, SLAB_SAMPLES, SimdLevel};
 use crate::geometry::{Aabb, Beam};
 use crate::octree::format::NodeRef;
@@ -58,25 +59,51 @@ pub(super) struct ActiveRun {
     pub(super) last: u64,
 }
 
-/// A packet, and those of its rays that still go on.
-pub(super) struct LiveRays<'a> {
-    packet: &'a Packet,
+/// A set of rays of a packet.
+struct RaySet {
+    lanes: u64,
     beam: Beam,
-    /// Each ray by itself, where some have ended: the bound of the others may hold much that none of them meets.
+    /// Each ray by itself, where some are missing: the bound of the others may hold much that none of them meets.
     each: Option<RayColumns>,
 }
 
-impl<'a> LiveRays<'a> {
-    pub(super) fn new(packet: &'a Packet, lanes: u64, simd: SimdLevel) -> Self {
+impl RaySet {
+    fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
         let each = (lanes != packet.all() && lanes != 0).then(|| RayColumns::new(simd, packet.rays(lanes)));
-        Self { packet, beam: packet.beam(lanes), each }
+        Self { lanes, beam: packet.beam(lanes), each }
     }
 
     /// The samples that may lie in a box, or nothing where none does.
-    fn samples_in(&self, bounds: &Aabb) -> Option<(u64, u64)> {
-        let samples = self.packet.samples_in(&self.beam, bounds)?;
+    fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        let samples = packet.samples_in(&self.beam, bounds)?;
         let met = self.each.as_ref().is_none_or(|rays| rays.cross(bounds, 0.0).near != 0);
         met.then_some(samples)
+    }
+}
+
+/// Those rays of a packet that still go on, and those of them whose samples in the current slab can matter.
+pub(super) struct LiveRays {
+    going: RaySet,
+    /// Where they are fewer.
+    now: Option<RaySet>,
+}
+
+impl LiveRays {
+    pub(super) fn new(packet: &Packet, now: u64, going: u64, simd: SimdLevel) -> Self {
+        let now = (now != going).then(|| RaySet::new(packet, now, simd));
+        Self { going: RaySet::new(packet, going, simd), now }
+    }
+
+    /// Turns to other rays of the same packet.
+    pub(super) fn become_rays(&mut self, packet: &Packet, now: u64, going: u64, simd: SimdLevel) {
+        if self.going.lanes != going {
+            self.going = RaySet::new(packet, going, simd);
+        }
+        if now == going {
+            self.now = None;
+        } else if self.now.as_ref().is_none_or(|set| set.lanes != now) {
+            self.now = Some(RaySet::new(packet, now, simd));
+        }
     }
 }
 
@@ -86,12 +113,22 @@ pub(super) struct Frontier {
     heap: BinaryHeap<Entry>,
 }
 
+/// Where a frontier is: one packet in one cloud.
+#[derive(Clone, Copy)]
+pub(super) struct Place<'a> {
+    pub(super) access: Access<'a>,
+    pub(super) volume: &'a CloudVolume,
+    /// In the cloud's space.
+    pub(super) packet: &'a Packet,
+    pub(super) rays: &'a LiveRays,
+}
+
 impl Frontier {
     /// Starts again at the root.
-    pub(super) fn begin(&mut self, access: Access<'_>, rays: &LiveRays<'_>) -> Result<(), Halt> {
+    pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
         self.heap.clear();
-        if let Some(root) = access.root()? {
-            self.push_node(access, rays, root);
+        if let Some(root) = place.access.root(place.volume)? {
+            self.push_node(place, root);
         }
         Ok(())
     }
@@ -101,92 +138,104 @@ impl Frontier {
         self.heap.peek().map(|e| e.first)
     }
 
-    /// Opens everything that samples before `end` may need and moves its runs to `active`.
+    /// Opens everything that samples before `end` may need and moves its runs to `active`. What only rays reach that do
+    /// not matter now is left for later.
     pub(super) fn advance(
         &mut self,
-        access: Access<'_>,
-        rays: &LiveRays<'_>,
+        place: Place<'_>,
         end: u64,
         active: &mut Vec<ActiveRun>,
     ) -> Result<(), Halt> {
+        let Place { volume, packet, rays, .. } = place;
         while let Some(entry) = self.heap.peek().copied().filter(|e| e.first < end) {
             self.heap.pop();
-            match entry.item {
-                Item::Run { page, run } => active.push(ActiveRun { page, run, last: entry.last }),
-                // Rays that met it may have ended since.
-                Item::Node(node) if rays.samples_in(&node.bounds(access.world.root_cell)).is_none() => {}
-                Item::Node(node) => {
-                    let opened = self.open(access, rays, &node);
-                    if matches!(opened, Err(Halt::PutOff { .. })) {
-                        self.request_ahead(access, rays, &node, end);
-                    }
-                    opened?;
+            let node = match entry.item {
+                Item::Run { page, run } => {
+                    active.push(ActiveRun { page, run, last: entry.last });
+                    continue;
                 }
+                Item::Node(node) => node,
+            };
+            let bounds = node.bounds(volume.root_cell);
+            // Rays that met it may have ended since.
+            if rays.going.samples_in(packet, &bounds).is_none() {
+                continue;
             }
+            if rays.now.as_ref().is_some_and(|now| now.samples_in(packet, &bounds).is_none()) {
+                if entry.last >= end {
+                    self.heap.push(Entry { first: end, ..entry });
+                }
+                continue;
+            }
+            let opened = self.open(place, &node);
+            if matches!(opened, Err(Halt::PutOff(_))) {
+                self.request_ahead(place, &node, end);
+            }
+            opened?;
         }
         Ok(())
     }
 
     /// A page of a node was absent: asks, in one batch, for all that this slab and the next will open.
-    fn request_ahead(&self, access: Access<'_>, rays: &LiveRays<'_>, node: &Node, end: u64) {
-        let world = access.world;
-        let until = end + world.slabs_on_a_miss * SLAB_SAMPLES as u64;
-        let mut pages: Vec<u32> = world.pages_to_open(node).collect();
+    fn request_ahead(&self, place: Place<'_>, node: &Node, end: u64) {
+        let Place { access, volume, packet, rays } = place;
+        let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
+        let mut pages: Vec<u32> = volume.pages_to_open(node).collect();
         for entry in self.heap.iter().filter(|entry| entry.first < until) {
             if let Item::Node(node) = &entry.item
-                && rays.samples_in(&node.bounds(world.root_cell)).is_some()
+                && rays.going.samples_in(packet, &node.bounds(volume.root_cell)).is_some()
             {
-                pages.extend(world.pages_to_open(node));
+                pages.extend(volume.pages_to_open(node));
             }
         }
-        world.pages.hint(&world.object, &pages, POINT_PRIORITY, u64::MAX);
+        access.pages.hint(&volume.pages, &pages, POINT_PRIORITY, u64::MAX);
     }
 
-    fn push_node(&mut self, access: Access<'_>, rays: &LiveRays<'_>, node: Node) {
-        let world = access.world;
-        if let Some((first, last)) = rays.samples_in(&node.bounds(world.root_cell)) {
+    fn push_node(&mut self, place: Place<'_>, node: Node) {
+        let bounds = node.bounds(place.volume.root_cell);
+        if let Some((first, last)) = place.rays.going.samples_in(place.packet, &bounds) {
             self.heap.push(Entry { first, last, item: Item::Node(node) });
         }
     }
 
-    fn open(&mut self, access: Access<'_>, rays: &LiveRays<'_>, node: &Node) -> Result<(), Halt> {
-        self.open_own(access, rays, node.own)?;
-        self.open_children(access, rays, node)
+    fn open(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
+        self.open_own(place, node.own)?;
+        self.open_children(place, node)
     }
 
-    fn open_children(&mut self, access: Access<'_>, rays: &LiveRays<'_>, node: &Node) -> Result<(), Halt> {
+    fn open_children(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
         if node.child_mask == 0 {
             return Ok(());
         }
-        let world = access.world;
+        let Place { access, volume, .. } = place;
         let NodeRef { page, index } = node.first_child;
-        let guard = access.retain(world.first_node_page + page, NODE_PRIORITY)?;
+        let guard = access.retain(volume, volume.first_node_page + page, NODE_PRIORITY)?;
         let nodes = NodePage::trusted(&guard);
         for k in 0..node.child_mask.count_ones() as usize {
-            let child = nodes.get(usize::from(index) + k).ok_or_else(|| world.broken(page))?;
-            self.push_node(access, rays, child);
+            let child = nodes.get(usize::from(index) + k).ok_or_else(|| volume.broken(page))?;
+            self.push_node(place, child);
         }
         Ok(())
     }
 
     /// Looks at the bounds of a node's own runs. Their pages are needed for that, and soon again for the points.
-    fn open_own(&mut self, access: Access<'_>, rays: &LiveRays<'_>, own: RunRange) -> Result<(), Halt> {
-        let world = access.world;
+    fn open_own(&mut self, place: Place<'_>, own: RunRange) -> Result<(), Halt> {
+        let Place { access, volume, packet, rays } = place;
         let (mut page, mut run, mut left) = (own.first_page, usize::from(own.first_run), own.runs as usize);
         while left > 0 {
-            if page >= world.first_node_page {
-                return Err(world.broken(page).into());
+            if page >= volume.first_node_page {
+                return Err(volume.broken(page).into());
             }
-            let guard = access.retain(page, POINT_PRIORITY)?;
-            let points = PointPage::trusted(&guard, world.header);
+            let guard = access.retain(volume, page, POINT_PRIORITY)?;
+            let points = PointPage::trusted(&guard, volume.header());
             let here = left.min(points.len().saturating_sub(run));
             if here == 0 {
-                return Err(world.broken(page).into());
+                return Err(volume.broken(page).into());
             }
             for index in run..run + here {
                 let head = points.head(index);
-                let bounds = head.position_bounds(world.root_cell).inflated(f64::from(head.radius_max()));
-                if let Some((first, last)) = rays.samples_in(&bounds) {
+                let bounds = head.position_bounds(volume.root_cell).inflated(f64::from(head.radius_max()));
+                if let Some((first, last)) = rays.going.samples_in(packet, &bounds) {
                     self.heap.push(Entry { first, last, item: Item::Run { page, run: index as u16 } });
                 }
             }

@@ -1,92 +1,378 @@
-//! The judge renderer: the same rays, samples, transfer function and light as the ray tracer, over the brute-force field
-//! in `f64`. Slow by design; it shares no code with what it judges beyond the description of the scene.
+//! The judge renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
+//! brute-force fields in `f64`. Slow by design; it shares no code with what it judges beyond the description of the
+//! scene and the closed forms of procedural fields.
 
-use crate::field::judge::{JudgeField, JudgeSample};
-use crate::geometry::Ray;
-use crate::scene::{Camera, CameraError, ColorRule, MapInput, RenderSettings, Scene, Shading, headlight};
+use std::sync::Arc;
+
+use crate::field::judge::JudgeField;
+use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
+use crate::octree::file::ScanError;
+use crate::scene::{
+    Camera, CameraError, Channel, CloudObject, ColorRule, LightKind, Lighting, MAX_OPACITY, MapInput,
+    Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer, curve_at,
+};
 
 /// A pixel in linear light, premultiplied, and its opacity.
 pub type JudgePixel = [f64; 4];
 
-/// Renders one pixel with a given step, world space.
-///
-/// # Errors
-/// [`CameraError`] where the camera makes no rays.
-pub fn pixel(
-    scene: &Scene,
-    field: &JudgeField,
-    camera: &Camera,
-    settings: &RenderSettings,
-    step_world: f64,
-    x: u32,
-    y: u32,
-) -> Result<JudgePixel, CameraError> {
-    let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
-    Ok(trace_ray(scene, field, settings, &ray, settings.phase_of(x, y), step_world))
+/// A scene whose clouds are in memory, point by point.
+pub struct Judge<'a> {
+    scene: &'a Scene,
+    clouds: Vec<(*const Node, JudgeField)>,
 }
 
-/// Every sample of a ray that any point reaches, front to back.
-fn trace_ray(
-    scene: &Scene,
-    field: &JudgeField,
-    settings: &RenderSettings,
-    ray: &Ray,
-    phase: f64,
-    step: f64,
-) -> JudgePixel {
-    let near = field.near(ray);
-    let (mut first, mut last) = (f64::INFINITY, 0.0_f64);
-    for p in &near.points {
-        let t = (p.position - ray.origin).dot(ray.direction);
-        first = first.min(t - p.radius);
-        last = last.max(t + p.radius);
+/// A node at one place.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    opacity: f64,
+    color: [f64; 3],
+    /// Unit or zero, world space.
+    normal: DVec3,
+    /// Signed distance to the boundary that the normal belongs to, world space.
+    boundary: f64,
+    material: [f64; 6],
+}
+
+const NOTHING: Sample = Sample {
+    opacity: 0.0,
+    color: [0.0; 3],
+    normal: DVec3::ZERO,
+    boundary: f64::INFINITY,
+    material: [0.0; 6],
+};
+
+/// What of a graph one ray can meet: fields with far points left out, and maps to them.
+enum Seen<'a> {
+    Cloud { object: &'a CloudObject, field: JudgeField },
+    Procedural(&'a dyn Procedural),
+    Operator(Operator, Vec<SeenNode<'a>>),
+}
+
+struct SeenNode<'a> {
+    seen: Seen<'a>,
+    local_from_world: DAffine3,
+    transfers: &'a [Transfer],
+    material: Material,
+}
+
+impl<'a> Judge<'a> {
+    /// Reads all clouds of a scene.
+    ///
+    /// # Errors
+    /// [`ScanError`] where a file cannot be read or is damaged.
+    pub fn load(scene: &'a Scene) -> Result<Self, ScanError> {
+        let mut judge = Self { scene, clouds: Vec::new() };
+        judge.load_node(&scene.root)?;
+        Ok(judge)
     }
-    let (mut color, mut transmittance) = ([0.0; 3], 1.0);
-    let mut j = ((first / step - phase).floor() - 1.0).max(0.0);
-    while (j + phase) * step <= last + step {
-        let sample = near.sample(ray.at((j + phase) * step));
-        j += 1.0;
-        let passed = (-scene.transfer.extinction(sample.density) * step).exp();
-        if passed >= 1.0 {
-            continue;
-        }
-        let lit = lit(scene, ray, &sample);
-        for channel in 0..3 {
-            color[channel] += transmittance * (1.0 - passed) * lit[channel];
-        }
-        transmittance *= passed;
-        if transmittance < f64::from(settings.stop_transmittance) {
-            break;
+
+    fn load_node(&mut self, node: &Arc<Node>) -> Result<(), ScanError> {
+        let known = |(at, _): &(*const Node, JudgeField)| *at == Arc::as_ptr(node);
+        match &node.shape {
+            Shape::Cloud(object) if !self.clouds.iter().any(known) => {
+                let (kernel, normalised) = (object.kernel, object.normalised);
+                let field = JudgeField::load(&object.cloud, kernel, normalised, object.attribute_source())?;
+                self.clouds.push((Arc::as_ptr(node), field));
+                Ok(())
+            }
+            Shape::Cloud(_) | Shape::Procedural(_) => Ok(()),
+            Shape::Operator(_, children) => children.iter().try_for_each(|child| self.load_node(child)),
         }
     }
-    match scene.background {
-        Some(b) => {
-            let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
-            [behind(0), behind(1), behind(2), 1.0]
+
+    /// Renders one pixel with a given step on all rays, world space.
+    ///
+    /// # Errors
+    /// [`CameraError`] where the camera makes no rays.
+    pub fn pixel(
+        &self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        step_world: f64,
+        x: u32,
+        y: u32,
+    ) -> Result<JudgePixel, CameraError> {
+        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
+        let phase = settings.phase_of(x, y);
+        let (color, transmittance) = self.trace(settings, &ray, phase, step_world);
+        Ok(match self.scene.background {
+            Some(b) => {
+                let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
+                [behind(0), behind(1), behind(2), 1.0]
+            }
+            None => [color[0], color[1], color[2], 1.0 - transmittance],
+        })
+    }
+
+    /// Shading vector of a ray's samples, weighted by what they add to the ray; not normalised.
+    ///
+    /// # Errors
+    /// [`CameraError`] where the camera makes no rays.
+    pub fn normal(
+        &self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        step_world: f64,
+        x: u32,
+        y: u32,
+    ) -> Result<DVec3, CameraError> {
+        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
+        let mut sum = DVec3::ZERO;
+        self.march(settings, &ray, settings.phase_of(x, y), step_world, f64::INFINITY, |_, sample, share| {
+            sum += sample.normal * share;
+        });
+        Ok(sum)
+    }
+
+    /// Light and transmittance of a ray.
+    fn trace(&self, settings: &RenderSettings, ray: &Ray, phase: f64, step: f64) -> ([f64; 3], f64) {
+        let mut color = [0.0; 3];
+        let transmittance = self.march(settings, ray, phase, step, f64::INFINITY, |q, sample, share| {
+            let lit = self.lit(settings, ray, q, sample, phase, step);
+            for channel in 0..3 {
+                color[channel] += share * lit[channel];
+            }
+        });
+        (color, transmittance)
+    }
+
+    /// Every sample of a ray before `end` that is not transparent, front to back, and what is left of the light.
+    fn march(
+        &self,
+        settings: &RenderSettings,
+        ray: &Ray,
+        phase: f64,
+        step: f64,
+        end: f64,
+        mut visit: impl FnMut(DVec3, &Sample, f64),
+    ) -> f64 {
+        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), ray);
+        let Some((enter, exit)) = self.scene.root.bounds().clip(ray) else { return 1.0 };
+        let mut transmittance = 1.0;
+        let mut j = ((enter / step - phase).floor() - 1.0).max(0.0);
+        while (j + phase) * step <= exit + step && (j + phase) * step < end {
+            let q = ray.at((j + phase) * step);
+            j += 1.0;
+            let sample = self.sample(&root, q);
+            let extinction = -(1.0 - sample.opacity.min(MAX_OPACITY)).ln() / self.scene.unit_distance;
+            let passed = (-extinction * step).exp();
+            if passed >= 1.0 {
+                continue;
+            }
+            visit(q, &sample, transmittance * (1.0 - passed));
+            transmittance *= passed;
+            if transmittance < f64::from(settings.stop_transmittance) {
+                break;
+            }
         }
-        None => [color[0], color[1], color[2], 1.0 - transmittance],
+        transmittance
+    }
+
+    fn seen<'s>(
+        &'s self,
+        node: &'s Arc<Node>,
+        world_from_parent: &DAffine3,
+        material: Material,
+        ray: &Ray,
+    ) -> SeenNode<'s> {
+        let material = node.material.unwrap_or(material);
+        let world_from_local = *world_from_parent * node.parent_from_local;
+        let local_from_world = world_from_local.inverse();
+        let seen = match &node.shape {
+            Shape::Cloud(object) => {
+                let local = Ray {
+                    origin: local_from_world.transform_point3(ray.origin),
+                    direction: local_from_world.transform_vector3(ray.direction).normalize(),
+                };
+                let known = self.clouds.iter().find(|(at, _)| *at == Arc::as_ptr(node));
+                let field = known.map(|(_, field)| field.near(&local));
+                let nothing = || JudgeField {
+                    points: Vec::new(),
+                    kernel: object.kernel,
+                    normalised: object.normalised,
+                };
+                Seen::Cloud { object, field: field.unwrap_or_else(nothing) }
+            }
+            Shape::Procedural(field) => Seen::Procedural(&**field),
+            Shape::Operator(operator, children) => {
+                let seen = children.iter().map(|child| self.seen(child, &world_from_local, material, ray));
+                Seen::Operator(*operator, seen.collect())
+            }
+        };
+        SeenNode { seen, local_from_world, transfers: &node.transfers, material }
+    }
+
+    fn sample(&self, node: &SeenNode<'_>, q: DVec3) -> Sample {
+        let mut sample = match &node.seen {
+            Seen::Cloud { object, field } => self.sample_cloud(node, object, field, q),
+            Seen::Procedural(field) => {
+                let s = field.sample(node.local_from_world.transform_point3(q));
+                let (normal, boundary) = surface(node, s.implicit, s.gradient);
+                let opacity = s.opacity.clamp(0.0, MAX_OPACITY);
+                Sample { opacity, color: s.color, normal, boundary, material: node.material.to_array() }
+            }
+            Seen::Operator(operator, children) => {
+                let samples: Vec<Sample> = children.iter().map(|child| self.sample(child, q)).collect();
+                combine(*operator, &samples, self.scene.unit_distance)
+            }
+        };
+        for transfer in node.transfers {
+            if !(sample.opacity > 0.0) {
+                break;
+            }
+            let value = |channel: Channel| match channel {
+                Channel::Opacity => sample.opacity,
+                Channel::Red => sample.color[0],
+                Channel::Green => sample.color[1],
+                Channel::Blue => sample.color[2],
+            };
+            match transfer {
+                Transfer::Opacity { input, curve } => {
+                    sample.opacity = curve_at(curve, value(*input)).min(MAX_OPACITY);
+                }
+                Transfer::Color { input, map } => sample.color = map.color(value(*input)),
+            }
+        }
+        sample
+    }
+
+    fn sample_cloud(
+        &self,
+        node: &SeenNode<'_>,
+        object: &CloudObject,
+        field: &JudgeField,
+        q: DVec3,
+    ) -> Sample {
+        let s = field.sample(node.local_from_world.transform_point3(q));
+        let weight = object.cloud.header().weight;
+        let least = 1e-12 * f64::from(weight.max().abs().max(weight.min().abs()));
+        let mean =
+            |channel: usize| if s.density.abs() > least { s.attribute[channel] / s.density } else { 0.0 };
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(c) => c.map(f64::from),
+            ColorRule::Points => [mean(0), mean(1), mean(2)],
+            ColorRule::Map { map, input } => {
+                map.color(if matches!(input, MapInput::Attribute(_)) { mean(0) } else { s.density })
+            }
+        };
+        let unit = self.scene.unit_distance;
+        let level = object.transfer.opacity.boundary_density(unit);
+        let (normal, boundary) = surface(node, level - s.density, -s.gradient);
+        let opacity = object.transfer.opacity.opacity(s.density, unit);
+        Sample { opacity, color, normal, boundary, material: node.material.to_array() }
+    }
+
+    /// Light on a sample.
+    fn lit(
+        &self,
+        settings: &RenderSettings,
+        ray: &Ray,
+        q: DVec3,
+        sample: &Sample,
+        phase: f64,
+        step: f64,
+    ) -> [f64; 3] {
+        let Lighting::Lit(lights) = &self.scene.lighting else { return sample.color };
+        let [ambient, diffuse, specular, shininess, ..] = sample.material;
+        let view = -ray.direction;
+        let mut sum = [0.0; 3];
+        for light in lights {
+            let (toward, distance, strength) = match light.kind {
+                LightKind::Ambient => {
+                    for channel in 0..3 {
+                        sum[channel] += sample.color[channel] * ambient * f64::from(light.color[channel]);
+                    }
+                    continue;
+                }
+                LightKind::Headlight => (view, f64::INFINITY, 1.0),
+                LightKind::Directional { direction } => (-direction.normalize(), f64::INFINITY, 1.0),
+                LightKind::Point { position, decays } => {
+                    let toward = position - q;
+                    let strength = if decays { (1.0 / toward.length_squared()).min(1e12) } else { 1.0 };
+                    (toward.normalize_or(DVec3::Y), toward.length(), strength)
+                }
+            };
+            let reaching = if light.throws_shadows() && distance > 0.0 {
+                let from = Ray { origin: q + toward * (0.5 * step), direction: toward };
+                self.march(settings, &from, phase, step, distance - 0.5 * step, |_, _, _| {})
+            } else {
+                1.0
+            };
+            let n = sample.normal;
+            if n == DVec3::ZERO {
+                continue;
+            }
+            let half = toward + view;
+            let cosine = if half.length() > 1e-6 { n.dot(half.normalize()).abs().min(1.0) } else { 0.0 };
+            let highlight = if shininess == 0.0 { 1.0 } else { cosine.powf(shininess) };
+            for channel in 0..3 {
+                let given = sample.color[channel] * diffuse * n.dot(toward).abs() + specular * highlight;
+                sum[channel] += given * strength * reaching * f64::from(light.color[channel]);
+            }
+        }
+        sum
     }
 }
 
-fn lit(scene: &Scene, ray: &Ray, sample: &JudgeSample) -> [f64; 3] {
-    let weight = scene.cloud.header().weight;
-    let least = 1e-12 * f64::from(weight.max().abs().max(weight.min().abs()));
-    let mean = |channel: usize| {
-        if sample.density.abs() > least { sample.attribute[channel] / sample.density } else { 0.0 }
-    };
-    let color = match &scene.transfer.color {
-        ColorRule::Uniform(c) => c.map(f64::from),
-        ColorRule::Points => [mean(0), mean(1), mean(2)],
-        ColorRule::Map { map, input, range: (low, high) } => {
-            let value = if matches!(input, MapInput::Attribute(_)) { mean(0) } else { sample.density };
-            map.display_color((value - low) / (high - low)).map(crate::field::linear_from_srgb)
+/// The normal and the signed distance of a boundary in the world, from the implicit function and its gradient in local
+/// space.
+fn surface(node: &SeenNode<'_>, implicit: f64, gradient: DVec3) -> (DVec3, f64) {
+    let to_world: DMat3 = node.local_from_world.matrix3.transpose();
+    let gradient = to_world * gradient;
+    let length = gradient.length();
+    // What single precision cannot hold the square of is no direction.
+    let normal = if length > 1e-22 { gradient / length } else { DVec3::ZERO };
+    (normal, implicit / length)
+}
+
+/// The table of operators.
+fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
+    match operator {
+        Operator::Union => samples.iter().skip(1).fold(samples[0], |a, b| {
+            let outside_both = a.opacity == 0.0 && b.opacity == 0.0;
+            if b.opacity > a.opacity || (outside_both && b.boundary < a.boundary) { *b } else { a }
+        }),
+        Operator::Intersection => {
+            let (mut shape, mut attributes) = (samples[0], samples[0]);
+            for s in &samples[1..] {
+                let outside_both = s.opacity == 0.0 && shape.opacity == 0.0;
+                if s.opacity < shape.opacity || (outside_both && s.boundary > shape.boundary) {
+                    shape = *s;
+                }
+                if s.opacity > attributes.opacity {
+                    attributes = *s;
+                }
+            }
+            Sample { color: attributes.color, material: attributes.material, ..shape }
         }
-    };
-    if scene.shading == Shading::None {
-        return color;
+        Operator::Difference => samples.iter().skip(1).fold(samples[0], |a, b| {
+            let cut = b.boundary.abs() < a.boundary.abs() && b.boundary.abs() <= reach;
+            let (normal, boundary) = if cut { (-b.normal, -b.boundary) } else { (a.normal, a.boundary) };
+            Sample { opacity: (a.opacity - b.opacity).max(0.0), normal, boundary, ..a }
+        }),
+        Operator::Blend => {
+            let sum: f64 = samples.iter().map(|s| s.opacity).sum();
+            if !(sum > 0.0) {
+                return NOTHING;
+            }
+            let mut mixed = NOTHING;
+            let mut largest = 0.0;
+            for s in samples.iter().filter(|s| s.opacity > 0.0) {
+                for channel in 0..3 {
+                    mixed.color[channel] += s.opacity * s.color[channel] / sum;
+                }
+                for number in 0..5 {
+                    mixed.material[number] += s.opacity * s.material[number] / sum;
+                }
+                if s.opacity > largest {
+                    (largest, mixed.material[5]) = (s.opacity, s.material[5]);
+                }
+                if s.boundary.abs() < mixed.boundary.abs() {
+                    mixed.boundary = s.boundary;
+                }
+                mixed.normal += s.normal * s.opacity;
+            }
+            Sample { opacity: sum.min(MAX_OPACITY), normal: mixed.normal.normalize_or_zero(), ..mixed }
+        }
     }
-    let length = sample.gradient.length();
-    let cosine = if length > 0.0 { (sample.gradient.dot(ray.direction) / length).abs() } else { 0.0 };
-    let specular = f64::from(headlight::SPECULAR) * cosine.powi(32);
-    color.map(|v| v * (f64::from(headlight::AMBIENT) + f64::from(headlight::DIFFUSE) * cosine) + specular)
 }

@@ -1,16 +1,83 @@
 //! What a render needs besides pages, so that a budget for the whole process can be kept.
 
-use crate::octree::format::Header;
+use std::sync::Arc;
+
+use super::block::{Block, Wants};
+use crate::octree::Cloud;
+use crate::scene::{Lighting, Node, Operator, Scene, Shape};
 use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
-/// Scratch memory, stack and bookkeeping of one tracing thread.
-pub const THREAD_BYTES: u64 = 768 << 10;
+/// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
+const THREAD_BYTES: u64 = 640 << 10;
+/// What every further cloud of a graph adds to that: a packet in its space and the part of its octree ahead.
+const CLOUD_BYTES: u64 = 48 << 10;
 /// Bytes of a pixel while its band is being made.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows that are worked on together.
 pub const LEAST_BAND_ROWS: u32 = 8;
 /// Room for the reads that are in flight and the threads that serve them.
 const READING_BYTES: u64 = 1 << 20;
+
+/// What of a scene takes memory besides its pages.
+#[derive(Clone, Debug)]
+pub struct SceneNeeds {
+    clouds: Vec<Arc<Cloud>>,
+    thread_bytes: u64,
+}
+
+impl SceneNeeds {
+    /// Of a scene that has been checked.
+    #[must_use]
+    pub fn of(scene: &Scene) -> Self {
+        let mut clouds = Vec::new();
+        let mut leaves = 0;
+        scene.root.for_each(&mut |node| {
+            if let Shape::Cloud(object) = &node.shape {
+                leaves += 1;
+                if !clouds.iter().any(|known| Arc::ptr_eq(known, &object.cloud)) {
+                    clouds.push(object.cloud.clone());
+                }
+            }
+        });
+        let lit = scene.lighting != Lighting::Unlit;
+        let has = |wanted: fn(&Node) -> bool| {
+            let mut found = false;
+            scene.root.for_each(&mut |node| found |= wanted(node));
+            found
+        };
+        let wants = Wants {
+            color: true,
+            normal: lit,
+            boundary: lit && has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _))),
+            material: lit && has(|node| node.material.is_some()),
+        };
+        let picture = blocks(&scene.root) * Block::bytes(wants);
+        let shadow = if scene.lighting.throws_shadows() {
+            blocks(&scene.root) * Block::bytes(Wants::default())
+        } else {
+            0
+        };
+        let passes = if shadow > 0 { 2 } else { 1 };
+        let thread_bytes = THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES;
+        Self { clouds, thread_bytes }
+    }
+
+    /// Every cloud of the scene, each once.
+    #[must_use]
+    pub fn clouds(&self) -> &[Arc<Cloud>] {
+        &self.clouds
+    }
+}
+
+/// An upper bound of the blocks in use at a time.
+fn blocks(node: &Node) -> usize {
+    let Shape::Operator(operator, children) = &node.shape else { return 1 };
+    let deepest = children.iter().map(|child| blocks(child)).max().unwrap_or(0);
+    // One more for a child that others use too.
+    let shared = children.iter().filter(|child| Arc::strong_count(child) > 1).count();
+    let own = if *operator == Operator::Intersection { children.len() } else { 2 };
+    own + deepest + shared
+}
 
 /// How a budget is spent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,21 +98,18 @@ pub struct MemoryPlan {
 /// # Errors
 /// The smallest budget in bytes, where this one is smaller.
 pub fn plan(
-    header: &Header,
+    needs: &SceneNeeds,
     width: u32,
     height: u32,
     threads: usize,
     process_bytes: u64,
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
-    let page = u64::from(header.page_bytes);
+    let page = needs.clouds.iter().map(|c| u64::from(c.header().page_bytes)).max().unwrap_or(4096);
     let row = u64::from(width) * PIXEL_BYTES;
+    let overhead: u64 = needs.clouds.iter().map(|c| WorkingSet::overhead_bytes(c.header().pages())).sum();
     // The picture's rows also pass through the encoder.
-    let fixed = process_bytes
-        + threads as u64 * THREAD_BYTES
-        + READING_BYTES
-        + WorkingSet::overhead_bytes(header.pages())
-        + 8 * row;
+    let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
     let least_pages = least_pages(threads) * page;
     let least_bytes =
         fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_pages * (page + OVERHEAD_BYTES) / page;
@@ -59,14 +123,12 @@ pub fn plan(
     let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
     let band_rows = (rows as u32).min(height).max(1);
     let picture = u64::from(band_rows) * row;
+    let comfortable_pages: u64 = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page).sum();
     Ok(MemoryPlan {
         page_bytes: (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page,
         band_rows,
         least_bytes,
-        comfortable_bytes: fixed
-            + u64::from(height.min(512)) * row
-            + comfortable_pages(header) * page
-            + least_pages,
+        comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_pages,
     })
 }
 
@@ -77,7 +139,8 @@ pub fn least_pages(threads: usize) -> u64 {
 }
 
 /// A surface of n pages crosses a row of the picture with about √n of them, front and back, above and below.
-fn comfortable_pages(header: &Header) -> u64 {
+fn comfortable_pages(cloud: &Cloud) -> u64 {
+    let header = cloud.header();
     let points = u64::from(header.point_pages);
     (u64::from(header.node_pages) + 8 * (points as f64).sqrt().ceil() as u64).min(u64::from(header.pages()))
 }

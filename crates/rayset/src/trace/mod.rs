@@ -4,14 +4,24 @@
 //! [`ExecSettings`] never do.
 
 mod access;
+mod block;
+mod cloud_volume;
 mod composite;
 mod frontier;
 pub mod judge;
+mod march;
+mod math;
 pub mod memory;
 mod packet_tracer;
 pub mod predict;
+mod procedural_volume;
+mod program;
+mod secondary;
+mod shade;
+mod shadow;
 mod steps;
 mod tiles;
+mod transfer;
 mod world;
 
 use std::ops::Range;
@@ -23,13 +33,12 @@ use self::access::Halt;
 use self::packet_tracer::PacketTracer;
 pub use self::packet_tracer::RenderCounts;
 use self::predict::{Lookahead, Predictor};
-use self::steps::StepRule;
 use self::tiles::{Agenda, Attempt, Tile, Tiles};
 use self::world::World;
 use crate::field::{LANES, SLAB_SAMPLES, SimdLevel};
 use crate::image::Band;
-use crate::scene::{Camera, CameraError, RenderSettings, Scene, TransferError};
-use crate::working_set::{Object, PageFault, WorkingSet};
+use crate::scene::{Camera, CameraError, RenderSettings, Scene, SceneError};
+use crate::working_set::{PageFault, PagedClouds};
 
 /// How the work is done. Nothing here can change a pixel.
 #[derive(Clone)]
@@ -71,9 +80,9 @@ pub enum RenderError {
     /// The camera makes no rays.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The transfer function is none.
+    /// The scene is none.
     #[error(transparent)]
-    Transfer(#[from] TransferError),
+    Scene(#[from] SceneError),
     /// A setting out of its range.
     #[error("{setting}: {what}")]
     Setting {
@@ -136,35 +145,31 @@ pub fn render(
     camera: &Camera,
     settings: &RenderSettings,
     exec: &ExecSettings,
-    pages: &WorkingSet,
-    object: &Arc<Object>,
+    paged: &PagedClouds,
     sink: &mut dyn Sink,
 ) -> Result<RenderCounts, RenderError> {
     let whole = Region { columns: 0..settings.width, rows: 0..settings.height };
-    render_region(scene, camera, settings, &whole, exec, pages, object, sink)
+    render_region(scene, camera, settings, &whole, exec, paged, sink)
 }
 
 /// Renders a part of a picture; each of its pixels is the same, bit for bit, as in the whole.
 ///
 /// # Errors
 /// As [`render`].
-#[expect(clippy::too_many_arguments, reason = "the description of a picture and the means to make it")]
 pub fn render_region(
     scene: &Scene,
     camera: &Camera,
     settings: &RenderSettings,
     region: &Region,
     exec: &ExecSettings,
-    pages: &WorkingSet,
-    object: &Arc<Object>,
+    paged: &PagedClouds,
     sink: &mut dyn Sink,
 ) -> Result<RenderCounts, RenderError> {
     check(scene, settings, region, exec)?;
     let rays = camera.ray_maker(settings.width, settings.height)?;
-    let world = World::compile(scene, settings, exec, pages, object);
-    let steps = StepRule::new(scene, settings)?;
+    let world = World::compile(scene, settings, exec, paged)?;
     let total = u64::from(region.columns.end - region.columns.start) * region.rows.len() as u64;
-    let job = Job { world: &world, rays: &rays, settings, steps: &steps, exec, total };
+    let job = Job { world: &world, rays: &rays, settings, exec, total };
     let mut counts = RenderCounts::default();
     let mut done = 0;
     let mut row = region.rows.start;
@@ -183,7 +188,7 @@ fn check(
     region: &Region,
     exec: &ExecSettings,
 ) -> Result<(), RenderError> {
-    scene.transfer.check()?;
+    scene.check()?;
     let wrong = |setting, what: String| Err(RenderError::Setting { setting, what });
     let (width, height) = (settings.width, settings.height);
     if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
@@ -202,16 +207,14 @@ fn check(
     if !(1..=8).contains(&exec.tile_pixels) || !(1..=SLAB_SAMPLES).contains(&exec.slab_samples) {
         return wrong("tile or slab", "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into());
     }
-    scene.check_channels()?;
     Ok(())
 }
 
 /// What all bands of one render share.
 struct Job<'a> {
-    world: &'a World<'a>,
+    world: &'a World,
     rays: &'a crate::scene::RayMaker,
     settings: &'a RenderSettings,
-    steps: &'a StepRule,
     exec: &'a ExecSettings,
     total: u64,
 }
@@ -249,9 +252,9 @@ impl Job<'_> {
                 let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
                 let go_on = match outcome {
                     Ok(pixels) => shared.store(region, tile, &pixels, self.total),
-                    Err(Halt::PutOff { page }) => {
+                    Err(Halt::PutOff(lacking)) => {
                         tracer.put_off(counts);
-                        agenda.put_off(attempt, page);
+                        agenda.put_off(attempt, lacking);
                         true
                     }
                     Err(Halt::Failed(error)) => {
@@ -289,7 +292,7 @@ impl Job<'_> {
             }
         }
         let mut pixels = [[0.0; 4]; LANES];
-        for group in self.steps.groups(access, &rays)? {
+        for group in self.world.steps.groups(access, &self.world.program, &rays)? {
             tracer.trace(access, &rays, &group, &mut pixels)?;
         }
         Ok(pixels)

@@ -1,13 +1,14 @@
 //! One packet of rays, slab after slab: the loop that all time goes into.
 
-use super::access::{Access, Halt, POINT_PRIORITY};
-use super::composite::RayState;
-use super::frontier::{ActiveRun, Frontier, LiveRays};
+use super::access::{Access, Halt};
+use super::block::Block;
+use super::composite::{RayState, Shares};
+use super::march::March;
+use super::shadow::Shadows;
 use super::steps::StepGroup;
 use super::world::World;
-use crate::field::{DecodedRun, FieldSamples, LANES, Packet, Slab, SplatCounts};
+use crate::field::{LANES, Packet, SplatCounts};
 use crate::geometry::Ray;
-use crate::octree::page::PointPage;
 
 /// How much work a render was.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,12 +19,14 @@ pub struct RenderCounts {
     pub samples: u64,
     /// Samples that were not transparent.
     pub nonzero_samples: u64,
-    /// Slabs of packets that had any points.
+    /// Slabs of packets that had anything in them.
     pub slabs: u64,
     /// Runs decoded, each once a slab of a packet.
     pub runs: u64,
-    /// Packets traced.
+    /// Packets traced, without those of shadow rays.
     pub packets: u64,
+    /// Shadow rays traced.
+    pub shadow_rays: u64,
     /// Tiles that were put off because a page was absent. Work done on them until then is not counted.
     pub put_off: u64,
 }
@@ -36,31 +39,28 @@ impl std::ops::AddAssign for RenderCounts {
         self.slabs += other.slabs;
         self.runs += other.runs;
         self.packets += other.packets;
+        self.shadow_rays += other.shadow_rays;
         self.put_off += other.put_off;
     }
 }
 
 /// The scratch memory of one thread.
 pub(super) struct PacketTracer<'a> {
-    world: &'a World<'a>,
-    slab_samples: usize,
-    frontier: Frontier,
-    active: Vec<ActiveRun>,
-    run: Box<DecodedRun>,
-    samples: FieldSamples,
+    world: &'a World,
+    march: March<'a>,
+    shadows: Option<Shadows<'a>>,
+    shares: Shares,
     states: [RayState; LANES],
     counts: RenderCounts,
 }
 
 impl<'a> PacketTracer<'a> {
-    pub(super) fn new(world: &'a World<'a>, slab_samples: usize) -> Self {
+    pub(super) fn new(world: &'a World, slab_samples: usize) -> Self {
         Self {
             world,
-            slab_samples,
-            frontier: Frontier::default(),
-            active: Vec::new(),
-            run: Box::default(),
-            samples: FieldSamples::new(world.splatter.channels),
+            march: March::new(&world.program, slab_samples),
+            shadows: Shadows::new(world, slab_samples),
+            shares: Shares::new(),
             states: [RayState::START; LANES],
             counts: RenderCounts::default(),
         }
@@ -85,71 +85,61 @@ impl<'a> PacketTracer<'a> {
     ) -> Result<(), Halt> {
         let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
         let packet = Packet::new(&members, group.step);
-        self.march(access, &packet)?;
+        self.states.fill(RayState::START);
+        self.counts.packets += 1;
+        self.march.begin(&packet);
+        let mut block = self.march.block();
+        let outcome = self.pass(access, &packet, &mut block);
+        self.march.give_back(block);
+        outcome?;
         for (lane, &pixel) in group.members.iter().enumerate() {
-            pixels[pixel] = self.world.compositor.pixel(&self.states[lane]);
+            pixels[pixel] = self.pixel(&self.states[lane]);
         }
         Ok(())
     }
 
     /// Slab after slab, front to back, until all rays are opaque or nothing is left ahead.
-    fn march(&mut self, access: Access<'_>, packet: &Packet) -> Result<(), Halt> {
-        self.states.fill(RayState::START);
-        self.active.clear();
-        self.counts.packets += 1;
-        let mut lanes = packet.all();
-        let simd = self.world.splatter.simd;
-        let mut rays = LiveRays::new(packet, lanes, simd);
-        self.frontier.begin(access, &rays)?;
-        let slab_samples = self.slab_samples as u64;
-        let mut next = 0_u64;
-        while lanes != 0 {
-            if self.active.is_empty() {
-                // Empty space: on to the slab of whatever comes next.
-                match self.frontier.next_sample() {
-                    Some(sample) => next = next.max(sample / slab_samples * slab_samples),
-                    None => break,
-                }
-            }
-            let slab = Slab { first: next, samples: self.slab_samples };
-            next = next.saturating_add(slab_samples);
-            self.frontier.advance(access, &rays, next, &mut self.active)?;
-            self.active.retain(|run| run.last >= slab.first);
-            if self.active.is_empty() {
+    fn pass(&mut self, access: Access<'_>, packet: &Packet, block: &mut Block) -> Result<(), Halt> {
+        let world = self.world;
+        let flat = world.shader.flat_color().is_some();
+        let mut going = packet.all();
+        let mut from = 0;
+        while going != 0
+            && let Some(slab) = self.march.next_slab(from)
+        {
+            from = slab.end();
+            self.march.evaluate(access, packet, slab, going, &mut self.counts, block)?;
+            self.counts.slabs += 1;
+            self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
+            let lanes = going;
+            going = world.absorption.absorb(packet, slab, block, lanes, &mut self.states, &mut self.shares);
+            self.counts.nonzero_samples += self.shares.count();
+            if flat || self.shares.lanes() == 0 {
                 continue;
             }
-            self.gather(access, packet, slab, lanes)?;
-            let live = u64::from(lanes.count_ones());
-            self.counts.samples += live * slab_samples;
-            let compositor = &self.world.compositor;
-            let nonzero = &mut self.counts.nonzero_samples;
-            let going = compositor.composite(packet, slab, &self.samples, lanes, &mut self.states, nonzero);
-            if going != lanes {
-                lanes = going;
-                rays = LiveRays::new(packet, lanes, simd);
-            }
+            let none = Vec::new();
+            let shadows = match &mut self.shadows {
+                Some(shadows) => {
+                    shadows.find(access, &world.shader, packet, slab, &self.shares, &mut self.counts)?
+                }
+                None => &none,
+            };
+            world.shader.shade(packet, slab, block, &self.shares, shadows, &mut self.states);
         }
         Ok(())
     }
 
-    /// Adds all active runs to the samples of a slab, in the order of the file, one page retained at a time.
-    fn gather(&mut self, access: Access<'_>, packet: &Packet, slab: Slab, lanes: u64) -> Result<(), Halt> {
-        self.counts.slabs += 1;
-        self.samples.clear();
-        self.active.sort_unstable();
-        let world = self.world;
-        let mut at = 0;
-        while let Some(&ActiveRun { page, .. }) = self.active.get(at) {
-            let guard = access.retain(page, POINT_PRIORITY)?;
-            let points = PointPage::trusted(&guard, world.header);
-            while let Some(active) = self.active.get(at).filter(|a| a.page == page) {
-                let run = points.run(usize::from(active.run));
-                world.decoder.decode(&run, world.header, world.splatter.simd, &mut self.run);
-                self.counts.runs += 1;
-                self.counts.splats += world.splatter.splat(&self.run, packet, slab, lanes, &mut self.samples);
-                at += 1;
+    /// The pixel of a ray that has ended.
+    fn pixel(&self, state: &RayState) -> [f32; 4] {
+        let RayState { color, transmittance } = *state;
+        let color =
+            self.world.shader.flat_color().map_or(color, |flat| flat.map(|v| v * (1.0 - transmittance)));
+        match self.world.background {
+            Some(background) => {
+                let behind = |c: usize| color[c] + transmittance * background[c];
+                [behind(0), behind(1), behind(2), 1.0]
             }
+            None => [color[0], color[1], color[2], 1.0 - transmittance],
         }
-        Ok(())
     }
 }

@@ -1,14 +1,17 @@
 //! The distance between samples of each ray.
 //!
-//! Automatic steps are δ₀·2^k, with k from the smallest radius among the nodes whose bounds the ray itself meets: a
-//! function of ray and scene alone, whatever packet the ray travels in. Lattices of different k nest.
+//! Automatic steps are δ₀·2^k, with k from the finest of the objects whose bounds the ray meets, and in a cloud from the
+//! smallest radius among the nodes whose bounds it meets: a function of ray and scene alone, whatever packet the ray
+//! travels in. Lattices of different k nest.
 
 use super::RenderError;
 use super::access::{Access, Halt, NODE_PRIORITY};
+use super::cloud_volume::CloudVolume;
+use super::program::{Action, Program};
 use crate::field::RayColumns;
-use crate::geometry::{Beam, Ray};
+use crate::geometry::{Aabb, Beam, Ray};
 use crate::octree::node::{Node, NodePage};
-use crate::scene::{RenderSettings, Scene, Step};
+use crate::scene::{RenderSettings, Step};
 
 /// Finest automatic step: the coarsest times 2 to the minus this.
 const FINEST: i32 = 60;
@@ -24,31 +27,50 @@ pub(super) struct StepGroup {
 
 pub(super) struct StepRule {
     coarsest: f64,
-    radius_max: f32,
+    /// The length of which the coarsest step is the fraction asked for; nothing where steps are fixed.
+    longest: Option<f64>,
     /// Whether rays may differ.
     varies: bool,
 }
 
 impl StepRule {
-    pub(super) fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self, RenderError> {
-        let radius = scene.cloud.header().radius;
+    pub(super) fn new(program: &Program, settings: &RenderSettings) -> Result<Self, RenderError> {
+        let details: Vec<f64> =
+            program.instructions.iter().filter_map(|i| largest_detail(&i.action)).collect();
+        let longest = details.iter().copied().filter(|d| d.is_finite()).fold(0.0, f64::max);
         let (coarsest, varies) = match settings.step {
             Step::Fixed(step) => (step, false),
-            Step::Automatic { fraction } => (f64::from(radius.max()) * fraction, radius.min() < radius.max()),
+            Step::Automatic { fraction } if longest > 0.0 => {
+                let one_radius = |volume: &CloudVolume| {
+                    let radius = volume.header().radius;
+                    radius.min() == radius.max() && volume.local_from_world().is_none()
+                };
+                (longest * fraction, details.len() > 1 || !program.clouds().all(one_radius))
+            }
+            // Nothing is there to take a step from.
+            Step::Automatic { .. } => (1.0, false),
         };
         if !(coarsest > 0.0 && coarsest.is_finite()) {
             let what = format!("{coarsest} is not a positive number");
             return Err(RenderError::Setting { setting: "step", what });
         }
-        Ok(Self { coarsest, radius_max: radius.max(), varies })
+        let fixed = matches!(settings.step, Step::Fixed(_));
+        Ok(Self { coarsest, longest: (!fixed).then_some(longest), varies })
     }
 
-    /// Sorts the rays of a tile into groups of the same step, finest first.
-    pub(super) fn groups(&self, access: Access<'_>, rays: &[(Ray, f64)]) -> Result<Vec<StepGroup>, Halt> {
-        if !self.varies {
+    /// Sorts at most 64 rays into groups of the same step, finest first.
+    pub(super) fn groups(
+        &self,
+        access: Access<'_>,
+        program: &Program,
+        rays: &[(Ray, f64)],
+    ) -> Result<Vec<StepGroup>, Halt> {
+        let Some(longest) = self.longest.filter(|_| self.varies) else {
             return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
-        }
-        let exponents = self.exponents(access, rays)?;
+        };
+        let mut exponents = Exponents { longest, of_rays: vec![0; rays.len()] };
+        exponents.lower(access, program, rays)?;
+        let exponents = exponents.of_rays;
         let mut distinct = exponents.clone();
         distinct.sort_unstable();
         distinct.dedup();
@@ -59,55 +81,116 @@ impl StepRule {
             })
             .collect())
     }
+}
 
-    /// k for a radius: the largest, at most 0, for which 2^k is at most its share of the largest radius.
-    fn exponent(&self, radius: f32) -> i32 {
-        let share = f64::from(radius) / f64::from(self.radius_max);
+/// The longest length that an object asks steps to be a fraction of, along any ray.
+fn largest_detail(action: &Action) -> Option<f64> {
+    match action {
+        Action::Cloud(volume) => Some(volume.largest_radius_world()),
+        Action::Procedural(volume) => Some(volume.largest_detail_world()),
+        Action::Operator(..) => None,
+    }
+}
+
+/// k of each ray, lowered by one object after another.
+struct Exponents {
+    longest: f64,
+    of_rays: Vec<i32>,
+}
+
+impl Exponents {
+    /// k for a length: the largest, at most 0, for which 2^k is at most its share of the longest.
+    fn of(&self, length: f64) -> i32 {
+        // Rounding in a transform must not halve the steps of rays at random.
+        let share = length / self.longest * (1.0 + 1e-6);
         (share.log2().floor() as i32).clamp(-FINEST, 0)
     }
 
-    fn exponents(&self, access: Access<'_>, rays: &[(Ray, f64)]) -> Result<Vec<i32>, Halt> {
-        let world = access.world;
+    fn lower(&mut self, access: Access<'_>, program: &Program, rays: &[(Ray, f64)]) -> Result<(), Halt> {
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|(ray, _)| beam.include(ray));
+        for instruction in &program.instructions {
+            if instruction.bounds.is_empty() || beam.span(&instruction.bounds).is_none() {
+                continue;
+            }
+            match &instruction.action {
+                Action::Procedural(volume) => {
+                    self.lower_within(rays, &instruction.bounds, |ray| volume.detail_world(ray));
+                }
+                Action::Cloud(volume) if volume.header().radius.min() == volume.header().radius.max() => {
+                    let radius = f64::from(volume.header().radius.max());
+                    self.lower_within(rays, &instruction.bounds, |ray| {
+                        radius / volume.stretch_along(ray.direction)
+                    });
+                }
+                Action::Cloud(volume) => self.lower_by_octree(access, program, volume, rays)?,
+                Action::Operator(..) => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Rays that meet a box take at most a fraction of a length.
+    fn lower_within(&mut self, rays: &[(Ray, f64)], bounds: &Aabb, length: impl Fn(&Ray) -> f64) {
+        for (i, (ray, _)) in rays.iter().enumerate() {
+            let below = self.of(length(ray));
+            if below < self.of_rays[i] && bounds.clip(ray).is_some() {
+                self.of_rays[i] = below;
+            }
+        }
+    }
+
+    fn lower_by_octree(
+        &mut self,
+        access: Access<'_>,
+        program: &Program,
+        volume: &CloudVolume,
+        rays: &[(Ray, f64)],
+    ) -> Result<(), Halt> {
+        // As the cloud sees them; a box is met by a ray here where it is met there.
+        let rays: Vec<Ray> = rays.iter().map(|(ray, _)| volume.local_ray(ray)).collect();
+        let stretch: Vec<f64> = rays.iter().map(|ray| ray.direction.length()).collect();
+        let (least, most) = stretch.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &s| (a.min(s), b.max(s)));
+        let mut beam = Beam::EMPTY;
+        rays.iter().for_each(|ray| beam.include(ray));
         // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
-        let columns = RayColumns::new(world.splatter.simd, rays.iter().map(|&(ray, _)| ray));
-        let mut exponents = vec![0; rays.len()];
-        let mut stack: Vec<Node> = access.root()?.into_iter().collect();
+        let columns = RayColumns::new(program.simd, rays.iter().copied());
+        let mut stack: Vec<Node> = access.root(volume)?.into_iter().collect();
         while let Some(node) = stack.pop() {
-            let below = self.exponent(node.radius_min);
-            let bounds = node.bounds(world.root_cell);
-            let finest_known = exponents.iter().copied().max().unwrap_or(0);
-            if below >= finest_known || beam.span(&bounds).is_none() {
+            let bounds = node.bounds(volume.root_cell);
+            let finest_known = self.of_rays.iter().copied().max().unwrap_or(0);
+            if self.of(f64::from(node.radius_min) / most) >= finest_known || beam.span(&bounds).is_none() {
                 continue;
             }
             let own = if node.child_mask == 0 {
-                Some(below)
+                Some(f64::from(node.radius_min))
             } else if node.own.runs > 0 {
                 // Own points of an inner node are wider than the cells of its children.
-                let least = world.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
-                Some(self.exponent(least as f32).max(below))
+                let cell = volume.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
+                Some(f64::from(cell as f32).max(f64::from(node.radius_min)))
             } else {
                 None
             };
             if let Some(own) = own {
                 let near = columns.cross(&bounds, 0.0).near;
-                for (lane, (k, (ray, _))) in exponents.iter_mut().zip(rays).enumerate() {
-                    if own < *k && near >> lane & 1 == 1 && bounds.clip(ray).is_some() {
-                        *k = own;
+                let same = (least == most).then(|| self.of(own / least));
+                for (i, ray) in rays.iter().enumerate().filter(|(i, _)| near >> i & 1 == 1) {
+                    let k = same.unwrap_or_else(|| self.of(own / stretch[i]));
+                    if k < self.of_rays[i] && bounds.clip(ray).is_some() {
+                        self.of_rays[i] = k;
                     }
                 }
             }
             if node.child_mask != 0 {
                 let page = node.first_child.page;
-                let guard = access.retain(world.first_node_page + page, NODE_PRIORITY)?;
+                let guard = access.retain(volume, volume.first_node_page + page, NODE_PRIORITY)?;
                 let nodes = NodePage::trusted(&guard);
                 for child in 0..node.child_mask.count_ones() as usize {
                     let index = usize::from(node.first_child.index) + child;
-                    stack.push(nodes.get(index).ok_or_else(|| world.broken(page))?);
+                    stack.push(nodes.get(index).ok_or_else(|| volume.broken(page))?);
                 }
             }
         }
-        Ok(exponents)
+        Ok(())
     }
 }

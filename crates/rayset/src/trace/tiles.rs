@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::Region;
-use super::access::Access;
+use super::access::{Access, Lacking};
 use super::world::World;
 use crate::geometry::curve::hilbert_order;
 
@@ -64,21 +64,21 @@ pub(super) struct Attempt<'a> {
 
 /// The tiles that one thread works on: fresh ones, and those that it put off.
 pub(super) struct Agenda<'a> {
-    world: &'a World<'a>,
+    world: &'a World,
     tiles: &'a Tiles,
     /// Each with the page it lacked, the longest waiting first.
-    put_off: VecDeque<(Attempt<'a>, u32)>,
+    put_off: VecDeque<(Attempt<'a>, Lacking)>,
 }
 
 impl<'a> Agenda<'a> {
-    pub(super) fn new(world: &'a World<'a>, tiles: &'a Tiles) -> Self {
+    pub(super) fn new(world: &'a World, tiles: &'a Tiles) -> Self {
         Self { world, tiles, put_off: VecDeque::new() }
     }
 
     /// A tile whose page has come, else a fresh one, else the one put off first, which then waits. A fresh tile waits too
     /// where none may be put off.
     pub(super) fn next(&mut self, most_put_off: usize) -> Option<Attempt<'a>> {
-        let ready = self.put_off.iter().position(|&(_, page)| self.world.is_resident(page));
+        let ready = self.put_off.iter().position(|(_, lacking)| self.is_there(lacking));
         if let Some((attempt, _)) = ready.and_then(|at| self.put_off.remove(at)) {
             let waits = attempt.number >= IMPATIENT_ATTEMPTS;
             return Some(self.again(attempt, waits));
@@ -87,17 +87,25 @@ impl<'a> Agenda<'a> {
             && let Some(tile) = self.tiles.take()
         {
             let waits = self.world.slabs_on_a_miss == 0 || most_put_off == 0;
-            return Some(Attempt { tile, access: Access { world: self.world, waits }, number: 1 });
+            return Some(Attempt { tile, access: self.access(waits), number: 1 });
         }
         let (attempt, _) = self.put_off.pop_front()?;
         Some(self.again(attempt, true))
     }
 
     fn again(&self, attempt: Attempt<'a>, waits: bool) -> Attempt<'a> {
-        Attempt { access: Access { world: self.world, waits }, number: attempt.number + 1, ..attempt }
+        Attempt { access: self.access(waits), number: attempt.number + 1, ..attempt }
     }
 
-    pub(super) fn put_off(&mut self, attempt: Attempt<'a>, page: u32) {
-        self.put_off.push_back((attempt, page));
+    pub(super) fn put_off(&mut self, attempt: Attempt<'a>, lacking: Lacking) {
+        self.put_off.push_back((attempt, lacking));
+    }
+
+    fn access(&self, waits: bool) -> Access<'a> {
+        Access { pages: &self.world.pages, waits, slabs_on_a_miss: self.world.slabs_on_a_miss }
+    }
+
+    fn is_there(&self, lacking: &Lacking) -> bool {
+        self.world.pages.is_resident(&lacking.object, lacking.page)
     }
 }

@@ -25,7 +25,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
-pub use self::cloud::CloudPages;
+pub use self::cloud::{CloudPages, PagedClouds};
 pub use self::ledger::Limits;
 use self::ledger::{Evicted, Ledger};
 use self::read::{Read, ReadBackend, Storage};

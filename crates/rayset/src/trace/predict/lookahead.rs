@@ -3,10 +3,10 @@
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::ops::Range;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
-use super::scout::{Scout, Terrain};
+use super::scout::{Expected, Scout, Terrain};
 use crate::field::LANES;
 use crate::geometry::curve::hilbert_order;
 use crate::geometry::{Aabb, DVec3, Ray};
@@ -14,7 +14,9 @@ use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
 use crate::trace::Region;
 use crate::trace::access::NODE_PRIORITY;
+use crate::trace::cloud_volume::CloudVolume;
 use crate::trace::world::World;
+use crate::working_set::Object;
 
 /// Edge, in pixels, of the blocks of tiles that are looked at together.
 const BLOCK_PIXELS: u32 = 32;
@@ -25,7 +27,11 @@ const HINT_PRIORITY: u8 = 150;
 
 /// What is known of the picture being made: where rays will go.
 pub struct Lookahead<'a> {
-    world: &'a World<'a>,
+    world: &'a World,
+    /// Every cloud of the graph, and what is expected of it.
+    clouds: Vec<(&'a CloudVolume, Expected)>,
+    /// Bytes of the largest page.
+    page_bytes: u64,
     rays: &'a RayMaker,
     region: Region,
     threads: usize,
@@ -40,6 +46,13 @@ pub struct Lookahead<'a> {
     spare_pages: AtomicU64,
 }
 
+/// A page of one of the files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+struct PageId {
+    file: u32,
+    page: u32,
+}
+
 /// Blocks are known by their place along the curve.
 #[derive(Default)]
 struct Queue {
@@ -48,9 +61,9 @@ struct Queue {
     /// Block for which pages were last retired.
     retired_at: u32,
     /// Pages that are wanted and not yet hinted at: the block that wants each first, their order in that, the page.
-    waiting: BTreeSet<(u32, u32, u32)>,
+    waiting: BTreeSet<(u32, u32, PageId)>,
     /// Pages seen ahead that some block to come may meet.
-    seen: HashMap<u32, Seen>,
+    seen: HashMap<PageId, Seen>,
     /// Pages seen so far, for their order.
     sights: u32,
     /// The blocks that have been looked at and not yet traced, and how many pages each wants.
@@ -69,7 +82,7 @@ struct Seen {
 
 impl Queue {
     /// Notes that a block wants a page.
-    fn want(&mut self, page: u32, block: u32, use_by: u32) {
+    fn want(&mut self, page: PageId, block: u32, use_by: u32) {
         self.sights += 1;
         let key = (block, self.sights);
         let seen = self.seen.entry(page).or_insert(Seen { waits: None, wanted_by: block, use_by });
@@ -97,7 +110,7 @@ impl Queue {
 
 impl<'a> Lookahead<'a> {
     pub(in crate::trace) fn new(
-        world: &'a World<'a>,
+        world: &'a World,
         rays: &'a RayMaker,
         region: &Region,
         threads: usize,
@@ -112,7 +125,24 @@ impl<'a> Lookahead<'a> {
         let region = region.clone();
         let (queue, spare_pages) = (Mutex::default(), AtomicU64::new(0));
         let threads = threads.max(1);
-        Self { world, rays, region, threads, columns, rows, order, place, queue, spare_pages }
+        let stop = world.absorption.stop_transmittance;
+        let seen = world.program.clouds().filter(|volume| volume.header().points > 0);
+        let clouds: Vec<_> = seen.map(|volume| (volume, Expected::new(volume, stop))).collect();
+        let page_bytes = clouds.iter().map(|(v, _)| u64::from(v.header().page_bytes)).max().unwrap_or(1);
+        Self {
+            world,
+            clouds,
+            page_bytes,
+            rays,
+            region,
+            threads,
+            columns,
+            rows,
+            order,
+            place,
+            queue,
+            spare_pages,
+        }
     }
 
     fn block(&self, x: u32, y: u32) -> usize {
@@ -123,7 +153,7 @@ impl<'a> Lookahead<'a> {
 
     /// Looks at the blocks that come within reach with the tile at a pixel, and hints at what there is room for.
     pub(super) fn scout(&self, x: u32, y: u32) {
-        if self.world.header.points == 0 {
+        if self.clouds.is_empty() {
             return;
         }
         // One thread at a time; the others have tiles to trace.
@@ -157,15 +187,37 @@ impl<'a> Lookahead<'a> {
         /// More than this part of the budget would leave too little for pages to be met again by later blocks.
         const MOST_OF_BUDGET: u64 = 4;
         let world = self.world;
-        let spare = self.spare(queue, here) * u64::from(world.header.page_bytes);
+        let spare = self.spare(queue, here) * self.page_bytes;
         let most = spare.min(world.pages.budget_bytes() / MOST_OF_BUDGET);
         if most == 0 {
             return false;
         }
-        let pages: Vec<u32> = queue.waiting.iter().map(|&(_, _, page)| page).collect();
-        let dealt_with = world.pages.hint(&world.object, &pages, HINT_PRIORITY, most);
-        queue.dealt_with(dealt_with);
+        let pages: Vec<PageId> = queue.waiting.iter().map(|&(_, _, page)| page).collect();
+        for same_file in pages.chunk_by(|a, b| a.file == b.file) {
+            let numbers: Vec<u32> = same_file.iter().map(|id| id.page).collect();
+            let Some(object) = self.object(same_file[0].file) else { continue };
+            let dealt_with = world.pages.hint(object, &numbers, HINT_PRIORITY, most);
+            queue.dealt_with(dealt_with);
+            if dealt_with < numbers.len() {
+                break;
+            }
+        }
         queue.waiting.is_empty()
+    }
+
+    fn object(&self, file: u32) -> Option<&'a Arc<Object>> {
+        self.clouds.iter().find(|(volume, _)| volume.file == file).map(|(volume, _)| &volume.pages)
+    }
+
+    /// Tells the working set of pages, file by file.
+    fn by_file(&self, mut pages: Vec<PageId>, tell: impl Fn(&Object, &[u32])) {
+        pages.sort_unstable();
+        for same_file in pages.chunk_by(|a, b| a.file == b.file) {
+            let numbers: Vec<u32> = same_file.iter().map(|id| id.page).collect();
+            if let Some(object) = self.object(same_file[0].file) {
+                tell(object, &numbers);
+            }
+        }
     }
 
     /// Pages of the budget that the blocks being traced do not need themselves.
@@ -174,7 +226,7 @@ impl<'a> Lookahead<'a> {
         queue.columns.drain(..past);
         // Columns are taken over page by page, and threads may be in different ones.
         let columns = queue.columns.iter().take(self.threads).map(|&(_, pages)| pages);
-        let budget = self.world.pages.budget_bytes() / u64::from(self.world.header.page_bytes);
+        let budget = self.world.pages.budget_bytes() / self.page_bytes;
         let spare = budget.saturating_sub(columns.sum());
         self.spare_pages.store(spare, Ordering::Relaxed);
         spare
@@ -201,8 +253,8 @@ impl<'a> Lookahead<'a> {
             }
             seen.use_by >= here
         });
-        self.world.pages.retire_unused(&self.world.object, &unused);
-        self.world.pages.retire(&self.world.object, &finished);
+        self.by_file(unused, |object, pages| self.world.pages.retire_unused(object, pages));
+        self.by_file(finished, |object, pages| self.world.pages.retire(object, pages));
     }
 
     /// Place along the curve of the last block whose rays may meet a box.
@@ -234,40 +286,49 @@ impl<'a> Lookahead<'a> {
     /// Lists the pages that a block wants; false where node pages were absent, which are then on their way.
     fn look(&self, at: u32, queue: &mut Queue) -> bool {
         let (i, j) = self.order[at as usize];
-        let mut view = View { ahead: self, queue, at, absent_nodes: Vec::new(), pages: 0 };
-        let root = self.world.header.root;
-        match view.node_at(root.page, root.index) {
-            Some(root) => self.scout_of(i, j).explore(root, &self.world.expected, &mut view),
-            None => view.absent_nodes.push(self.world.first_node_page + root.page),
+        let rays = self.rays_of(i, j);
+        let (mut complete, mut pages) = (true, 0);
+        for (volume, expected) in &self.clouds {
+            let mut view = View { ahead: self, volume, queue, at, absent_nodes: Vec::new(), pages: 0 };
+            let root = volume.header().root;
+            match view.node_at(root.page, root.index) {
+                Some(root) => {
+                    let rays = rays.map(|ray| volume.local_ray(&ray));
+                    Scout::new(self.world.program.simd, &rays).explore(root, expected, &mut view);
+                }
+                None => view.absent_nodes.push(volume.first_node_page + root.page),
+            }
+            pages += view.pages;
+            let absent = view.absent_nodes;
+            self.world.pages.hint(&volume.pages, &absent, NODE_PRIORITY, u64::MAX);
+            complete &= absent.is_empty();
         }
-        let View { absent_nodes, pages, .. } = view;
-        self.world.pages.hint(&self.world.object, &absent_nodes, NODE_PRIORITY, u64::MAX);
-        if absent_nodes.is_empty() {
+        if complete {
             queue.columns.push_back((at, pages));
         }
-        absent_nodes.is_empty()
+        complete
     }
 
     /// Rays on the edges and within a block.
-    fn scout_of(&self, i: u32, j: u32) -> Scout {
+    fn rays_of(&self, i: u32, j: u32) -> [Ray; LANES] {
         let x0 =
             ((self.region.columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(self.region.columns.start);
         let y0 = ((self.region.rows.start / BLOCK_PIXELS + j) * BLOCK_PIXELS).max(self.region.rows.start);
         let x1 = (x0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.columns.end);
         let y1 = (y0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.rows.end);
-        let rays: [Ray; LANES] = std::array::from_fn(|lane| {
+        std::array::from_fn(|lane| {
             let (u, v) = (lane % 8, lane / 8);
             let x = f64::from(x0) + f64::from(x1 - x0) * u as f64 / 7.0;
             let y = f64::from(y0) + f64::from(y1 - y0) * v as f64 / 7.0;
             self.rays.ray(x, y)
-        });
-        Scout::new(self.world.splatter.simd, &rays)
+        })
     }
 }
 
-/// The octree as far as it is in memory, seen for one block.
+/// The octree of a cloud as far as it is in memory, seen for one block.
 struct View<'v, 'a> {
     ahead: &'v Lookahead<'a>,
+    volume: &'a CloudVolume,
     queue: &'v mut Queue,
     at: u32,
     absent_nodes: Vec<u32>,
@@ -278,15 +339,14 @@ struct View<'v, 'a> {
 impl View<'_, '_> {
     /// A record, if its page is in memory.
     fn node_at(&self, page: u32, index: u16) -> Option<Node> {
-        let world = self.ahead.world;
-        let guard = world.pages.peek(&world.object, world.first_node_page + page)?;
+        let guard = self.ahead.world.pages.peek(&self.volume.pages, self.volume.first_node_page + page)?;
         NodePage::trusted(&guard).get(usize::from(index))
     }
 }
 
 impl Terrain for View<'_, '_> {
     fn bounds(&self, node: &Node) -> Aabb {
-        node.bounds(self.ahead.world.root_cell)
+        node.bounds(self.volume.root_cell)
     }
 
     fn children(&mut self, node: &Node, found: &mut Vec<Node>) {
@@ -294,17 +354,18 @@ impl Terrain for View<'_, '_> {
         for k in 0..node.child_mask.count_ones() as u16 {
             match self.node_at(first.page, first.index + k) {
                 Some(child) => found.push(child),
-                None => return self.absent_nodes.push(self.ahead.world.first_node_page + first.page),
+                None => return self.absent_nodes.push(self.volume.first_node_page + first.page),
             }
         }
     }
 
     fn want(&mut self, node: &Node) {
-        let pages = self.ahead.world.own_pages(node);
+        let pages = self.volume.own_pages(node);
         if !pages.is_empty() {
             self.pages += pages.len() as u64;
-            let use_by = self.ahead.last_block(&self.bounds(node));
-            pages.for_each(|page| self.queue.want(page, self.at, use_by));
+            let use_by = self.ahead.last_block(&self.volume.bounds_world_of(node));
+            let file = self.volume.file;
+            pages.for_each(|page| self.queue.want(PageId { file, page }, self.at, use_by));
         }
     }
 }

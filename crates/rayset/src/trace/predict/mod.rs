@@ -4,7 +4,6 @@ mod lookahead;
 mod scout;
 
 pub use lookahead::Lookahead;
-pub(super) use scout::Expected;
 
 /// Turns known rays, or past accesses, into hints.
 pub trait Predictor: Send + Sync {

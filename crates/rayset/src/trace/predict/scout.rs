@@ -3,12 +3,14 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use crate::field::{Crossing, Kernel, LANES, RayColumns, SimdLevel};
+use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::geometry::{Aabb, Beam, DVec3, Ray};
 use crate::octree::node::Node;
-use crate::scene::{RenderSettings, Scene, TransferFunction};
+use crate::scene::OpacityRule;
+use crate::trace::cloud_volume::CloudVolume;
 
-/// Rays on a lattice over a block of the picture.
+/// Rays on a lattice over a block of the picture, as one cloud sees them: directions have the length that a unit of the
+/// world has there, so that distances are the world's.
 pub(super) struct Scout {
     rays: RayColumns,
     beam: Beam,
@@ -127,9 +129,10 @@ impl Ord for Ahead {
     }
 }
 
-/// What a node is expected to do to light, from its record alone.
-pub(in crate::trace) struct Expected {
-    transfer: TransferFunction,
+/// What nodes of a cloud are expected to do to light, from their records alone.
+pub(super) struct Expected {
+    transfer: OpacityRule,
+    unit_distance: f64,
     /// ∫ω dV of a point of radius one.
     point_integral: f64,
     normalised: bool,
@@ -138,15 +141,16 @@ pub(in crate::trace) struct Expected {
 }
 
 impl Expected {
-    pub(in crate::trace) fn new(scene: &Scene, kernel: Kernel, settings: &RenderSettings) -> Self {
+    pub(super) fn new(volume: &CloudVolume, stop_transmittance: f32) -> Self {
         /// How much more than enough is taken for enough: densities are uneven, and a page read in vain costs less
         /// than one that is waited for.
         const MARGIN: f32 = 1.2;
         Self {
-            transfer: scene.transfer.clone(),
-            point_integral: kernel.integral(),
-            normalised: scene.normalised,
-            opaque_thickness: -settings.stop_transmittance.ln() * MARGIN,
+            transfer: volume.object.transfer.opacity.clone(),
+            unit_distance: volume.unit_distance,
+            point_integral: volume.object.kernel.integral(),
+            normalised: volume.object.normalised,
+            opaque_thickness: -stop_transmittance.ln() * MARGIN,
         }
     }
 
@@ -154,6 +158,7 @@ impl Expected {
     fn extinction(&self, node: &Node, bounds: &Aabb) -> f64 {
         let radius = (f64::from(node.radius_min) * f64::from(node.radius_max)).sqrt();
         let point = if self.normalised { 1.0 } else { self.point_integral * radius.powi(3) };
-        self.transfer.extinction(node.weight_sum * point / bounds.size().element_product())
+        let density = node.weight_sum * point / bounds.size().element_product();
+        self.transfer.extinction(density, self.unit_distance)
     }
 }

@@ -1,0 +1,333 @@
+//! The volume scene graph: a term of constructive volume geometry (Chen & Tucker 2000), as a rooted DAG.
+//!
+//! A node is an elemental volume object or an operator over other nodes. A child is held by reference, so a subtree may
+//! be used in several places, and no cycle can be made. Each node may move what it makes, pass it through transfer
+//! functions, and give it a material.
+//!
+//! | operator | opacity | attributes | shading vector |
+//! | --- | --- | --- | --- |
+//! | union | the largest | of the largest (the first child on ties) | of the child that sets the opacity |
+//! | intersection | the smallest | of the largest of all children | of the child that sets the opacity |
+//! | difference | max(0, O₁ − O₂ − …) | of the first child | the nearest subtrahend's, turned, where its boundary is the nearer; else the first child's |
+//! | blend | min(1, ΣO) | weighted by O | weighted by O |
+//!
+//! Every opacity is held to [`MAX_OPACITY`](super::MAX_OPACITY) as it leaves a leaf, so that opaque things tie. The
+//! attributes of an intersection or blend of many children are not those of nested pairs.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::transfer::{ColorMap, ColorRule, OpacityRule, TransferError, TransferFunction};
+use super::{Material, Procedural};
+use crate::field::{AttributeSource, Kernel};
+use crate::geometry::{Aabb, DAffine3, DVec3};
+use crate::octree::Cloud;
+
+/// A node of the scene graph.
+#[derive(Clone, Debug)]
+pub struct Node {
+    /// What it is.
+    pub shape: Shape,
+    /// Moves what the node makes into the space of its parent; the root's parent is the world. Opacities stay as they
+    /// are.
+    pub parent_from_local: DAffine3,
+    /// Applied one after another. Where the opacity is 0 it stays 0.
+    pub transfers: Vec<Transfer>,
+    /// For everything below that has none of its own.
+    pub material: Option<Material>,
+}
+
+/// An elemental volume object or an operator.
+#[derive(Clone, Debug)]
+pub enum Shape {
+    /// A point cloud.
+    Cloud(CloudObject),
+    /// A field in closed form.
+    Procedural(Arc<dyn Procedural>),
+    /// One or more children.
+    Operator(Operator, Vec<Arc<Node>>),
+}
+
+/// How children are combined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operator {
+    /// Everything.
+    Union,
+    /// What all have in common.
+    Intersection,
+    /// The first without the others.
+    Difference,
+    /// The sum.
+    Blend,
+}
+
+impl Operator {
+    /// Its name in scene files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Union => "union",
+            Self::Intersection => "intersection",
+            Self::Difference => "difference",
+            Self::Blend => "blend",
+        }
+    }
+}
+
+/// A cloud seen as a volume object (PBVO).
+#[derive(Clone, Debug)]
+pub struct CloudObject {
+    /// The cloud. Objects that share it share its pages.
+    pub cloud: Arc<Cloud>,
+    /// Its radial basis function.
+    pub kernel: Kernel,
+    /// Whether kernels integrate to one, so that weight = mass (or mass·value/density) as in SPH.
+    pub normalised: bool,
+    /// Opacity and colour from density and attributes.
+    pub transfer: TransferFunction,
+}
+
+impl CloudObject {
+    /// As the paper sees a cloud: Wyvill's kernel, O = min(1, D); in the points' own colours where they have any, else
+    /// white.
+    #[must_use]
+    pub fn plain(cloud: Arc<Cloud>) -> Self {
+        let color = if cloud.header().has_color { ColorRule::Points } else { ColorRule::Uniform([1.0; 3]) };
+        let transfer = TransferFunction { opacity: OpacityRule::Clamp, color };
+        Self { cloud, kernel: Kernel::default(), normalised: false, transfer }
+    }
+
+    /// Which attribute channels the field has to carry.
+    #[must_use]
+    pub fn attribute_source(&self) -> AttributeSource {
+        self.transfer.attribute_source()
+    }
+
+    /// A box outside which the cloud is transparent, in its own space; empty where it has no points.
+    #[must_use]
+    pub fn bounds(&self) -> Aabb {
+        let header = self.cloud.header();
+        if header.points == 0 {
+            return Aabb::EMPTY;
+        }
+        // Positions are stored rounded.
+        header.bounds.inflated(f64::from(header.radius.max()) + header.position_error)
+    }
+
+    fn check(&self) -> Result<(), SceneError> {
+        self.transfer.check()?;
+        let header = self.cloud.header();
+        match self.attribute_source() {
+            AttributeSource::Color if !header.has_color => Err(TransferError::Missing("colours").into()),
+            AttributeSource::Scalar(i) if i >= header.attributes.len() => {
+                Err(TransferError::Missing("such attribute").into())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// What a transfer function of a node reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// The opacity so far.
+    Opacity,
+    /// A component of the colour, in linear light.
+    Red,
+    /// See [`Channel::Red`].
+    Green,
+    /// See [`Channel::Red`].
+    Blue,
+}
+
+/// A transfer function over what a node makes.
+#[derive(Clone, Debug)]
+pub enum Transfer {
+    /// A new opacity, where there was any.
+    Opacity {
+        /// What is looked up.
+        input: Channel,
+        /// (value, opacity) in ascending order of values, straight lines between.
+        curve: Vec<(f64, f64)>,
+    },
+    /// A new colour.
+    Color {
+        /// What is looked up.
+        input: Channel,
+        /// The colours.
+        map: ColorMap,
+    },
+}
+
+/// Why a scene cannot be rendered.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// A transfer function is none.
+    #[error(transparent)]
+    Transfer(#[from] TransferError),
+    /// A transform has no inverse.
+    #[error("a transform flattens space or is not finite (determinant {determinant:e})")]
+    Singular {
+        /// Its determinant.
+        determinant: f64,
+    },
+    /// An operator without enough children.
+    #[error("{operator} of {children} children; at least {least} are needed")]
+    Children {
+        /// Its name.
+        operator: &'static str,
+        /// How many it has.
+        children: usize,
+        /// How many it needs.
+        least: usize,
+    },
+    /// A term that is too large when it is written out.
+    #[error("the graph stands for {places} objects and operators; at most {most} are traced")]
+    TooLarge {
+        /// Places of nodes.
+        places: u64,
+        /// How many there may be.
+        most: u64,
+    },
+    /// Rays would never end.
+    #[error("the scene has no end: cut its half-spaces off with an intersection")]
+    Unbounded,
+    /// The unit distance is not a positive number.
+    #[error("the unit distance must be a positive number")]
+    UnitDistance,
+    /// A number out of its range.
+    #[error("{what} {value} is out of range; expected {expected}")]
+    Number {
+        /// What the number is.
+        what: &'static str,
+        /// The number.
+        value: f64,
+        /// Its range.
+        expected: &'static str,
+    },
+}
+
+impl Node {
+    /// A node that leaves its shape where it is.
+    #[must_use]
+    pub fn new(shape: Shape) -> Self {
+        Self { shape, parent_from_local: DAffine3::IDENTITY, transfers: Vec::new(), material: None }
+    }
+
+    /// An operator over nodes.
+    #[must_use]
+    pub fn operator(operator: Operator, children: impl IntoIterator<Item = Node>) -> Self {
+        Self::new(Shape::Operator(operator, children.into_iter().map(Arc::new).collect()))
+    }
+
+    /// The node, moved.
+    #[must_use]
+    pub fn moved(mut self, by: DAffine3) -> Self {
+        self.parent_from_local = by * self.parent_from_local;
+        self
+    }
+
+    /// The node, of a material.
+    #[must_use]
+    pub fn of(mut self, material: Material) -> Self {
+        self.material = Some(material);
+        self
+    }
+
+    /// Calls `f` with the node and everything below, each once for every place in which it is used.
+    pub fn for_each(&self, f: &mut impl FnMut(&Self)) {
+        f(self);
+        if let Shape::Operator(_, children) = &self.shape {
+            children.iter().for_each(|child| child.for_each(f));
+        }
+    }
+
+    /// Checks the node and everything below.
+    ///
+    /// # Errors
+    /// [`SceneError`] that says what is wrong.
+    pub fn check(&self) -> Result<(), SceneError> {
+        /// Sharing can make graphs whose terms are beyond all bounds.
+        const MOST: u64 = 1 << 16;
+        let places = self.places(&mut HashMap::new());
+        if places > MOST { Err(SceneError::TooLarge { places, most: MOST }) } else { self.check_each() }
+    }
+
+    /// In how many places the nodes of the term stand, shared ones counted wherever they are used.
+    fn places(&self, known: &mut HashMap<*const Self, u64>) -> u64 {
+        let Shape::Operator(_, children) = &self.shape else { return 1 };
+        if let Some(&places) = known.get(&std::ptr::from_ref(self)) {
+            return places;
+        }
+        let places = children.iter().map(|child| child.places(known)).fold(1, u64::saturating_add);
+        known.insert(std::ptr::from_ref(self), places);
+        places
+    }
+
+    fn check_each(&self) -> Result<(), SceneError> {
+        check_transform(&self.parent_from_local)?;
+        self.transfers.iter().try_for_each(Transfer::check)?;
+        self.material.as_ref().map_or(Ok(()), Material::check)?;
+        match &self.shape {
+            Shape::Cloud(object) => object.check(),
+            Shape::Procedural(_) => Ok(()),
+            Shape::Operator(operator, children) => {
+                let least = if matches!(operator, Operator::Difference) { 2 } else { 1 };
+                if children.len() < least {
+                    let (operator, children) = (operator.name(), children.len());
+                    return Err(SceneError::Children { operator, children, least });
+                }
+                children.iter().try_for_each(|child| child.check_each())
+            }
+        }
+    }
+
+    /// A box outside which the node is transparent, in the space of its parent; infinite where there is none.
+    #[must_use]
+    pub fn bounds(&self) -> Aabb {
+        let local = match &self.shape {
+            Shape::Cloud(object) => object.bounds(),
+            Shape::Procedural(field) => field.bounds(),
+            Shape::Operator(operator, children) => {
+                let mut boxes = children.iter().map(|child| child.bounds());
+                match operator {
+                    Operator::Union | Operator::Blend => boxes.fold(Aabb::EMPTY, Aabb::union),
+                    Operator::Intersection => boxes.reduce(Aabb::intersection).unwrap_or(Aabb::EMPTY),
+                    Operator::Difference => boxes.next().unwrap_or(Aabb::EMPTY),
+                }
+            }
+        };
+        local.transformed(&self.parent_from_local)
+    }
+}
+
+impl Transfer {
+    fn check(&self) -> Result<(), SceneError> {
+        match self {
+            Self::Opacity { curve, .. } => Ok(OpacityRule::Curve(curve.clone()).check()?),
+            Self::Color { map, .. } => Ok(map.check()?),
+        }
+    }
+}
+
+fn check_transform(transform: &DAffine3) -> Result<(), SceneError> {
+    let m = transform.matrix3;
+    let determinant = m.determinant();
+    let size = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
+    let invertible = determinant.abs() > 1e-12 * size && transform.is_finite() && size > 0.0;
+    if invertible { Ok(()) } else { Err(SceneError::Singular { determinant }) }
+}
+
+/// The longest that a vector of length one becomes under a linear map.
+#[must_use]
+pub fn largest_stretch(map: &DAffine3) -> f64 {
+    // Power iteration on MᵀM, from a direction that no axis is orthogonal to.
+    let m = map.matrix3;
+    let square = m.transpose() * m;
+    let mut v = DVec3::new(0.577, 0.578, 0.576);
+    for _ in 0..64 {
+        v = (square * v).normalize_or(v);
+    }
+    (m * v).length()
+}

@@ -1,0 +1,91 @@
+//! Fields in closed form.
+
+use std::fmt;
+
+use super::transfer::ColorMap;
+use crate::geometry::{Aabb, DVec3};
+
+/// A field at one place, local space.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProceduralSample {
+    /// Opacity, 0 to 1.
+    pub opacity: f64,
+    /// The implicit function: negative inside, 0 at the boundary.
+    pub implicit: f64,
+    /// Its gradient, which points outward.
+    pub gradient: DVec3,
+    /// Colour, linear light.
+    pub color: [f64; 3],
+}
+
+/// A volume object in closed form. A program may add its own.
+pub trait Procedural: fmt::Debug + Send + Sync {
+    /// A box outside which the opacity is 0, local space; infinite where there is none.
+    fn bounds(&self) -> Aabb;
+
+    /// A length over which the field changes, local space: automatic steps are at most a fraction of it.
+    fn detail(&self) -> f64;
+
+    /// The colour, where it is the same everywhere.
+    fn uniform_color(&self) -> Option<[f64; 3]> {
+        None
+    }
+
+    /// The field at a place. Must be a function of the place alone.
+    fn sample(&self, p: DVec3) -> ProceduralSample;
+
+    /// The field at many places; for fields that are faster so.
+    fn sample_all(&self, places: &[DVec3], out: &mut [ProceduralSample]) {
+        for (sample, &p) in out.iter_mut().zip(places) {
+            *sample = self.sample(p);
+        }
+    }
+}
+
+/// Colour over space.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Pattern {
+    /// The same everywhere, linear light.
+    Uniform([f64; 3]),
+    /// Cubes of two colours in turn.
+    Checker {
+        /// The two colours, linear light.
+        colors: [[f64; 3]; 2],
+        /// Edge of a cube.
+        size: f64,
+    },
+    /// A colour map along a direction.
+    Gradient {
+        /// Values 0 and 1 of the place along the direction.
+        from: DVec3,
+        /// See `from`.
+        to: DVec3,
+        /// The colours.
+        map: ColorMap,
+    },
+}
+
+impl Pattern {
+    /// The colour at a place, linear light.
+    #[must_use]
+    pub fn color(&self, p: DVec3) -> [f64; 3] {
+        match self {
+            Self::Uniform(color) => *color,
+            Self::Checker { colors, size } => {
+                let cell = (p / *size).floor();
+                let odd = (cell.x + cell.y + cell.z).rem_euclid(2.0) >= 1.0;
+                colors[usize::from(odd)]
+            }
+            Self::Gradient { from, to, map } => {
+                let along = *to - *from;
+                map.color((p - *from).dot(along) / along.length_squared())
+            }
+        }
+    }
+
+    /// The one colour, where there is one.
+    #[must_use]
+    pub fn uniform(&self) -> Option<[f64; 3]> {
+        if let Self::Uniform(color) = self { Some(*color) } else { None }
+    }
+}

@@ -1,0 +1,398 @@
+//! What a node of the scene graph makes at the samples of one slab of a packet, and how operators combine it.
+//!
+//! Invariant: where a result is 0, nothing else of it is ever looked at, save the shading vector and the boundary of what
+//! is taken away. So samples and lanes that cannot matter may hold anything there, and skipping them changes no bit.
+
+use fearless_simd::dispatch;
+
+use super::math::{exp_minus, ln};
+use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel};
+use crate::scene::MAX_OPACITY;
+
+/// The largest optical thickness of a unit distance: −ln(1 − MAX_OPACITY).
+pub(super) const MAX_THICKNESS: f32 = 8.317_766;
+const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
+const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
+/// Numbers of a material.
+pub(super) const MATERIAL: usize = 6;
+/// Place of the refractive index among them.
+const REFRACTIVE_INDEX: usize = 5;
+
+/// What of a node is looked at, besides its opacity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Wants {
+    pub(super) color: bool,
+    pub(super) normal: bool,
+    /// The signed distance to the boundary that the shading vector belongs to.
+    pub(super) boundary: bool,
+    pub(super) material: bool,
+}
+
+impl Wants {
+    pub(super) fn and(self, other: Self) -> Self {
+        Self {
+            color: self.color || other.color,
+            normal: self.normal || other.normal,
+            boundary: self.boundary || other.boundary,
+            material: self.material || other.material,
+        }
+    }
+}
+
+/// How opacity is written: maxima and minima are the same in both, and rays need the second in the end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Measure {
+    /// O, 0 to [`MAX_OPACITY`].
+    Opacity,
+    /// −ln(1 − O), 0 to [`MAX_THICKNESS`].
+    Thickness,
+}
+
+/// Samples that can still matter: a bit for each, lane by lane.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Live(pub(super) [u32; LANES]);
+
+impl Live {
+    /// All samples of the lanes given.
+    pub(super) fn of(lanes: u64) -> Self {
+        Self(std::array::from_fn(|lane| if lanes >> lane & 1 == 1 { u32::MAX } else { 0 }))
+    }
+
+    pub(super) fn lanes(&self) -> u64 {
+        self.0.iter().enumerate().fold(0, |lanes, (lane, &bits)| lanes | u64::from(bits != 0) << lane)
+    }
+}
+
+/// Rows of samples, one for each lane.
+pub(super) type Rows = Vec<SampleRow>;
+
+/// One node at the samples of a slab.
+pub(super) struct Block {
+    /// Lanes whose rows hold anything; everywhere else the opacity is 0 and the boundary far.
+    pub(super) touched: u64,
+    /// As the node's [`Measure`] says.
+    pub(super) opacity: Rows,
+    /// Linear light.
+    pub(super) color: [Rows; 3],
+    /// Of length one or zero, world space.
+    pub(super) normal: [Rows; 3],
+    /// World space, negative inside.
+    pub(super) boundary: Rows,
+    pub(super) material: [Rows; MATERIAL],
+    /// While a blend is summed: its largest operand so far, whose refractive index is the blend's.
+    largest: Rows,
+}
+
+impl Block {
+    pub(super) fn new(wants: Wants) -> Self {
+        let rows = |wanted: bool| vec![ZERO; if wanted { LANES } else { 0 }];
+        Self {
+            touched: 0,
+            opacity: rows(true),
+            color: std::array::from_fn(|_| rows(wants.color)),
+            normal: std::array::from_fn(|_| rows(wants.normal)),
+            boundary: rows(wants.boundary),
+            material: std::array::from_fn(|_| rows(wants.material)),
+            largest: rows(wants.material),
+        }
+    }
+
+    /// Bytes of a block.
+    pub(super) fn bytes(wants: Wants) -> usize {
+        let kinds = [wants.color, wants.normal, wants.boundary, wants.material].map(usize::from);
+        (1 + 3 * kinds[0] + 3 * kinds[1] + kinds[2] + (MATERIAL + 1) * kinds[3])
+            * LANES
+            * size_of::<SampleRow>()
+    }
+
+    /// Says that nothing is there, in a lane that others look at nevertheless.
+    pub(super) fn clear_lane(&mut self, lane: usize, wants: Wants) {
+        self.touched |= 1 << lane;
+        self.opacity[lane] = ZERO;
+        if wants.normal {
+            self.normal.iter_mut().for_each(|rows| rows[lane] = ZERO);
+        }
+        if wants.boundary {
+            self.boundary[lane] = FAR;
+        }
+    }
+
+    fn copy_lane(&mut self, from: &Self, lane: usize, wants: Wants) {
+        self.touched |= 1 << lane;
+        self.opacity[lane] = from.opacity[lane];
+        for (to, from) in self.selected(from, wants) {
+            to[lane] = from[lane];
+        }
+    }
+
+    pub(super) fn copy_from(&mut self, from: &Self, wants: Wants) {
+        self.touched = 0;
+        each_lane(from.touched, |lane| self.copy_lane(from, lane, wants));
+    }
+
+    /// The rows besides the opacity that are looked at, of this block and of another.
+    fn selected<'b>(
+        &'b mut self,
+        other: &'b Self,
+        wants: Wants,
+    ) -> impl Iterator<Item = (&'b mut Rows, &'b Rows)> {
+        let color = self.color.iter_mut().zip(&other.color).filter(move |_| wants.color);
+        let normal = self.normal.iter_mut().zip(&other.normal).filter(move |_| wants.normal);
+        let boundary = [(&mut self.boundary, &other.boundary)].into_iter().filter(move |_| wants.boundary);
+        let material = self.material.iter_mut().zip(&other.material).filter(move |_| wants.material);
+        color.chain(normal).chain(boundary).chain(material)
+    }
+
+    /// Samples of `live` that another operand of a union could still change: those that are not opaque.
+    pub(super) fn not_opaque(&self, live: &Live, measure: Measure) -> Live {
+        let most = most(measure);
+        self.narrowed(live, true, |o| o < most)
+    }
+
+    /// Samples of `live` where there is anything.
+    pub(super) fn not_empty(&self, live: &Live) -> Live {
+        self.narrowed(live, false, |o| o > 0.0)
+    }
+
+    fn narrowed(&self, live: &Live, untouched: bool, keep: impl Fn(f32) -> bool) -> Live {
+        let mut narrowed = *live;
+        for lane in 0..LANES {
+            if narrowed.0[lane] == 0 {
+                continue;
+            }
+            if self.touched >> lane & 1 == 0 {
+                if !untouched {
+                    narrowed.0[lane] = 0;
+                }
+                continue;
+            }
+            let bits =
+                self.opacity[lane].0.iter().enumerate().fold(0, |b, (j, &o)| b | u32::from(keep(o)) << j);
+            narrowed.0[lane] &= bits;
+        }
+        narrowed
+    }
+
+    /// Union with the child that comes next.
+    pub(super) fn unite(&mut self, other: &Self, wants: Wants) {
+        each_lane(other.touched, |lane| {
+            if self.touched >> lane & 1 == 0 {
+                return self.copy_lane(other, lane, wants);
+            }
+            let (a, b) = (self.opacity[lane], other.opacity[lane]);
+            let mut takes = bits_where(|j| b.0[j] > a.0[j]);
+            if wants.boundary {
+                // Outside both, the nearer boundary is the union's.
+                let (s, t) = (self.boundary[lane], other.boundary[lane]);
+                takes |= bits_where(|j| a.0[j] == 0.0 && b.0[j] == 0.0 && t.0[j] < s.0[j]);
+            }
+            for (to, from) in self.selected(other, wants) {
+                take(&mut to[lane], &from[lane], takes);
+            }
+            take(&mut self.opacity[lane], &b, takes);
+        });
+    }
+
+    /// Intersection of children, in their order. Rows of the first become those of the result.
+    pub(super) fn intersect(children: &mut [Self], wants: Wants) {
+        let Some((first, others)) = children.split_first_mut() else { return };
+        let common = others.iter().fold(first.touched, |touched, other| touched & other.touched);
+        let attributes = Wants { normal: false, boundary: false, ..wants };
+        let shape = Wants { color: false, material: false, ..wants };
+        each_lane(common, |lane| {
+            let (mut least, mut largest) = (first.opacity[lane], first.opacity[lane]);
+            for other in others.iter() {
+                let o = other.opacity[lane];
+                let takes = bits_where(|j| o.0[j] > largest.0[j]);
+                for (to, from) in first.selected(other, attributes) {
+                    take(&mut to[lane], &from[lane], takes);
+                }
+                take(&mut largest, &o, takes);
+                let mut takes = bits_where(|j| o.0[j] < least.0[j]);
+                if wants.boundary {
+                    // Where both are outside, the boundary that lies farther is the intersection's.
+                    let (s, t) = (first.boundary[lane], other.boundary[lane]);
+                    takes |= bits_where(|j| o.0[j] == 0.0 && least.0[j] == 0.0 && t.0[j] > s.0[j]);
+                }
+                for (to, from) in first.selected(other, shape) {
+                    take(&mut to[lane], &from[lane], takes);
+                }
+                take(&mut least, &o, takes);
+            }
+            first.opacity[lane] = least;
+        });
+        first.touched = common;
+    }
+
+    /// Takes another away. Boundaries of it that are farther than `reach_world` light nothing.
+    pub(super) fn subtract(&mut self, other: &Self, wants: Wants, reach_world: f32) {
+        each_lane(self.touched & other.touched, |lane| {
+            let b = other.opacity[lane];
+            for (a, &b) in self.opacity[lane].0.iter_mut().zip(&b.0) {
+                *a = (*a - b).max(0.0);
+            }
+            if !wants.normal {
+                return;
+            }
+            let (s, t) = (self.boundary[lane], other.boundary[lane]);
+            let takes = bits_where(|j| t.0[j].abs() < s.0[j].abs() && t.0[j].abs() <= reach_world);
+            for axis in 0..3 {
+                let turned = SampleRow(other.normal[axis][lane].0.map(|n| -n));
+                take(&mut self.normal[axis][lane], &turned, takes);
+            }
+            take(&mut self.boundary[lane], &SampleRow(t.0.map(|t| -t)), takes);
+        });
+    }
+
+    /// Adds another, of a blend; [`finish_blend`](Self::finish_blend) follows the last. Until then attributes and shading
+    /// vectors are sums.
+    pub(super) fn add(&mut self, other: &Self, wants: Wants, first: bool) {
+        if first {
+            self.touched = 0;
+        }
+        each_lane(other.touched, |lane| {
+            let fresh = self.touched >> lane & 1 == 0;
+            let o = other.opacity[lane];
+            let sum = if fresh { ZERO } else { self.opacity[lane] };
+            let nearer = wants.boundary && !fresh;
+            let takes = if nearer {
+                let (s, t) = (self.boundary[lane], other.boundary[lane]);
+                bits_where(|j| t.0[j].abs() < s.0[j].abs())
+            } else {
+                u32::MAX
+            };
+            self.touched |= 1 << lane;
+            let weighted = |to: &mut SampleRow, from: &SampleRow| {
+                for j in 0..SLAB_SAMPLES {
+                    let before = if fresh { 0.0 } else { to.0[j] };
+                    to.0[j] = if o.0[j] > 0.0 { before + o.0[j] * from.0[j] } else { before };
+                }
+            };
+            for channel in 0..3 {
+                if wants.color {
+                    weighted(&mut self.color[channel][lane], &other.color[channel][lane]);
+                }
+                if wants.normal {
+                    weighted(&mut self.normal[channel][lane], &other.normal[channel][lane]);
+                }
+            }
+            if wants.boundary {
+                take(&mut self.boundary[lane], &other.boundary[lane], takes);
+            }
+            if wants.material {
+                for number in 0..REFRACTIVE_INDEX {
+                    weighted(&mut self.material[number][lane], &other.material[number][lane]);
+                }
+                let largest = &mut self.largest[lane];
+                let larger = if fresh { u32::MAX } else { bits_where(|j| o.0[j] > largest.0[j]) };
+                take(largest, &o, larger);
+                take(
+                    &mut self.material[REFRACTIVE_INDEX][lane],
+                    &other.material[REFRACTIVE_INDEX][lane],
+                    larger,
+                );
+            }
+            for j in 0..SLAB_SAMPLES {
+                self.opacity[lane].0[j] = sum.0[j] + o.0[j];
+            }
+        });
+    }
+
+    pub(super) fn finish_blend(&mut self, wants: Wants) {
+        each_lane(self.touched, |lane| {
+            let sum = self.opacity[lane];
+            let divide = |row: &mut SampleRow| {
+                for (v, &o) in row.0.iter_mut().zip(&sum.0) {
+                    *v = if o > 0.0 { *v / o } else { 0.0 };
+                }
+            };
+            for channel in 0..3 {
+                if wants.color {
+                    divide(&mut self.color[channel][lane]);
+                }
+            }
+            if wants.normal {
+                let [x, y, z] = &mut self.normal;
+                normalize(&mut x[lane], &mut y[lane], &mut z[lane]);
+            }
+            if wants.material {
+                self.material[..REFRACTIVE_INDEX].iter_mut().for_each(|rows| divide(&mut rows[lane]));
+            }
+            for o in &mut self.opacity[lane].0 {
+                *o = o.min(MAX_OPACITY as f32);
+            }
+        });
+    }
+
+    /// Rewrites opacities.
+    pub(super) fn measure(&mut self, from: Measure, to: Measure, simd: SimdLevel) {
+        if from == to {
+            return;
+        }
+        each_lane(self.touched, |lane| {
+            let row = &mut self.opacity[lane];
+            match to {
+                Measure::Thickness => dispatch!(simd.level(), _simd => thickness(row)),
+                Measure::Opacity => dispatch!(simd.level(), _simd => opacity(row)),
+            }
+        });
+    }
+}
+
+/// Most that a measure reaches.
+fn most(measure: Measure) -> f32 {
+    match measure {
+        Measure::Opacity => MAX_OPACITY as f32,
+        Measure::Thickness => MAX_THICKNESS,
+    }
+}
+
+/// Vectors become of length one, or stay zero.
+#[inline(always)]
+pub(super) fn normalize(x: &mut SampleRow, y: &mut SampleRow, z: &mut SampleRow) {
+    for j in 0..SLAB_SAMPLES {
+        let length_squared = x.0[j] * x.0[j] + y.0[j] * y.0[j] + z.0[j] * z.0[j];
+        // One that is not a number, or too long or short to square, is no direction.
+        let fits = length_squared > 0.0 && length_squared < f32::INFINITY;
+        let factor = if fits { 1.0 / length_squared.sqrt() } else { 0.0 };
+        for v in [&mut x.0[j], &mut y.0[j], &mut z.0[j]] {
+            *v = if fits { *v * factor } else { 0.0 };
+        }
+    }
+}
+
+#[inline(always)]
+fn thickness(row: &mut SampleRow) {
+    for o in &mut row.0 {
+        *o = (-ln(1.0 - o.min(MAX_OPACITY as f32))).min(MAX_THICKNESS);
+    }
+}
+
+#[inline(always)]
+fn opacity(row: &mut SampleRow) {
+    for o in &mut row.0 {
+        *o = (1.0 - exp_minus(*o)).min(MAX_OPACITY as f32);
+    }
+}
+
+#[inline(always)]
+fn take(to: &mut SampleRow, from: &SampleRow, bits: u32) {
+    for j in 0..SLAB_SAMPLES {
+        to.0[j] = if bits >> j & 1 == 1 { from.0[j] } else { to.0[j] };
+    }
+}
+
+#[inline(always)]
+fn bits_where(holds: impl Fn(usize) -> bool) -> u32 {
+    (0..SLAB_SAMPLES).fold(0, |bits, j| bits | u32::from(holds(j)) << j)
+}
+
+/// Calls `f` with every lane of a mask.
+#[inline(always)]
+pub(super) fn each_lane(mut lanes: u64, mut f: impl FnMut(usize)) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        f(lane);
+    }
+}

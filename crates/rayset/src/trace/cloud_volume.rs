@@ -1,0 +1,451 @@
+//! Clouds as volume objects in the world: what is fixed for a render, and how far one packet has come through one.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use fearless_simd::dispatch;
+
+use super::RenderError;
+use super::access::{Access, Halt, POINT_PRIORITY};
+use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize};
+use super::frontier::{ActiveRun, Frontier, LiveRays, Place};
+use super::math::{exp_minus, ln};
+use super::packet_tracer::RenderCounts;
+use super::transfer::ColorTable;
+use crate::field::{
+    AttributeSource, Channels, DecodedRun, FieldSamples, Packet, RunDecoder, SLAB_SAMPLES, SampleRow,
+    SimdLevel, Slab, Splatter,
+};
+use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
+use crate::octree::Cloud;
+use crate::octree::format::Header;
+use crate::octree::node::Node;
+use crate::octree::page::{PointPage, RUN_POINTS, RootCell};
+use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule, largest_stretch};
+use crate::working_set::{Object, PageFault, PagedClouds};
+
+/// Attributes are 0 where their weights sum to less than this times the largest weight.
+const LEAST_WEIGHT: f32 = 1e-12;
+
+enum Color {
+    Uniform([f32; 3]),
+    Points,
+    Map { table: ColorTable, attribute: bool },
+}
+
+/// A cloud where the graph puts it.
+pub(super) struct CloudVolume {
+    pub(super) object: CloudObject,
+    pub(super) pages: Arc<Object>,
+    /// Number of its file among those of the render.
+    pub(super) file: u32,
+    pub(super) root_cell: RootCell,
+    pub(super) first_node_page: u32,
+    /// Nothing where local space is the world's.
+    local_from_world: Option<DAffine3>,
+    pub(super) world_from_local: DAffine3,
+    decoder: RunDecoder,
+    source: AttributeSource,
+    color: Color,
+    pub(super) unit_distance: f64,
+    /// Density at the boundary.
+    boundary_density: f32,
+    least_weight: f32,
+    pub(super) material: [f32; MATERIAL],
+}
+
+impl CloudVolume {
+    /// Nothing where the cloud's pages are in no working set.
+    pub(super) fn new(
+        object: &CloudObject,
+        world_from_local: &DAffine3,
+        unit_distance: f64,
+        material: [f32; MATERIAL],
+        paged: &PagedClouds,
+    ) -> Option<Self> {
+        let (file, pages) = paged.find(&object.cloud)?;
+        let header = object.cloud.header();
+        let source = object.attribute_source();
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(color) => Color::Uniform(*color),
+            ColorRule::Points => Color::Points,
+            ColorRule::Map { map, input } => {
+                Color::Map { table: ColorTable::new(map), attribute: matches!(input, MapInput::Attribute(_)) }
+            }
+        };
+        Some(Self {
+            pages: pages.clone(),
+            file: file as u32,
+            root_cell: header.root_cell(),
+            first_node_page: header.point_pages,
+            local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
+            world_from_local: *world_from_local,
+            decoder: RunDecoder::new(header, object.kernel, object.normalised, source),
+            source,
+            color,
+            unit_distance,
+            boundary_density: object.transfer.opacity.boundary_density(unit_distance) as f32,
+            least_weight: header.weight.max().abs().max(header.weight.min().abs()) * LEAST_WEIGHT,
+            material,
+            object: object.clone(),
+        })
+    }
+
+    pub(super) fn cloud(&self) -> &Cloud {
+        &self.object.cloud
+    }
+
+    pub(super) fn header(&self) -> &Header {
+        self.object.cloud.header()
+    }
+
+    /// The colour of all of it, if it is one.
+    pub(super) fn uniform_color(&self) -> Option<[f32; 3]> {
+        if let Color::Uniform(color) = self.color { Some(color) } else { None }
+    }
+
+    /// A packet as the cloud sees it.
+    pub(super) fn local(&self, packet: &Packet) -> Packet {
+        self.local_from_world.as_ref().map_or_else(|| packet.clone(), |map| packet.in_local_space(map))
+    }
+
+    /// A ray as the cloud sees it: places along it keep their distance in the world.
+    pub(super) fn local_ray(&self, ray: &Ray) -> Ray {
+        self.local_from_world.as_ref().map_or(*ray, |map| Ray {
+            origin: map.transform_point3(ray.origin),
+            direction: map.transform_vector3(ray.direction),
+        })
+    }
+
+    /// What a length along a direction in the world is here.
+    pub(super) fn stretch_along(&self, direction_world: DVec3) -> f64 {
+        self.local_from_world.as_ref().map_or(1.0, |map| map.transform_vector3(direction_world).length())
+    }
+
+    /// The largest radius that any point has along any ray, world space.
+    pub(super) fn largest_radius_world(&self) -> f64 {
+        let stretch =
+            if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
+        f64::from(self.header().radius.max()) * stretch
+    }
+
+    pub(super) fn local_from_world(&self) -> Option<&DAffine3> {
+        self.local_from_world.as_ref()
+    }
+
+    /// Bounds of influence of a node, world space.
+    pub(super) fn bounds_world_of(&self, node: &Node) -> Aabb {
+        node.bounds(self.root_cell).transformed(&self.world_from_local)
+    }
+
+    /// The pages of a node's own points: at least those, and at most one more.
+    pub(super) fn own_pages(&self, node: &Node) -> Range<u32> {
+        let own = node.own;
+        if own.runs == 0 {
+            return 0..0;
+        }
+        // Most runs that a page can hold, so that a range is never taken for shorter than it is.
+        let least_run = (RUN_POINTS * (6 + self.header().column_bytes())) as u64;
+        let runs_per_page = (u64::from(self.header().page_bytes) / least_run).max(1);
+        let last_run = u64::from(own.first_run) + u64::from(own.runs);
+        let last = own.first_page + (last_run / runs_per_page) as u32;
+        own.first_page..(last + 1).min(self.first_node_page)
+    }
+
+    /// The pages that are needed to open a node: of its own points and of its children's records.
+    pub(super) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
+        let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
+        self.own_pages(node).chain(children)
+    }
+
+    /// A page that is whole but contradicts another.
+    pub(super) fn broken(&self, page: u32) -> RenderError {
+        RenderError::Page(PageFault::Damaged {
+            name: self.cloud().path().display().to_string(),
+            page,
+            offset: self.header().page_offset(page),
+            what: "the octree refers to a record that is not there".into(),
+        })
+    }
+
+    /// What the field has to carry for a node of which so much is wanted.
+    fn channels(&self, wants: Wants) -> Channels {
+        Channels {
+            gradient: wants.normal || wants.boundary,
+            attributes: wants.color && self.source != AttributeSource::None,
+        }
+    }
+
+    /// From the field to opacity, colour and shading vector.
+    fn transfer(
+        &self,
+        field: &FieldSamples,
+        measure: Measure,
+        wants: Wants,
+        simd: SimdLevel,
+        out: &mut Block,
+    ) {
+        out.touched = field.touched;
+        each_lane(field.touched, |lane| {
+            out.opacity[lane] = self.opacity(&field.density[lane], measure, simd);
+            if wants.color {
+                self.fill_color(field, lane, out);
+            }
+            if wants.normal || wants.boundary {
+                self.fill_normal(field, lane, wants, simd, out);
+            }
+            if wants.material {
+                for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                    rows[lane].0.fill(v);
+                }
+            }
+        });
+    }
+
+    fn opacity(&self, density: &SampleRow, measure: Measure, simd: SimdLevel) -> SampleRow {
+        match (&self.object.transfer.opacity, measure) {
+            (OpacityRule::Extinction(kappa), _) => {
+                let per_density = (kappa * self.unit_distance) as f32;
+                let thickness =
+                    dispatch!(simd.level(), _simd => thickness_of_extinction(density, per_density));
+                match measure {
+                    Measure::Thickness => thickness,
+                    Measure::Opacity => dispatch!(simd.level(), _simd => opacity_of_thickness(&thickness)),
+                }
+            }
+            (OpacityRule::Clamp, Measure::Opacity) => {
+                SampleRow(density.0.map(|d| if d > 0.0 { d.min(MAX_OPACITY as f32) } else { 0.0 }))
+            }
+            (OpacityRule::Clamp, Measure::Thickness) => {
+                dispatch!(simd.level(), _simd => thickness_of_opacity(density))
+            }
+            (OpacityRule::Curve(_), _) => {
+                let curve = |d| self.object.transfer.opacity.opacity(f64::from(d), self.unit_distance) as f32;
+                let opacity = SampleRow(density.0.map(curve));
+                match measure {
+                    Measure::Opacity => opacity,
+                    Measure::Thickness => dispatch!(simd.level(), _simd => thickness_of_opacity(&opacity)),
+                }
+            }
+        }
+    }
+
+    fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut Block) {
+        let density = &field.density[lane].0;
+        let mean = |channel: usize, j: usize| {
+            if density[j].abs() > self.least_weight {
+                field.attribute[channel][lane].0[j] / density[j]
+            } else {
+                0.0
+            }
+        };
+        match &self.color {
+            Color::Uniform(color) => {
+                for (rows, &v) in out.color.iter_mut().zip(color) {
+                    rows[lane].0.fill(v);
+                }
+            }
+            Color::Points => {
+                for (channel, rows) in out.color.iter_mut().enumerate() {
+                    rows[lane] = SampleRow(std::array::from_fn(|j| mean(channel, j)));
+                }
+            }
+            Color::Map { table, attribute } => {
+                for j in (0..SLAB_SAMPLES).filter(|&j| density[j] > 0.0) {
+                    let color = table.color(if *attribute { mean(0, j) } else { density[j] });
+                    for (rows, v) in out.color.iter_mut().zip(color) {
+                        rows[lane].0[j] = v;
+                    }
+                }
+            }
+        }
+    }
+
+    fn fill_normal(&self, field: &FieldSamples, lane: usize, wants: Wants, simd: SimdLevel, out: &mut Block) {
+        // Gradients come to the world by the transpose of the inverse; the shading vector points to where the cloud thins.
+        let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
+        let map = self.local_from_world.as_ref().map_or(DMat3::IDENTITY, |map| map.matrix3.transpose());
+        let m = (-map).to_cols_array_2d().map(|column| column.map(|v| v as f32));
+        let boundary = wants.boundary.then_some((&field.density[lane], self.boundary_density));
+        let distance = dispatch!(simd.level(), _simd => turn(&m, &mut x, &mut y, &mut z, boundary));
+        if wants.boundary {
+            out.boundary[lane] = distance;
+        }
+        if wants.normal {
+            for (rows, row) in out.normal.iter_mut().zip([x, y, z]) {
+                rows[lane] = row;
+            }
+        }
+    }
+}
+
+/// Maps gradients to the world and makes them unit vectors; returns how far the boundary is, to first order, where the
+/// densities and that of the boundary are given.
+#[inline(always)]
+fn turn(
+    m: &[[f32; 3]; 3],
+    x: &mut SampleRow,
+    y: &mut SampleRow,
+    z: &mut SampleRow,
+    boundary: Option<(&SampleRow, f32)>,
+) -> SampleRow {
+    for j in 0..SLAB_SAMPLES {
+        let g = [x.0[j], y.0[j], z.0[j]];
+        let row = |axis: usize| m[0][axis] * g[0] + m[1][axis] * g[1] + m[2][axis] * g[2];
+        (x.0[j], y.0[j], z.0[j]) = (row(0), row(1), row(2));
+    }
+    let mut distance = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
+    if let Some((density, level)) = boundary {
+        for j in 0..SLAB_SAMPLES {
+            let slope = (x.0[j] * x.0[j] + y.0[j] * y.0[j] + z.0[j] * z.0[j]).sqrt();
+            distance.0[j] = (level - density.0[j]) / slope;
+        }
+    }
+    normalize(x, y, z);
+    distance
+}
+
+#[inline(always)]
+fn thickness_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
+    // A density that is negative or not a number absorbs nothing.
+    SampleRow(density.0.map(|d| if d > 0.0 { (per_density * d).min(MAX_THICKNESS) } else { 0.0 }))
+}
+
+#[inline(always)]
+fn opacity_of_thickness(thickness: &SampleRow) -> SampleRow {
+    SampleRow(thickness.0.map(|t| (1.0 - exp_minus(t)).min(MAX_OPACITY as f32)))
+}
+
+#[inline(always)]
+fn thickness_of_opacity(opacity: &SampleRow) -> SampleRow {
+    SampleRow(opacity.0.map(|o| if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 }))
+}
+
+/// One packet on its way through one cloud.
+pub(super) struct CloudMarch {
+    /// In the cloud's space.
+    packet: Packet,
+    frontier: Frontier,
+    active: Vec<ActiveRun>,
+    /// Nothing before a packet has begun.
+    rays: Option<LiveRays>,
+}
+
+/// Memory to work in that all clouds of a thread share.
+pub(super) struct CloudScratch {
+    run: Box<DecodedRun>,
+    /// One for each set of channels that some cloud has.
+    fields: Vec<FieldSamples>,
+}
+
+impl CloudScratch {
+    pub(super) fn new() -> Self {
+        Self { run: Box::default(), fields: Vec::new() }
+    }
+}
+
+/// What is asked of a cloud in a slab.
+#[derive(Clone, Copy)]
+pub(super) struct Request<'a> {
+    pub(super) access: Access<'a>,
+    pub(super) slab: Slab,
+    pub(super) live: &'a Live,
+    /// Lanes that have not ended.
+    pub(super) going: u64,
+    pub(super) measure: Measure,
+    pub(super) wants: Wants,
+    pub(super) simd: SimdLevel,
+}
+
+impl CloudMarch {
+    /// With room for any packet; [`begin`](Self::begin) comes first.
+    pub(super) fn new(packet: &Packet) -> Self {
+        Self { packet: packet.clone(), frontier: Frontier::default(), active: Vec::new(), rays: None }
+    }
+
+    /// Sets a packet at the root of a cloud.
+    pub(super) fn begin(
+        &mut self,
+        access: Access<'_>,
+        volume: &CloudVolume,
+        packet: &Packet,
+        simd: SimdLevel,
+    ) -> Result<(), Halt> {
+        self.packet = volume.local(packet);
+        self.active.clear();
+        let rays = LiveRays::new(&self.packet, packet.all(), packet.all(), simd);
+        self.frontier.begin(Place { access, volume, packet: &self.packet, rays: &rays })?;
+        self.rays = Some(rays);
+        Ok(())
+    }
+
+    /// The first sample from `from` on at which there may be points.
+    pub(super) fn next_sample(&self, from: u64) -> Option<u64> {
+        if self.active.iter().any(|run| run.last >= from) {
+            return Some(from);
+        }
+        self.frontier.next_sample().map(|sample| sample.max(from))
+    }
+
+    /// Fills the lanes that points reach.
+    pub(super) fn sample(
+        &mut self,
+        volume: &CloudVolume,
+        request: Request<'_>,
+        scratch: &mut CloudScratch,
+        counts: &mut RenderCounts,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        let Request { access, slab, live, going, measure, wants, simd } = request;
+        out.touched = 0;
+        let lanes = live.lanes() & going;
+        let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
+        rays.become_rays(&self.packet, lanes, going, simd);
+        let place = Place { access, volume, packet: &self.packet, rays };
+        self.frontier.advance(place, slab.end(), &mut self.active)?;
+        self.active.retain(|run| run.last >= slab.first);
+        if self.active.is_empty() {
+            return Ok(());
+        }
+        let channels = volume.channels(wants);
+        let known = scratch.fields.iter().position(|field| field.channels() == channels);
+        let at = known.unwrap_or_else(|| {
+            scratch.fields.push(FieldSamples::new(channels));
+            scratch.fields.len() - 1
+        });
+        let field = &mut scratch.fields[at];
+        field.clear();
+        let splatter = Splatter { kernel: volume.object.kernel, channels, simd };
+        self.gather(volume, request, lanes, &splatter, &mut scratch.run, counts, field)?;
+        volume.transfer(field, measure, wants, simd, out);
+        Ok(())
+    }
+
+    /// Adds all active runs to the samples of a slab, in the order of the file, one page retained at a time.
+    #[expect(clippy::too_many_arguments, reason = "the inner loop, and the room to work in")]
+    fn gather(
+        &mut self,
+        volume: &CloudVolume,
+        request: Request<'_>,
+        lanes: u64,
+        splatter: &Splatter,
+        run: &mut DecodedRun,
+        counts: &mut RenderCounts,
+        field: &mut FieldSamples,
+    ) -> Result<(), Halt> {
+        self.active.sort_unstable();
+        let mut at = 0;
+        while let Some(&ActiveRun { page, .. }) = self.active.get(at) {
+            let guard = request.access.retain(volume, page, POINT_PRIORITY)?;
+            let points = PointPage::trusted(&guard, volume.header());
+            while let Some(active) = self.active.get(at).filter(|a| a.page == page) {
+                let raw = points.run(usize::from(active.run));
+                volume.decoder.decode(&raw, volume.header(), splatter.simd, run);
+                counts.runs += 1;
+                counts.splats += splatter.splat(run, &self.packet, request.slab, lanes, field);
+                at += 1;
+            }
+        }
+        Ok(())
+    }
+}

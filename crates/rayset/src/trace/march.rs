@@ -1,0 +1,290 @@
+//! One packet on its way through the whole graph: its samples, slab after slab.
+
+use super::access::{Access, Halt};
+use super::block::{Block, Live, Measure};
+use super::cloud_volume::{CloudMarch, CloudScratch, Request};
+use super::packet_tracer::RenderCounts;
+use super::program::{Action, Instruction, Program};
+use crate::field::{Packet, SLAB_SAMPLES, Slab};
+use crate::scene::Operator;
+
+/// The place of a packet in a graph, and memory to work in.
+pub(super) struct March<'p> {
+    program: &'p Program,
+    slab_samples: usize,
+    /// For each instruction: the samples that may lie in its bounds.
+    spans: Vec<Option<(u64, u64)>>,
+    /// For each instruction that is a cloud, and whether the packet has come to it.
+    clouds: Vec<(Option<Box<CloudMarch>>, bool)>,
+    /// For each instruction that several others need: its block, once it is known in a slab.
+    shared: Vec<Option<Block>>,
+    spare: Vec<Block>,
+    scratch: CloudScratch,
+}
+
+/// What an instruction is asked for.
+#[derive(Clone, Copy)]
+struct Asked<'a> {
+    access: Access<'a>,
+    packet: &'a Packet,
+    slab: Slab,
+    live: &'a Live,
+    /// All samples of all lanes that go on.
+    all: &'a Live,
+    going: u64,
+}
+
+impl<'p> March<'p> {
+    pub(super) fn new(program: &'p Program, slab_samples: usize) -> Self {
+        let count = program.instructions.len();
+        Self {
+            program,
+            slab_samples,
+            spans: vec![None; count],
+            clouds: (0..count).map(|_| (None, false)).collect(),
+            shared: (0..count).map(|_| None).collect(),
+            spare: Vec::new(),
+            scratch: CloudScratch::new(),
+        }
+    }
+
+    /// A block to evaluate into.
+    pub(super) fn block(&mut self) -> Block {
+        self.spare.pop().unwrap_or_else(|| Block::new(self.program.wants))
+    }
+
+    /// Gives a block back.
+    pub(super) fn give_back(&mut self, block: Block) {
+        self.spare.push(block);
+    }
+
+    /// Sets a packet at its start.
+    pub(super) fn begin(&mut self, packet: &Packet) {
+        let beam = packet.beam(packet.all());
+        for (span, instruction) in self.spans.iter_mut().zip(&self.program.instructions) {
+            let bounds = &instruction.bounds;
+            *span = if bounds.is_empty() { None } else { packet.samples_in(&beam, bounds) };
+        }
+        self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);
+    }
+
+    /// The next slab from sample `from` on in which there may be anything.
+    pub(super) fn next_slab(&self, from: u64) -> Option<Slab> {
+        let samples = self.slab_samples as u64;
+        let sample = self.next_sample(self.program.root(), from)?;
+        Some(Slab { first: sample / samples * samples, samples: self.slab_samples })
+    }
+
+    /// The first sample from `from` on at which there may be anything of an instruction.
+    fn next_sample(&self, at: usize, from: u64) -> Option<u64> {
+        let (first, last) = self.spans[at]?;
+        let from = from.max(first);
+        if from > last {
+            return None;
+        }
+        match &self.program.instructions[at].action {
+            Action::Procedural(_) => Some(from),
+            Action::Cloud(_) => match &self.clouds[at] {
+                (Some(march), true) => march.next_sample(from),
+                _ => Some(from),
+            },
+            Action::Operator(operator, children) => {
+                let mut next = children.iter().map(|&child| self.next_sample(child, from));
+                match operator {
+                    Operator::Union | Operator::Blend => next.flatten().min(),
+                    Operator::Difference => next.next().flatten(),
+                    // Nothing before all of them begin, and nothing at all where one has ended.
+                    Operator::Intersection => next.try_fold(from, |latest, n| n.map(|n| latest.max(n))),
+                }
+            }
+        }
+    }
+
+    /// Evaluates the graph at the samples of a slab, for the lanes that go on. Opacities come as thicknesses.
+    pub(super) fn evaluate(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        slab: Slab,
+        going: u64,
+        counts: &mut RenderCounts,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        let all = Live::of(going);
+        let asked = Asked { access, packet, slab, live: &all, all: &all, going };
+        let outcome = self.run(self.program.root(), asked, Measure::Thickness, counts, out);
+        for block in self.shared.iter_mut().filter_map(Option::take) {
+            self.spare.push(block);
+        }
+        outcome
+    }
+
+    /// One instruction, with its opacity in a given measure.
+    fn run(
+        &mut self,
+        at: usize,
+        asked: Asked<'_>,
+        measure: Measure,
+        counts: &mut RenderCounts,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        let program = self.program;
+        let instruction = &program.instructions[at];
+        out.touched = 0;
+        let in_bounds = |(first, last): (u64, u64)| first < asked.slab.end() && last >= asked.slab.first;
+        if !self.spans[at].is_some_and(in_bounds) {
+            return Ok(());
+        }
+        if instruction.uses > 1 {
+            let block = match self.shared[at].take() {
+                Some(block) => block,
+                None => {
+                    // Others may need samples that do not matter here.
+                    let mut block = self.block();
+                    self.compute(at, Asked { live: asked.all, ..asked }, counts, &mut block)?;
+                    block
+                }
+            };
+            out.copy_from(&block, instruction.wants);
+            self.shared[at] = Some(block);
+        } else {
+            self.compute(at, asked, counts, out)?;
+        }
+        out.measure(instruction.measures.1, measure, program.simd);
+        Ok(())
+    }
+
+    fn compute(
+        &mut self,
+        at: usize,
+        asked: Asked<'_>,
+        counts: &mut RenderCounts,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        let program = self.program;
+        let instruction = &program.instructions[at];
+        let Instruction { measures, wants, .. } = *instruction;
+        match &instruction.action {
+            Action::Cloud(volume) => {
+                let (march, begun) = &mut self.clouds[at];
+                let march = march.get_or_insert_with(|| Box::new(CloudMarch::new(asked.packet)));
+                if !*begun {
+                    march.begin(asked.access, volume, asked.packet, program.simd)?;
+                    *begun = true;
+                }
+                let Asked { access, slab, live, going, .. } = asked;
+                let request =
+                    Request { access, slab, live, going, measure: measures.0, wants, simd: program.simd };
+                march.sample(volume, request, &mut self.scratch, counts, out)?;
+            }
+            Action::Procedural(volume) => {
+                volume.sample(asked.packet, asked.slab, asked.live, measures.0, wants, out);
+            }
+            Action::Operator(operator, children) => {
+                self.combine(*operator, children, instruction, asked, counts, out)?;
+            }
+        }
+        for transfer in &instruction.transfers {
+            transfer.apply(out, wants.color);
+        }
+        out.measure(measures.0, measures.1, program.simd);
+        Ok(())
+    }
+
+    /// Evaluates the children of an operator as far as they can matter, and combines them.
+    fn combine(
+        &mut self,
+        operator: Operator,
+        children: &[usize],
+        instruction: &Instruction,
+        asked: Asked<'_>,
+        counts: &mut RenderCounts,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        let (measure, wants) = (instruction.measures.0, instruction.wants);
+        if operator == Operator::Intersection {
+            return self.intersect(children, instruction, asked, counts, out);
+        }
+        let mut other = self.block();
+        let mut live = *asked.live;
+        for (place, &child) in children.iter().enumerate() {
+            let asked = Asked { live: &live, ..asked };
+            let into = if place == 0 && operator != Operator::Blend { &mut *out } else { &mut other };
+            if let Err(halt) = self.run(child, asked, measure, counts, into) {
+                self.give_back(other);
+                return Err(halt);
+            }
+            match operator {
+                Operator::Union => {
+                    if place > 0 {
+                        out.unite(&other, wants);
+                    }
+                    if place + 1 < children.len() && !wants.boundary {
+                        live = out.not_opaque(&live, measure);
+                    }
+                }
+                Operator::Difference => {
+                    if place > 0 {
+                        out.subtract(&other, wants, self.program.reach as f32);
+                    }
+                    live = out.not_empty(&live);
+                }
+                Operator::Blend | Operator::Intersection => out.add(&other, wants, place == 0),
+            }
+        }
+        if operator == Operator::Blend {
+            out.finish_blend(wants);
+        }
+        self.give_back(other);
+        Ok(())
+    }
+
+    /// Intersections evaluate what costs least first, and combine in the order of the graph.
+    fn intersect(
+        &mut self,
+        children: &[usize],
+        instruction: &Instruction,
+        asked: Asked<'_>,
+        counts: &mut RenderCounts,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        let (measure, wants) = (instruction.measures.0, instruction.wants);
+        let mut blocks: Vec<Block> = children.iter().map(|_| self.block()).collect();
+        let mut order: Vec<usize> = (0..children.len()).collect();
+        order.sort_by_key(|&place| self.cost(children[place]));
+        let mut live = *asked.live;
+        let mut outcome = Ok(());
+        for place in order {
+            blocks[place].touched = 0;
+            if outcome.is_ok() {
+                outcome = self.run(
+                    children[place],
+                    Asked { live: &live, ..asked },
+                    measure,
+                    counts,
+                    &mut blocks[place],
+                );
+                if !wants.boundary {
+                    live = blocks[place].not_empty(&live);
+                }
+            }
+        }
+        if outcome.is_ok() {
+            Block::intersect(&mut blocks, wants);
+            out.copy_from(&blocks[0], wants);
+        }
+        blocks.into_iter().for_each(|block| self.give_back(block));
+        outcome
+    }
+
+    /// How much work an instruction is: procedural fields before clouds.
+    fn cost(&self, at: usize) -> usize {
+        match &self.program.instructions[at].action {
+            Action::Procedural(_) => 1,
+            Action::Cloud(_) => 1000,
+            Action::Operator(_, children) => children.iter().map(|&child| self.cost(child)).sum(),
+        }
+    }
+}
+
+const _: () = assert!(SLAB_SAMPLES == 32, "a lane's samples are the bits of a u32");

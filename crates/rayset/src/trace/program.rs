@@ -1,0 +1,280 @@
+//! A scene graph compiled for tracing: flattened into instructions, each after those it needs; immutable, and shared by
+//! all threads.
+//!
+//! A node that is reached twice with the same transform and material becomes one instruction, whose samples are computed
+//! once.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::RenderError;
+use super::block::{MATERIAL, Measure, Wants};
+use super::cloud_volume::CloudVolume;
+use super::procedural_volume::ProceduralVolume;
+use super::transfer::CompiledTransfer;
+use crate::field::SimdLevel;
+use crate::geometry::{Aabb, DAffine3};
+use crate::scene::{Channel, LightKind, Lighting, Material, Node, Operator, Scene, Shape};
+use crate::working_set::PagedClouds;
+
+/// What an instruction does.
+pub(super) enum Action {
+    Cloud(Box<CloudVolume>),
+    Procedural(Box<ProceduralVolume>),
+    Operator(Operator, Vec<usize>),
+}
+
+/// One node of the graph, in one place of the world.
+pub(super) struct Instruction {
+    pub(super) action: Action,
+    /// Outside, nothing of it is ever looked at; world space.
+    pub(super) bounds: Aabb,
+    pub(super) wants: Wants,
+    /// How its opacity is written before its transfer functions, and after them.
+    pub(super) measures: (Measure, Measure),
+    pub(super) transfers: Vec<CompiledTransfer>,
+    /// How many other instructions need it.
+    pub(super) uses: u32,
+    /// The colour that every sample has, if so; linear light.
+    color: Option<[f32; 3]>,
+}
+
+/// What of a scene a program makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// Colours, lit.
+    Picture,
+    /// Nothing but opacities, for shadows.
+    Shadow,
+}
+
+/// The whole graph.
+pub(super) struct Program {
+    /// The last is the root.
+    pub(super) instructions: Vec<Instruction>,
+    /// What any instruction wants.
+    pub(super) wants: Wants,
+    /// Boundaries farther from a cut than this do not light it; world space.
+    pub(super) reach: f64,
+    /// The material of every sample, if it is one.
+    pub(super) material: Option<[f32; MATERIAL]>,
+    /// The colour of every sample, if it is one.
+    pub(super) color: Option<[f32; 3]>,
+    pub(super) simd: SimdLevel,
+}
+
+/// A node in one place of the world, of one material.
+type Key = (*const Node, [u64; 12], usize);
+
+struct Compiler<'s> {
+    scene: &'s Scene,
+    simd: SimdLevel,
+    paged: &'s PagedClouds,
+    instructions: Vec<Instruction>,
+    known: HashMap<Key, usize>,
+    /// Every material that is used, each once.
+    materials: Vec<[f32; MATERIAL]>,
+}
+
+impl Program {
+    /// Compiles a scene that has been checked.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] where a cloud of it has no pages.
+    pub(super) fn compile(
+        scene: &Scene,
+        purpose: Purpose,
+        simd: SimdLevel,
+        paged: &PagedClouds,
+    ) -> Result<Self, RenderError> {
+        let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
+        let mut compiler = Compiler { scene, simd, paged, instructions, known, materials };
+        let material = compiler.material(&Material::default());
+        compiler.add(&scene.root, &DAffine3::IDENTITY, material)?;
+        Ok(compiler.finish(purpose))
+    }
+
+    pub(super) fn root(&self) -> usize {
+        self.instructions.len() - 1
+    }
+
+    /// Its clouds, each with the place of its instruction.
+    pub(super) fn clouds(&self) -> impl Iterator<Item = &CloudVolume> {
+        self.instructions.iter().filter_map(|i| match &i.action {
+            Action::Cloud(volume) => Some(&**volume),
+            _ => None,
+        })
+    }
+}
+
+impl Compiler<'_> {
+    /// The number of a material.
+    fn material(&mut self, material: &Material) -> usize {
+        let numbers = material.to_array().map(|v| v as f32);
+        let known = self.materials.iter().position(|m| *m == numbers);
+        known.unwrap_or_else(|| {
+            self.materials.push(numbers);
+            self.materials.len() - 1
+        })
+    }
+
+    /// Adds a node and what it needs; returns its place. The material counts where the node has none.
+    fn add(
+        &mut self,
+        node: &Arc<Node>,
+        world_from_parent: &DAffine3,
+        material: usize,
+    ) -> Result<usize, RenderError> {
+        let material = node.material.as_ref().map_or(material, |m| self.material(m));
+        let world_from_local = *world_from_parent * node.parent_from_local;
+        let key = (Arc::as_ptr(node), world_from_local.to_cols_array().map(f64::to_bits), material);
+        if let Some(&at) = self.known.get(&key) {
+            self.instructions[at].uses += 1;
+            return Ok(at);
+        }
+        let (action, bounds, color) = match &node.shape {
+            Shape::Cloud(object) => {
+                let volume = CloudVolume::new(
+                    object,
+                    &world_from_local,
+                    self.scene.unit_distance,
+                    self.materials[material],
+                    self.paged,
+                )
+                .ok_or_else(|| RenderError::Setting {
+                    setting: "scene",
+                    what: format!("{} is in no working set", object.cloud.path().display()),
+                })?;
+                let (bounds, color) =
+                    (object.bounds().transformed(&world_from_local), volume.uniform_color());
+                (Action::Cloud(Box::new(volume)), bounds, color)
+            }
+            Shape::Procedural(field) => {
+                let reach = self.scene.unit_distance;
+                let volume =
+                    ProceduralVolume::new(field.clone(), &world_from_local, reach, self.materials[material]);
+                let color = field.uniform_color().map(|c| c.map(|v| v as f32));
+                (Action::Procedural(Box::new(volume)), field.bounds().transformed(&world_from_local), color)
+            }
+            Shape::Operator(operator, children) => {
+                let children: Vec<usize> = (children.iter())
+                    .map(|child| self.add(child, &world_from_local, material))
+                    .collect::<Result<_, _>>()?;
+                let bounds = self.operator_bounds(*operator, &children);
+                let first = self.instructions[children[0]].color;
+                let colored = if *operator == Operator::Difference { &children[..1] } else { &children[..] };
+                let same = colored.iter().all(|&c| self.instructions[c].color == first);
+                (Action::Operator(*operator, children), bounds, first.filter(|_| same))
+            }
+        };
+        let transfers: Vec<CompiledTransfer> = node.transfers.iter().map(CompiledTransfer::new).collect();
+        let recolored = transfers.iter().any(CompiledTransfer::makes_color);
+        self.instructions.push(Instruction {
+            action,
+            bounds,
+            wants: Wants::default(),
+            measures: (Measure::Opacity, Measure::Opacity),
+            transfers,
+            uses: 1,
+            color: color.filter(|_| !recolored),
+        });
+        let at = self.instructions.len() - 1;
+        self.known.insert(key, at);
+        Ok(at)
+    }
+
+    fn operator_bounds(&self, operator: Operator, children: &[usize]) -> Aabb {
+        let mut boxes = children.iter().map(|&c| self.instructions[c].bounds);
+        match operator {
+            Operator::Union | Operator::Blend => boxes.fold(Aabb::EMPTY, Aabb::union),
+            Operator::Intersection => boxes.reduce(Aabb::intersection).unwrap_or(Aabb::EMPTY),
+            Operator::Difference => boxes.next().unwrap_or(Aabb::EMPTY),
+        }
+    }
+
+    /// Passes down, from the root, what is wanted of each instruction.
+    fn finish(mut self, purpose: Purpose) -> Program {
+        let used: Vec<_> = self.used_materials();
+        let material = if used.len() == 1 { used.first().copied() } else { None };
+        let root = self.instructions.len() - 1;
+        let color = self.instructions[root].color;
+        self.instructions[root].wants = self.wanted_of_root(purpose, color, material.is_none());
+        self.instructions[root].measures.1 = Measure::Thickness;
+        for at in (0..=root).rev() {
+            self.pass_down(at);
+        }
+        let reach = self.scene.unit_distance;
+        let mut wants = Wants::default();
+        for instruction in &mut self.instructions {
+            wants = wants.and(instruction.wants);
+            if instruction.wants.boundary && !matches!(instruction.action, Action::Cloud(_)) {
+                instruction.bounds = instruction.bounds.inflated(reach);
+            }
+        }
+        Program { instructions: self.instructions, wants, reach, material, color, simd: self.simd }
+    }
+
+    fn wanted_of_root(&self, purpose: Purpose, color: Option<[f32; 3]>, materials_differ: bool) -> Wants {
+        if purpose == Purpose::Shadow {
+            return Wants::default();
+        }
+        let lights = match &self.scene.lighting {
+            Lighting::Unlit => return Wants { color: color.is_none(), ..Wants::default() },
+            Lighting::Lit(lights) => lights,
+        };
+        Wants {
+            color: color.is_none(),
+            normal: lights.iter().any(|l| l.kind != LightKind::Ambient) || self.bends_rays(),
+            boundary: false,
+            material: materials_differ,
+        }
+    }
+
+    /// Whether any material reflects or refracts.
+    fn bends_rays(&self) -> bool {
+        self.used_materials().iter().any(|m| m[4] > 0.0 || m[5] != 1.0)
+    }
+
+    /// The materials of leaves.
+    fn used_materials(&self) -> Vec<[f32; MATERIAL]> {
+        let mut used: Vec<[f32; MATERIAL]> = Vec::new();
+        for instruction in &self.instructions {
+            let material = match &instruction.action {
+                Action::Cloud(volume) => volume.material,
+                Action::Procedural(volume) => volume.material,
+                Action::Operator(..) => continue,
+            };
+            if !used.contains(&material) {
+                used.push(material);
+            }
+        }
+        used
+    }
+
+    fn pass_down(&mut self, at: usize) {
+        let Instruction { wants, measures, transfers, action, .. } = &mut self.instructions[at];
+        let sums = matches!(action, Action::Operator(Operator::Difference | Operator::Blend, _));
+        measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
+        let reads_color = transfers.iter().any(|t| t.input != Channel::Opacity);
+        let makes_color = transfers.iter().any(CompiledTransfer::makes_color);
+        // Rows are there for both what goes in and what comes out.
+        wants.color |= reads_color;
+        let below = Wants { color: wants.color && (reads_color || !makes_color), ..*wants };
+        let Action::Operator(operator, children) = action else { return };
+        let (operator, children, measure) = (*operator, children.clone(), measures.0);
+        for (place, child) in children.into_iter().enumerate() {
+            let of_child = match operator {
+                Operator::Difference => Wants {
+                    boundary: below.boundary || below.normal,
+                    color: below.color && place == 0,
+                    material: below.material && place == 0,
+                    ..below
+                },
+                _ => below,
+            };
+            let child = &mut self.instructions[child];
+            child.wants = child.wants.and(of_child);
+            child.measures.1 = measure;
+        }
+    }
+}

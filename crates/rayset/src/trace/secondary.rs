@@ -1,0 +1,36 @@
+//! Rays that start anywhere: which of them travel together.
+
+use crate::field::SLAB_SAMPLES;
+use crate::geometry::{Aabb, DVec3, Ray};
+
+/// A packet whose bound over a slab exceeds its lanes' own extent by more than this is split.
+const MOST_SPREAD: f64 = 4.0;
+
+/// Splits rays, given by their places, until each group's are close to each other over their first slab.
+pub(super) fn coherent_groups(rays: &[(Ray, f64)], members: &[usize], step: f64) -> Vec<Vec<usize>> {
+    let length = step * SLAB_SAMPLES as f64;
+    let mut done = Vec::new();
+    let mut open = vec![members.to_vec()];
+    while let Some(mut group) = open.pop() {
+        let mut bound = Aabb::EMPTY;
+        for &i in &group {
+            bound.include(rays[i].0.origin);
+            bound.include(rays[i].0.at(length));
+        }
+        if group.len() == 1 || bound.size().max_element() <= MOST_SPREAD * length {
+            done.push(group);
+            continue;
+        }
+        // In halves, along the axis on which their middles are farthest apart.
+        let middle = |i: usize| rays[i].0.at(0.5 * length);
+        let mut middles = Aabb::EMPTY;
+        group.iter().for_each(|&i| middles.include(middle(i)));
+        let size: DVec3 = middles.size();
+        let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).unwrap_or(0);
+        group.sort_by(|&a, &b| middle(a)[axis].total_cmp(&middle(b)[axis]));
+        let half = group.split_off(group.len() / 2);
+        open.push(group);
+        open.push(half);
+    }
+    done
+}

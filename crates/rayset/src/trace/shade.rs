@@ -1,0 +1,170 @@
+//! Light on samples: Blinn's local shading, two-sided, light by light.
+
+use super::block::{Block, MATERIAL, each_lane};
+use super::composite::{RayState, Shares};
+use super::math::power;
+use crate::field::{LANES, Packet, SampleRow, Slab};
+use crate::geometry::DVec3;
+use crate::scene::{Light, LightKind, Lighting};
+
+/// The lights of a scene, and what of samples is the same everywhere.
+pub(super) struct Shader {
+    /// Nothing where samples have the colours of their transfer functions.
+    lights: Option<Vec<Light>>,
+    color: Option<[f32; 3]>,
+    material: Option<[f32; MATERIAL]>,
+}
+
+/// For each light, how much of it reaches each sample; nothing for one that throws no shadows.
+pub(super) type ShadowRows = Vec<Option<Vec<SampleRow>>>;
+
+/// One sample, as light sees it.
+struct Surface {
+    color: [f32; 3],
+    normal: [f32; 3],
+    material: [f32; MATERIAL],
+    /// Toward the eye.
+    view: [f32; 3],
+}
+
+impl Shader {
+    pub(super) fn new(
+        lighting: &Lighting,
+        color: Option<[f32; 3]>,
+        material: Option<[f32; MATERIAL]>,
+    ) -> Self {
+        let lights = match lighting {
+            Lighting::Unlit => None,
+            Lighting::Lit(lights) => Some(lights.clone()),
+        };
+        Self { lights, color, material }
+    }
+
+    /// The one colour that every sample gives, if so: a ray's colour then follows from its transmittance.
+    pub(super) fn flat_color(&self) -> Option<[f32; 3]> {
+        self.color.filter(|_| self.lights.is_none())
+    }
+
+    /// The lights that shadow rays go to, with their numbers.
+    pub(super) fn shadow_lights(&self) -> impl Iterator<Item = (usize, &Light)> {
+        self.lights.iter().flatten().enumerate().filter(|(_, light)| light.throws_shadows())
+    }
+
+    pub(super) fn lights(&self) -> usize {
+        self.lights.as_ref().map_or(0, Vec::len)
+    }
+
+    /// Adds the light of the samples that count to their rays.
+    pub(super) fn shade(
+        &self,
+        packet: &Packet,
+        slab: Slab,
+        block: &Block,
+        shares: &Shares,
+        shadows: &ShadowRows,
+        states: &mut [RayState; LANES],
+    ) {
+        each_lane(shares.lanes(), |lane| {
+            let mut samples = shares.samples[lane];
+            while samples != 0 {
+                let j = samples.trailing_zeros() as usize;
+                samples &= samples - 1;
+                let color = match &self.lights {
+                    None => self.color_at(block, lane, j),
+                    Some(lights) => {
+                        let surface = self.surface(packet, block, lane, j);
+                        lit(lights, &surface, shadows, packet, slab, lane, j)
+                    }
+                };
+                for channel in 0..3 {
+                    states[lane].color[channel] += shares.share[lane].0[j] * color[channel];
+                }
+            }
+        });
+    }
+
+    pub(super) fn color_at(&self, block: &Block, lane: usize, j: usize) -> [f32; 3] {
+        self.color.unwrap_or_else(|| block.color.each_ref().map(|rows| rows[lane].0[j]))
+    }
+
+    pub(super) fn material_at(&self, block: &Block, lane: usize, j: usize) -> [f32; MATERIAL] {
+        self.material.unwrap_or_else(|| block.material.each_ref().map(|rows| rows[lane].0[j]))
+    }
+
+    fn surface(&self, packet: &Packet, block: &Block, lane: usize, j: usize) -> Surface {
+        let normal = if block.normal[0].is_empty() {
+            [0.0; 3]
+        } else {
+            block.normal.each_ref().map(|rows| rows[lane].0[j])
+        };
+        Surface {
+            color: self.color_at(block, lane, j),
+            normal,
+            material: self.material_at(block, lane, j),
+            view: packet.direction_f32(lane).map(|v| -v),
+        }
+    }
+}
+
+/// All lights on one sample.
+fn lit(
+    lights: &[Light],
+    surface: &Surface,
+    shadows: &ShadowRows,
+    packet: &Packet,
+    slab: Slab,
+    lane: usize,
+    j: usize,
+) -> [f32; 3] {
+    let mut sum = [0.0; 3];
+    for (number, light) in lights.iter().enumerate() {
+        let reaching = shadows.get(number).and_then(Option::as_ref).map_or(1.0, |rows| rows[lane].0[j]);
+        if reaching <= 0.0 {
+            continue;
+        }
+        let (scattered, highlight) = match light.kind {
+            LightKind::Ambient => (surface.material[0], 0.0),
+            LightKind::Headlight => surface.scatter(surface.view),
+            LightKind::Directional { direction } => {
+                surface.scatter((-direction.normalize()).to_array().map(|v| v as f32))
+            }
+            LightKind::Point { position, decays } => {
+                let ray = packet.ray(lane);
+                let toward = position - ray.at(packet.sample_t_world(lane, slab.first + j as u64));
+                let (direction, weakened) = to_point(toward, decays);
+                let (scattered, highlight) = surface.scatter(direction);
+                (scattered * weakened, highlight * weakened)
+            }
+        };
+        for channel in 0..3 {
+            sum[channel] +=
+                (surface.color[channel] * scattered + highlight) * (light.color[channel] * reaching);
+        }
+    }
+    sum
+}
+
+/// The direction to a point light, and what is left of its light.
+fn to_point(toward: DVec3, decays: bool) -> ([f32; 3], f32) {
+    let distance_squared = toward.length_squared();
+    let direction = toward.normalize_or(DVec3::Y).to_array().map(|v| v as f32);
+    // Held where an f32 can hold it: the light itself is infinitely bright.
+    let weakened = if decays { (1.0 / distance_squared).min(1e12) as f32 } else { 1.0 };
+    (direction, weakened)
+}
+
+impl Surface {
+    /// What part of a light from a direction is scattered in the object's colour, and what in white.
+    fn scatter(&self, light: [f32; 3]) -> (f32, f32) {
+        let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        if self.normal == [0.0; 3] {
+            return (0.0, 0.0);
+        }
+        let cosine = dot(self.normal, light).abs().min(1.0);
+        let half: [f32; 3] = std::array::from_fn(|c| light[c] + self.view[c]);
+        let length = dot(half, half).sqrt();
+        // Light from straight behind has no highlight.
+        let highlight = if length > 1e-6 { dot(self.normal, half).abs() / length } else { 0.0 };
+        (self.material[1] * cosine, self.material[2] * power(highlight.min(1.0), self.material[3]))
+    }
+}

@@ -1,0 +1,168 @@
+//! Shadow rays from every sample that counts: the reference, for small pictures.
+
+use crate::field::{LANES, Packet, SampleRow, Slab};
+use crate::geometry::Ray;
+use crate::scene::{Light, LightKind};
+use crate::trace::access::{Access, Halt};
+use crate::trace::block::Block;
+use crate::trace::composite::{Absorption, RayState, Shares};
+use crate::trace::march::March;
+use crate::trace::packet_tracer::RenderCounts;
+use crate::trace::program::Program;
+use crate::trace::secondary::coherent_groups;
+use crate::trace::world::World;
+
+/// Traces shadow rays, in packets of neighbours at the same depth.
+pub(super) struct ShadowRays<'a> {
+    world: &'a World,
+    program: &'a Program,
+    march: March<'a>,
+    states: [RayState; LANES],
+    shares: Shares,
+}
+
+/// A ray to a light.
+#[derive(Clone, Copy)]
+struct ToLight {
+    ray: Ray,
+    /// Where its samples lie, ξ.
+    phase: f64,
+    /// Distance of the light; infinite where it is nowhere.
+    light: f64,
+    lane: usize,
+}
+
+impl<'a> ShadowRays<'a> {
+    pub(super) fn new(world: &'a World, program: &'a Program, slab_samples: usize) -> Self {
+        Self {
+            world,
+            program,
+            march: March::new(program, slab_samples),
+            states: [RayState::START; LANES],
+            shares: Shares::new(),
+        }
+    }
+
+    /// Fills the rows of the samples that count.
+    #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
+    pub(super) fn find(
+        &mut self,
+        access: Access<'_>,
+        light: &Light,
+        packet: &Packet,
+        slab: Slab,
+        shares: &Shares,
+        counts: &mut RenderCounts,
+        rows: &mut [SampleRow],
+    ) -> Result<(), Halt> {
+        for j in 0..slab.samples {
+            let rays: Vec<ToLight> = (0..packet.len())
+                .filter(|&lane| shares.samples[lane] >> j & 1 == 1)
+                .filter_map(|lane| to_light(light, packet, lane, slab.first + j as u64))
+                .collect();
+            if rays.is_empty() {
+                continue;
+            }
+            let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.phase)).collect();
+            for group in self.world.steps.groups(access, self.program, &primary)? {
+                for members in coherent_groups(&primary, &group.members, group.step) {
+                    let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
+                    self.trace(access, &rays, group.step, counts)?;
+                    for (place, to) in rays.iter().enumerate() {
+                        rows[to.lane].0[j] = self.states[place].transmittance;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + ξ) steps from where it starts, so
+    /// that no sample shadows itself.
+    fn trace(
+        &mut self,
+        access: Access<'_>,
+        rays: &[ToLight],
+        step: f64,
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
+        let shifted: Vec<(Ray, f64)> =
+            rays.iter().map(|r| (Ray { origin: r.ray.at(0.5 * step), ..r.ray }, r.phase)).collect();
+        let packet = Packet::new(&shifted, step);
+        let limits: Vec<f64> = rays.iter().map(|r| r.light - 0.5 * step).collect();
+        self.states.fill(RayState::START);
+        counts.shadow_rays += rays.len() as u64;
+        let absorption = Absorption { ..self.world.absorption };
+        self.march.begin(&packet);
+        let mut block = self.march.block();
+        let outcome = self.pass(access, &packet, &limits, &absorption, &mut block, counts);
+        self.march.give_back(block);
+        outcome
+    }
+
+    fn pass(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        limits: &[f64],
+        absorption: &Absorption,
+        block: &mut Block,
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
+        let mut going = packet.all();
+        let mut from = 0;
+        while going != 0
+            && let Some(slab) = self.march.next_slab(from)
+        {
+            from = slab.end();
+            self.march.evaluate(access, packet, slab, going, counts, block)?;
+            if limits.iter().any(|limit| limit.is_finite()) {
+                cut_off(packet, slab, limits, block);
+                // Rays that have reached their light end there.
+                for (lane, limit) in limits.iter().enumerate() {
+                    if packet.sample_t_world(lane, slab.end()) >= *limit {
+                        going &= !(1 << lane);
+                    }
+                }
+                let reached = packet.all() & !going;
+                let open = absorption.absorb(
+                    packet,
+                    slab,
+                    block,
+                    going | reached & block.touched,
+                    &mut self.states,
+                    &mut self.shares,
+                );
+                going &= open;
+            } else {
+                going = absorption.absorb(packet, slab, block, going, &mut self.states, &mut self.shares);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Makes what lies behind the light transparent.
+fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], block: &mut Block) {
+    for (lane, limit) in limits.iter().enumerate() {
+        for j in 0..slab.samples {
+            if packet.sample_t_world(lane, slab.first + j as u64) >= *limit {
+                block.opacity[lane].0[j] = 0.0;
+            }
+        }
+    }
+}
+
+/// The ray from a sample to a light; nothing where the sample is the light.
+fn to_light(light: &Light, packet: &Packet, lane: usize, sample: u64) -> Option<ToLight> {
+    let origin = packet.ray(lane).at(packet.sample_t_world(lane, sample));
+    let (direction, distance) = match light.kind {
+        LightKind::Directional { direction } => (-direction.normalize(), f64::INFINITY),
+        LightKind::Point { position, .. } => {
+            let toward = position - origin;
+            (toward.try_normalize()?, toward.length())
+        }
+        LightKind::Ambient | LightKind::Headlight => return None,
+    };
+    Some(ToLight { ray: Ray { origin, direction }, phase: packet.phase(lane), light: distance, lane })
+}
