@@ -48,7 +48,7 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
         let mut run = DecodedRun::default();
         cloud
             .for_each_run(|_, raw| {
-                decoder.decode(&raw, header, simd, &mut run);
+                decoder.decode(&raw, header, step, simd, &mut run);
                 splatter.splat(&run, &packet, slab, packet.all(), &mut samples);
             })
             .expect("the cloud reads");

@@ -31,6 +31,7 @@ pub struct Packet {
     pub(super) inverse_direction: [[f32; LANES]; 3],
     rays: usize,
     step_world: f64,
+    least_step: f64,
 }
 
 impl Packet {
@@ -51,6 +52,7 @@ impl Packet {
             inverse_direction: [[0.0; LANES]; 3],
             rays: rays.len(),
             step_world,
+            least_step: step_world,
         };
         for lane in 0..LANES {
             // Lanes that are left over repeat the last ray; their results are never looked at.
@@ -71,10 +73,12 @@ impl Packet {
         }
     }
 
-    /// The same rays and samples in the local space of an object. The map must not be singular.
+    /// The same rays and samples in the local space of an object. The map must not be singular; `least_stretch` is the
+    /// least length that it makes of a vector of length one.
     #[must_use]
-    pub fn in_local_space(&self, local_from_world: &DAffine3) -> Self {
+    pub fn in_local_space(&self, local_from_world: &DAffine3, least_stretch: f64) -> Self {
         let mut local = self.clone();
+        local.least_step = self.least_step * least_stretch;
         for lane in 0..LANES {
             let ray = self.ray(lane);
             let direction = local_from_world.transform_vector3(ray.direction);
@@ -117,6 +121,12 @@ impl Packet {
     #[must_use]
     pub fn phase(&self, lane: usize) -> f64 {
         self.phase[lane]
+    }
+
+    /// A lower bound of the distance between samples in the packet's space, that does not depend on its rays.
+    #[must_use]
+    pub fn least_step(&self) -> f64 {
+        self.least_step
     }
 
     /// Number of rays.

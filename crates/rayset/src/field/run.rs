@@ -12,6 +12,8 @@ use crate::octree::page::{RUN_POINTS, RootCell, Run};
 /// Above this ratio of a run's extent to its smallest radius, single precision about the run's centre would cost more
 /// than a few 1e-5 of a radius, and the run is evaluated in double precision instead.
 const WIDEST_IN_F32: f64 = 128.0;
+/// More samples than this across a run could not be counted exactly in single precision.
+const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
 /// Places for the spheres of a run's chunks: eight chunks of sixteen points, padded to a whole vector.
 pub(super) const CHUNKS: usize = 16;
 
@@ -32,7 +34,7 @@ pub struct DecodedRun {
     pub(super) weight: [f32; RUN_POINTS],
     /// Colour (linear), or one attribute in the first column.
     pub(super) attribute: [[f32; RUN_POINTS]; 3],
-    /// Positions and squared radii in double precision, for runs too wide for single.
+    /// Positions and inverse radii in double precision, for runs too wide for single.
     pub(super) wide: Option<Box<WideRun>>,
     spare_wide: Option<Box<WideRun>>,
 }
@@ -81,13 +83,13 @@ impl RunDecoder {
         }
     }
 
-    /// Decodes a run.
-    pub fn decode(&self, run: &Run<'_>, header: &Header, simd: SimdLevel, out: &mut DecodedRun) {
-        dispatch!(simd.level(), simd => self.decode_with(simd, run, header, out));
+    /// Decodes a run for samples that are at least `step` apart, in the space of the cloud.
+    pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
+        dispatch!(simd.level(), simd => self.decode_with(simd, run, header, step, out));
     }
 
     #[inline(always)]
-    fn decode_with<S: Simd>(&self, simd: S, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+    fn decode_with<S: Simd>(&self, simd: S, run: &Run<'_>, header: &Header, step: f64, out: &mut DecodedRun) {
         let n = run.head.len();
         out.len = n;
         let bounds = run.head.position_bounds(self.root);
@@ -110,7 +112,9 @@ impl RunDecoder {
         out.bound_chunks(simd);
         self.decode_weights(run, header, out);
         self.decode_attributes(run, header, out);
-        let is_wide = bounds.size().max_element() > WIDEST_IN_F32 * radius_min;
+        let extent = bounds.size().max_element();
+        let is_wide =
+            extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step;
         out.set_wide(is_wide.then_some((run, self.root)));
     }
 

@@ -90,14 +90,18 @@ pub fn hilbert_cell(side: u32, index: u64) -> (u32, u32) {
     (x, y)
 }
 
-/// All cells of a `columns` × `rows` rectangle, in the order in which a Hilbert curve meets them.
+/// All cells of a `columns` × `rows` rectangle, in the order in which a Hilbert curve meets them. A long rectangle is
+/// walked square after square, so that the work is that of its cells.
 #[must_use]
 pub fn hilbert_order(columns: u32, rows: u32) -> Vec<(u32, u32)> {
-    let side = columns.max(rows).max(1).next_power_of_two();
-    (0..u64::from(side) * u64::from(side))
-        .map(|index| hilbert_cell(side, index))
-        .filter(|&(x, y)| x < columns && y < rows)
-        .collect()
+    let side = columns.min(rows).max(1).next_power_of_two();
+    let mut order = Vec::with_capacity(columns as usize * rows as usize);
+    for square in 0..columns.max(rows).div_ceil(side) {
+        let (x0, y0) = if columns > rows { (square * side, 0) } else { (0, square * side) };
+        let cells = (0..u64::from(side) * u64::from(side)).map(|index| hilbert_cell(side, index));
+        order.extend(cells.map(|(x, y)| (x0 + x, y0 + y)).filter(|&(x, y)| x < columns && y < rows));
+    }
+    order
 }
 
 #[cfg(test)]
@@ -144,6 +148,12 @@ mod tests {
         assert_eq!(seen.len(), 64);
         for pair in order.windows(2) {
             assert_eq!(pair[0].0.abs_diff(pair[1].0) + pair[0].1.abs_diff(pair[1].1), 1);
+        }
+        for (columns, rows) in [(1, 1), (100, 3), (3, 100), (7, 9)] {
+            let mut seen = hilbert_order(columns, rows);
+            seen.sort_unstable();
+            seen.dedup();
+            assert_eq!(seen.len() as u32, columns * rows);
         }
     }
 }

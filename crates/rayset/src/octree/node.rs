@@ -53,6 +53,12 @@ impl Node {
         Aabb::new(corner(self.bounds_min), corner(self.bounds_max))
     }
 
+    /// Whether this can be a child of another node: one level down.
+    #[must_use]
+    pub fn is_child_of(&self, parent: &Self) -> bool {
+        self.level == parent.level + 1
+    }
+
     /// Writes the record into its 80 bytes.
     pub fn encode(&self, bytes: &mut [u8]) {
         let mut at = 0;

@@ -103,6 +103,19 @@ impl CloudObject {
         self.transfer.attribute_source()
     }
 
+    /// The density that a single point of the largest weight makes at its own place, were it as wide as the widest.
+    /// Attributes are defined where densities are at least 1e-12 of it.
+    #[must_use]
+    pub fn largest_point_density(&self) -> f64 {
+        let header = self.cloud.header();
+        let weight = f64::from(header.weight.max().abs().max(header.weight.min().abs()));
+        if self.normalised {
+            weight / (self.kernel.integral() * f64::from(header.radius.max()).powi(3))
+        } else {
+            weight
+        }
+    }
+
     /// A box outside which the cloud is transparent, in its own space; empty where it has no points.
     #[must_use]
     pub fn bounds(&self) -> Aabb {

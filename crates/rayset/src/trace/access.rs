@@ -21,7 +21,7 @@ pub(super) struct Lacking {
 
 /// Why an attempt ended early.
 pub(super) enum Halt {
-    /// A page is absent. It has been asked for; the tile is to be traced again, from its beginning, when it is there.
+    /// A page is absent. It has been asked for where there was room; the tile is to be traced again, from its beginning.
     PutOff(Lacking),
     Failed(RenderError),
 }

@@ -351,13 +351,13 @@ fn most(measure: Measure) -> f32 {
 #[inline(always)]
 pub(super) fn normalize(x: &mut SampleRow, y: &mut SampleRow, z: &mut SampleRow) {
     for j in 0..SLAB_SAMPLES {
-        let length_squared = x.0[j] * x.0[j] + y.0[j] * y.0[j] + z.0[j] * z.0[j];
-        // One that is not a number, or too long or short to square, is no direction.
-        let fits = length_squared > 0.0 && length_squared < f32::INFINITY;
-        let factor = if fits { 1.0 / length_squared.sqrt() } else { 0.0 };
-        for v in [&mut x.0[j], &mut y.0[j], &mut z.0[j]] {
-            *v = if fits { *v * factor } else { 0.0 };
-        }
+        // In units of its largest component, so that its length can be squared however small or large it is.
+        let largest = x.0[j].abs().max(y.0[j].abs()).max(z.0[j].abs());
+        let fits = (f32::MIN_POSITIVE..f32::INFINITY).contains(&largest);
+        let unit = if fits { 1.0 / largest } else { 0.0 };
+        let [a, b, c] = [x.0[j] * unit, y.0[j] * unit, z.0[j] * unit];
+        let factor = 1.0 / (a * a + b * b + c * c).sqrt();
+        (x.0[j], y.0[j], z.0[j]) = if fits { (a * factor, b * factor, c * factor) } else { (0.0, 0.0, 0.0) };
     }
 }
 

@@ -8,7 +8,7 @@ use fearless_simd::dispatch;
 use super::RenderError;
 use super::access::{Access, Halt, POINT_PRIORITY};
 use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize};
-use super::frontier::{ActiveRun, Frontier, LiveRays, Place};
+use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, run_bounds};
 use super::math::{exp_minus, ln};
 use super::packet_tracer::RenderCounts;
 use super::transfer::ColorTable;
@@ -19,7 +19,7 @@ use crate::field::{
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::octree::Cloud;
 use crate::octree::format::Header;
-use crate::octree::node::Node;
+use crate::octree::node::{Node, nodes_per_page};
 use crate::octree::page::{PointPage, RUN_POINTS, RootCell};
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule, largest_stretch};
 use crate::working_set::{Object, PageFault, PagedClouds};
@@ -44,6 +44,8 @@ pub(super) struct CloudVolume {
     /// Nothing where local space is the world's.
     local_from_world: Option<DAffine3>,
     pub(super) world_from_local: DAffine3,
+    /// The least that a unit of the world becomes here, along any direction.
+    least_stretch: f64,
     decoder: RunDecoder,
     source: AttributeSource,
     color: Color,
@@ -80,12 +82,13 @@ impl CloudVolume {
             first_node_page: header.point_pages,
             local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
             world_from_local: *world_from_local,
+            least_stretch: 1.0 / largest_stretch(world_from_local),
             decoder: RunDecoder::new(header, object.kernel, object.normalised, source),
             source,
             color,
             unit_distance,
             boundary_density: object.transfer.opacity.boundary_density(unit_distance) as f32,
-            least_weight: header.weight.max().abs().max(header.weight.min().abs()) * LEAST_WEIGHT,
+            least_weight: object.largest_point_density() as f32 * LEAST_WEIGHT,
             material,
             object: object.clone(),
         })
@@ -106,7 +109,9 @@ impl CloudVolume {
 
     /// A packet as the cloud sees it.
     pub(super) fn local(&self, packet: &Packet) -> Packet {
-        self.local_from_world.as_ref().map_or_else(|| packet.clone(), |map| packet.in_local_space(map))
+        self.local_from_world
+            .as_ref()
+            .map_or_else(|| packet.clone(), |map| packet.in_local_space(map, self.least_stretch))
     }
 
     /// A ray as the cloud sees it: places along it keep their distance in the world.
@@ -138,24 +143,31 @@ impl CloudVolume {
         node.bounds(self.root_cell).transformed(&self.world_from_local)
     }
 
-    /// The pages of a node's own points: at least those, and at most one more.
+    /// The pages of a node's own points, estimated: for hints, which may be wrong without harm.
     pub(super) fn own_pages(&self, node: &Node) -> Range<u32> {
         let own = node.own;
         if own.runs == 0 {
             return 0..0;
         }
-        // Most runs that a page can hold, so that a range is never taken for shorter than it is.
-        let least_run = (RUN_POINTS * (6 + self.header().column_bytes())) as u64;
-        let runs_per_page = (u64::from(self.header().page_bytes) / least_run).max(1);
-        let last_run = u64::from(own.first_run) + u64::from(own.runs);
-        let last = own.first_page + (last_run / runs_per_page) as u32;
-        own.first_page..(last + 1).min(self.first_node_page)
+        // A page says itself how many runs it has; from outside only the mean is known.
+        let header = self.header();
+        let runs = (header.points / RUN_POINTS as u64).max(1);
+        let runs_per_page = (runs / u64::from(header.point_pages).max(1)).max(1);
+        let last_run = u64::from(own.first_run) + u64::from(own.runs) - 1;
+        let pages = u32::try_from(last_run / runs_per_page).unwrap_or(u32::MAX);
+        own.first_page..own.first_page.saturating_add(pages).saturating_add(1).min(self.first_node_page)
     }
 
     /// The pages that are needed to open a node: of its own points and of its children's records.
     pub(super) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
         let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
         self.own_pages(node).chain(children)
+    }
+
+    /// More nodes than a walk through the octree can meet; a walk that meets more is in a file that is no tree.
+    pub(super) fn most_nodes(&self) -> u64 {
+        let header = self.header();
+        header.nodes.min(u64::from(header.node_pages) * nodes_per_page(header.page_bytes as usize) as u64)
     }
 
     /// A page that is whole but contradicts another.
@@ -326,7 +338,7 @@ pub(super) struct CloudMarch {
     /// In the cloud's space.
     packet: Packet,
     frontier: Frontier,
-    active: Vec<ActiveRun>,
+    active: Vec<ActiveRuns>,
     /// Nothing before a packet has begun.
     rays: Option<LiveRays>,
 }
@@ -433,16 +445,29 @@ impl CloudMarch {
         counts: &mut RenderCounts,
         field: &mut FieldSamples,
     ) -> Result<(), Halt> {
+        let Some(rays) = &self.rays else { return Ok(()) };
         self.active.sort_unstable();
+        let slab = request.slab;
         let mut at = 0;
-        while let Some(&ActiveRun { page, .. }) = self.active.get(at) {
+        while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
             let guard = request.access.retain(volume, page, POINT_PRIORITY)?;
             let points = PointPage::trusted(&guard, volume.header());
-            while let Some(active) = self.active.get(at).filter(|a| a.page == page) {
-                let raw = points.run(usize::from(active.run));
-                volume.decoder.decode(&raw, volume.header(), splatter.simd, run);
-                counts.runs += 1;
-                counts.splats += splatter.splat(run, &self.packet, request.slab, lanes, field);
+            while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
+                let Runs { first, end, .. } = active.runs;
+                for index in usize::from(first)..usize::from(end) {
+                    // One by itself has been looked at before.
+                    let reaches = end - first == 1 || {
+                        let samples = rays.samples_in(&self.packet, &run_bounds(volume, &points, index));
+                        samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
+                    };
+                    if reaches {
+                        let raw = points.run(index);
+                        let step = self.packet.least_step();
+                        volume.decoder.decode(&raw, volume.header(), step, splatter.simd, run);
+                        counts.runs += 1;
+                        counts.splats += splatter.splat(run, &self.packet, slab, lanes, field);
+                    }
+                }
                 at += 1;
             }
         }

@@ -3,14 +3,15 @@
 use fearless_simd::dispatch;
 
 use super::block::{Block, each_lane};
-use super::math::exp_minus;
+use super::math::absorbed;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 
 /// What a ray has gathered so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct RayState {
     pub(super) color: [f32; 3],
-    pub(super) transmittance: f32,
+    /// In double precision: rays may pass millions of samples that take next to nothing each.
+    pub(super) transmittance: f64,
 }
 
 impl RayState {
@@ -46,7 +47,7 @@ impl Shares {
 pub(super) struct Absorption {
     pub(super) unit_distance: f64,
     /// A ray ends at its first sample behind which less than this is seen.
-    pub(super) stop_transmittance: f32,
+    pub(super) stop_transmittance: f64,
     pub(super) simd: SimdLevel,
 }
 
@@ -66,9 +67,9 @@ impl Absorption {
         shares.samples.fill(0);
         each_lane(lanes & block.touched, |lane| {
             let thickness = &block.opacity[lane];
-            let passed = dispatch!(self.simd.level(), _simd => passed(thickness, step_units));
+            let taken = dispatch!(self.simd.level(), _simd => taken(thickness, step_units));
             let (samples, ends) =
-                self.through(&passed, slab, &mut states[lane].transmittance, &mut shares.share[lane]);
+                self.through(&taken, slab, &mut states[lane].transmittance, &mut shares.share[lane]);
             shares.samples[lane] = samples;
             if ends {
                 going &= !(1 << lane);
@@ -80,22 +81,22 @@ impl Absorption {
     /// One ray through the samples of a slab, front to back: those that are not transparent, and whether it ends.
     fn through(
         &self,
-        passed: &SampleRow,
+        taken: &SampleRow,
         slab: Slab,
-        transmittance: &mut f32,
+        transmittance: &mut f64,
         share: &mut SampleRow,
     ) -> (u32, bool) {
         let mut opaque = 0_u32;
-        for (j, &p) in passed.0[..slab.samples].iter().enumerate() {
-            opaque |= u32::from(p < 1.0) << j;
+        for (j, &a) in taken.0[..slab.samples].iter().enumerate() {
+            opaque |= u32::from(a > 0.0) << j;
         }
         let mut samples = 0;
         while opaque != 0 {
             let j = opaque.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
             opaque &= opaque - 1;
             samples |= 1 << j;
-            share.0[j] = *transmittance * (1.0 - passed.0[j]);
-            *transmittance *= passed.0[j];
+            share.0[j] = *transmittance as f32 * taken.0[j];
+            *transmittance *= 1.0 - f64::from(taken.0[j]);
             if *transmittance < self.stop_transmittance {
                 return (samples, true);
             }
@@ -104,8 +105,8 @@ impl Absorption {
     }
 }
 
-/// The part of the light that passes each sample's step.
+/// The part of the light that each sample's step takes.
 #[inline(always)]
-fn passed(thickness: &SampleRow, step_units: f32) -> SampleRow {
-    SampleRow(thickness.0.map(|t| exp_minus(t * step_units)))
+fn taken(thickness: &SampleRow, step_units: f32) -> SampleRow {
+    SampleRow(thickness.0.map(|t| absorbed(t * step_units)))
 }

@@ -11,17 +11,25 @@ use super::cloud_volume::CloudVolume;
 use crate::field::{Packet, RayColumns, SLAB_SAMPLES, SimdLevel};
 use crate::geometry::{Aabb, Beam};
 use crate::octree::format::NodeRef;
-use crate::octree::node::{Node, NodePage, RunRange};
+use crate::octree::node::{Node, NodePage};
 use crate::octree::page::PointPage;
+
+/// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
+const MOST_SINGLE_RUNS: u32 = 512;
 
 #[derive(Clone, Copy, Debug)]
 enum Item {
     /// Its record has been seen; its children and points have not.
     Node(Node),
-    Run {
-        page: u32,
-        run: u16,
-    },
+    Runs(Runs),
+}
+
+/// One run of a page, or several that have not been looked at by themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Runs {
+    pub(super) page: u32,
+    pub(super) first: u16,
+    pub(super) end: u16,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -50,11 +58,10 @@ impl Ord for Entry {
     }
 }
 
-/// A run that some sample of the packet may need.
+/// Runs that some sample of the packet may need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct ActiveRun {
-    pub(super) page: u32,
-    pub(super) run: u16,
+pub(super) struct ActiveRuns {
+    pub(super) runs: Runs,
     /// Last sample that it may reach.
     pub(super) last: u64,
 }
@@ -89,6 +96,11 @@ pub(super) struct LiveRays {
 }
 
 impl LiveRays {
+    /// The samples of rays that go on that may lie in a box, or nothing where none does.
+    pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        self.going.samples_in(packet, bounds)
+    }
+
     pub(super) fn new(packet: &Packet, now: u64, going: u64, simd: SimdLevel) -> Self {
         let now = (now != going).then(|| RaySet::new(packet, now, simd));
         Self { going: RaySet::new(packet, going, simd), now }
@@ -111,6 +123,14 @@ impl LiveRays {
 #[derive(Default)]
 pub(super) struct Frontier {
     heap: BinaryHeap<Entry>,
+    /// Nodes looked at.
+    opened: u64,
+}
+
+/// Bounds of influence of a run, a little wider than rounding can make it.
+pub(super) fn run_bounds(volume: &CloudVolume, points: &PointPage<'_>, run: usize) -> Aabb {
+    let head = points.head(run);
+    head.position_bounds(volume.root_cell).inflated(f64::from(head.radius_max()) * (1.0 + 1e-5))
 }
 
 /// Where a frontier is: one packet in one cloud.
@@ -127,6 +147,7 @@ impl Frontier {
     /// Starts again at the root.
     pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
         self.heap.clear();
+        self.opened = 1;
         if let Some(root) = place.access.root(place.volume)? {
             self.push_node(place, root);
         }
@@ -144,14 +165,14 @@ impl Frontier {
         &mut self,
         place: Place<'_>,
         end: u64,
-        active: &mut Vec<ActiveRun>,
+        active: &mut Vec<ActiveRuns>,
     ) -> Result<(), Halt> {
         let Place { volume, packet, rays, .. } = place;
         while let Some(entry) = self.heap.peek().copied().filter(|e| e.first < end) {
             self.heap.pop();
             let node = match entry.item {
-                Item::Run { page, run } => {
-                    active.push(ActiveRun { page, run, last: entry.last });
+                Item::Runs(runs) => {
+                    active.push(ActiveRuns { runs, last: entry.last });
                     continue;
                 }
                 Item::Node(node) => node,
@@ -199,7 +220,7 @@ impl Frontier {
     }
 
     fn open(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
-        self.open_own(place, node.own)?;
+        self.open_own(place, node)?;
         self.open_children(place, node)
     }
 
@@ -212,15 +233,18 @@ impl Frontier {
         let guard = access.retain(volume, volume.first_node_page + page, NODE_PRIORITY)?;
         let nodes = NodePage::trusted(&guard);
         for k in 0..node.child_mask.count_ones() as usize {
-            let child = nodes.get(usize::from(index) + k).ok_or_else(|| volume.broken(page))?;
-            self.push_node(place, child);
+            let child = nodes.get(usize::from(index) + k).filter(|child| child.is_child_of(node));
+            let child = child.filter(|_| self.opened < volume.most_nodes());
+            self.opened += 1;
+            self.push_node(place, child.ok_or_else(|| volume.broken(page))?);
         }
         Ok(())
     }
 
     /// Looks at the bounds of a node's own runs. Their pages are needed for that, and soon again for the points.
-    fn open_own(&mut self, place: Place<'_>, own: RunRange) -> Result<(), Halt> {
+    fn open_own(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
         let Place { access, volume, packet, rays } = place;
+        let (own, node_bounds) = (node.own, &node.bounds(volume.root_cell));
         let (mut page, mut run, mut left) = (own.first_page, usize::from(own.first_run), own.runs as usize);
         while left > 0 {
             if page >= volume.first_node_page {
@@ -232,11 +256,18 @@ impl Frontier {
             if here == 0 {
                 return Err(volume.broken(page).into());
             }
-            for index in run..run + here {
-                let head = points.head(index);
-                let bounds = head.position_bounds(volume.root_cell).inflated(f64::from(head.radius_max()));
-                if let Some((first, last)) = rays.going.samples_in(packet, &bounds) {
-                    self.heap.push(Entry { first, last, item: Item::Run { page, run: index as u16 } });
+            let range = run..run + here;
+            if own.runs > MOST_SINGLE_RUNS {
+                let (first, last) = rays.going.samples_in(packet, node_bounds).unwrap_or((0, 0));
+                let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
+                self.heap.push(Entry { first, last, item: Item::Runs(runs) });
+            } else {
+                for index in range {
+                    let bounds = run_bounds(volume, &points, index);
+                    if let Some((first, last)) = rays.going.samples_in(packet, &bounds) {
+                        let runs = Runs { page, first: index as u16, end: index as u16 + 1 };
+                        self.heap.push(Entry { first, last, item: Item::Runs(runs) });
+                    }
                 }
             }
             left -= here;

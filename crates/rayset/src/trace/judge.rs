@@ -244,8 +244,7 @@ impl<'a> Judge<'a> {
         q: DVec3,
     ) -> Sample {
         let s = field.sample(node.local_from_world.transform_point3(q));
-        let weight = object.cloud.header().weight;
-        let least = 1e-12 * f64::from(weight.max().abs().max(weight.min().abs()));
+        let least = 1e-12 * object.largest_point_density();
         let mean =
             |channel: usize| if s.density.abs() > least { s.attribute[channel] / s.density } else { 0.0 };
         let color = match &object.transfer.color {
@@ -320,8 +319,8 @@ fn surface(node: &SeenNode<'_>, implicit: f64, gradient: DVec3) -> (DVec3, f64) 
     let to_world: DMat3 = node.local_from_world.matrix3.transpose();
     let gradient = to_world * gradient;
     let length = gradient.length();
-    // What single precision cannot hold the square of is no direction.
-    let normal = if length > 1e-22 { gradient / length } else { DVec3::ZERO };
+    // What single precision cannot hold is no direction.
+    let normal = if length >= f64::from(f32::MIN_POSITIVE) { gradient / length } else { DVec3::ZERO };
     (normal, implicit / length)
 }
 

@@ -11,6 +11,8 @@ use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 const THREAD_BYTES: u64 = 640 << 10;
 /// What every further cloud of a graph adds to that: a packet in its space and the part of its octree ahead.
 const CLOUD_BYTES: u64 = 48 << 10;
+/// What look-ahead remembers of a page, most of which it never sees at a time.
+const LOOKAHEAD_BYTES: u64 = 24;
 /// Bytes of a pixel while its band is being made.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows that are worked on together.
@@ -106,18 +108,20 @@ pub fn plan(
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
     let page = needs.clouds.iter().map(|c| u64::from(c.header().page_bytes)).max().unwrap_or(4096);
-    let row = u64::from(width) * PIXEL_BYTES;
+    // Tiles are listed, 24 bytes each.
+    let row = u64::from(width) * PIXEL_BYTES + u64::from(width) / 2;
+    let pages: u64 = needs.clouds.iter().map(|c| u64::from(c.header().pages())).sum();
     let overhead: u64 = needs.clouds.iter().map(|c| WorkingSet::overhead_bytes(c.header().pages())).sum();
+    let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
     let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
-    let least_pages = least_pages(threads) * page;
-    let least_bytes =
-        fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_pages * (page + OVERHEAD_BYTES) / page;
+    let least_page_bytes = least_pages(threads) * (page + OVERHEAD_BYTES);
+    let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
         return Err(least_bytes);
     }
     // A quarter of what is free may go to the picture, in whole rows of look-ahead blocks where it can.
-    let free = budget_bytes - fixed - least_pages * (page + OVERHEAD_BYTES) / page;
+    let free = budget_bytes - fixed - least_page_bytes;
     let rows =
         (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
     let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
@@ -128,7 +132,7 @@ pub fn plan(
         page_bytes: (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page,
         band_rows,
         least_bytes,
-        comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_pages,
+        comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_page_bytes,
     })
 }
 

@@ -273,6 +273,8 @@ impl Job<'_> {
         } else {
             std::thread::scope(|scope| (0..self.exec.threads).for_each(|_| drop(scope.spawn(work))));
         }
+        // Pages hinted at that no ray came to must not take the room of the next band's, or the next picture's.
+        self.world.pages.forget_hints();
         let shared = shared.into_inner().unwrap_or_else(PoisonError::into_inner);
         if let Some(error) = shared.error {
             return Err(error);

@@ -131,7 +131,7 @@ impl<'a> PacketTracer<'a> {
 
     /// The pixel of a ray that has ended.
     fn pixel(&self, state: &RayState) -> [f32; 4] {
-        let RayState { color, transmittance } = *state;
+        let (color, transmittance) = (state.color, state.transmittance as f32);
         let color =
             self.world.shader.flat_color().map_or(color, |flat| flat.map(|v| v * (1.0 - transmittance)));
         match self.world.background {

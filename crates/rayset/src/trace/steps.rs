@@ -16,6 +16,9 @@ use crate::scene::{RenderSettings, Step};
 /// Finest automatic step: the coarsest times 2 to the minus this.
 const FINEST: i32 = 60;
 
+/// Most steps across a scene: more than anyone could wait for, few enough to be counted exactly.
+const MOST_STEPS: f64 = (1_u64 << 40) as f64;
+
 /// Rays of a tile that share a step.
 #[derive(Clone, Debug)]
 pub(super) struct StepGroup {
@@ -52,6 +55,15 @@ impl StepRule {
         };
         if !(coarsest > 0.0 && coarsest.is_finite()) {
             let what = format!("{coarsest} is not a positive number");
+            return Err(RenderError::Setting { setting: "step", what });
+        }
+        let bounds = &program.instructions[program.root()].bounds;
+        let extent = if bounds.is_empty() { 0.0 } else { bounds.size().max_element() };
+        if coarsest < extent / MOST_STEPS {
+            let what = format!(
+                "{coarsest:e} is too small for a scene {extent:e} wide; at least {:e} will do",
+                extent / MOST_STEPS
+            );
             return Err(RenderError::Setting { setting: "step", what });
         }
         let fixed = matches!(settings.step, Step::Fixed(_));
@@ -156,6 +168,7 @@ impl Exponents {
         // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
         let mut stack: Vec<Node> = access.root(volume)?.into_iter().collect();
+        let mut opened = 1;
         while let Some(node) = stack.pop() {
             let bounds = node.bounds(volume.root_cell);
             let finest_known = self.of_rays.iter().copied().max().unwrap_or(0);
@@ -187,7 +200,10 @@ impl Exponents {
                 let nodes = NodePage::trusted(&guard);
                 for child in 0..node.child_mask.count_ones() as usize {
                     let index = usize::from(node.first_child.index) + child;
-                    stack.push(nodes.get(index).ok_or_else(|| volume.broken(page))?);
+                    let child = nodes.get(index).filter(|child| child.is_child_of(&node));
+                    let child = child.filter(|_| opened < volume.most_nodes());
+                    opened += 1;
+                    stack.push(child.ok_or_else(|| volume.broken(page))?);
                 }
             }
         }

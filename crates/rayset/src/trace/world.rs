@@ -38,7 +38,7 @@ impl World {
         };
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
-            stop_transmittance: settings.stop_transmittance,
+            stop_transmittance: f64::from(settings.stop_transmittance),
             simd: exec.simd,
         };
         Ok(Self {

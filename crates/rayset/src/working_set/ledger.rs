@@ -53,6 +53,8 @@ struct Books {
     used_by_object: Vec<u64>,
     peak: u64,
     peak_by_kind: [u64; 3],
+    /// Pages whose room is reserved and whose bytes are on their way.
+    loading: u64,
     residents: Vec<Arc<Resident>>,
     /// Candidates for eviction from the last search, worst last, each with what it looked like then.
     candidates: Vec<(u8, u64, Arc<Object>, u32)>,
@@ -103,6 +105,7 @@ impl Ledger {
             used_by_object: Vec::new(),
             peak: 0,
             peak_by_kind: [0; 3],
+            loading: 0,
             residents: Vec::new(),
             candidates: Vec::new(),
             spare: Vec::new(),
@@ -129,23 +132,26 @@ impl Ledger {
         lock(&self.books).limits.total
     }
 
-    /// Sets new limits and evicts until they hold, as far as pages are not retained. Returns the kinds evicted.
+    /// Sets new limits and evicts until they hold, as far as pages are neither retained nor loading. Returns what went.
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut books = lock(&self.books);
         books.limits = limits;
+        books.evict_excess()
+    }
+
+    /// Evicts everything that is neither retained nor loading. Returns what went.
+    pub(super) fn evict_all(&self) -> Vec<Evicted> {
+        let mut books = lock(&self.books);
         let mut evicted = Vec::new();
-        while let Some(obstacle) = books.excess() {
-            match books.evict(obstacle, None) {
-                Some(page) => evicted.push(page),
-                None => break,
-            }
+        while let Some(page) = books.evict(Obstacle::Total, None) {
+            evicted.push(page);
         }
         books.spare.clear();
         evicted
     }
 
     /// Room for one page, or nothing where that would mean evicting a page whose priority is not below `priority`
-    /// (any, where it is `None`). Also returns the kinds evicted on the way.
+    /// (any, where it is `None`). Also returns what was evicted on the way.
     pub(super) fn try_reserve(
         &self,
         kind: Kind,
@@ -155,20 +161,23 @@ impl Ledger {
         lock(&self.books).reserve(kind, object, priority)
     }
 
-    /// Room for one page that a thread waits for: waits for releases and reads to end if it must, but not longer
-    /// than `patience`.
+    /// Room for one page that a thread waits for: waits for releases if it must, but not longer than `patience` while
+    /// nothing is loading. What is loading can be evicted when it is there, however slow the disk.
     pub(super) fn reserve(
         &self,
         kind: Kind,
         object: &Object,
         patience: Duration,
     ) -> (Option<PageBuffer>, Vec<Evicted>) {
-        let deadline = Instant::now() + patience;
+        let mut deadline = Instant::now() + patience;
         let mut books = lock(&self.books);
         let mut all_evicted = Vec::new();
         loop {
             let (room, evicted) = books.reserve(kind, object, None);
             all_evicted.extend(evicted);
+            if books.loading > 0 {
+                deadline = Instant::now() + patience;
+            }
             let left = deadline.saturating_duration_since(Instant::now());
             let impossible = object.bytes() > books.limits.total;
             if room.is_some() || left.is_zero() || impossible {
@@ -201,14 +210,23 @@ impl Ledger {
         }
     }
 
-    pub(super) fn loaded(&self, resident: Arc<Resident>) {
-        lock(&self.books).residents.push(resident);
+    /// A page is there. Returns what had to go for it, where limits have been lowered meanwhile.
+    pub(super) fn loaded(&self, resident: Arc<Resident>) -> Vec<Evicted> {
+        let mut books = lock(&self.books);
+        books.loading -= 1;
+        books.residents.push(resident);
+        let evicted = books.evict_excess();
+        drop(books);
         self.notify_waiting();
+        evicted
     }
 
     pub(super) fn failed(&self, kind: Kind, object: &Object, buffer: PageBuffer) {
         drop(buffer);
-        lock(&self.books).give_back(kind, object);
+        let mut books = lock(&self.books);
+        books.loading -= 1;
+        books.give_back(kind, object);
+        drop(books);
         self.notify_waiting();
     }
 
@@ -227,6 +245,10 @@ impl Ledger {
         if self.waiting_for_room.load(Ordering::SeqCst) > 0 {
             self.changed.notify_all();
         }
+    }
+
+    pub(super) fn residents(&self) -> Vec<Arc<Resident>> {
+        lock(&self.books).residents.clone()
     }
 
     pub(super) fn retained_bytes(&self) -> u64 {
@@ -272,6 +294,19 @@ impl Books {
         kind.map(Obstacle::Kind).or_else(|| object().map(Obstacle::Object))
     }
 
+    /// Evicts until the limits hold, as far as pages are neither retained nor loading.
+    fn evict_excess(&mut self) -> Vec<Evicted> {
+        let mut evicted = Vec::new();
+        while let Some(obstacle) = self.excess() {
+            match self.evict(obstacle, None) {
+                Some(page) => evicted.push(page),
+                None => break,
+            }
+        }
+        self.spare.clear();
+        evicted
+    }
+
     fn reserve(
         &mut self,
         kind: Kind,
@@ -286,6 +321,7 @@ impl Books {
             }
         }
         let bytes = object.bytes();
+        self.loading += 1;
         self.used += bytes;
         self.used_by_kind[kind.index()] += bytes;
         self.used_by_object[object.id] += bytes;

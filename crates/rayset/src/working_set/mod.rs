@@ -20,6 +20,7 @@ mod stats;
 
 use std::io;
 use std::ops::Deref;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -204,6 +205,8 @@ struct Shared {
     period: AtomicU32,
     /// Bytes of pages that were read for a hint and not yet asked for.
     unused_hint_bytes: AtomicU64,
+    /// Hints of earlier eras are forgotten.
+    hint_era: AtomicU32,
     counters: [Counters; 3],
 }
 
@@ -259,6 +262,7 @@ impl WorkingSet {
             clock: AtomicU64::new(1),
             period: AtomicU32::new(1),
             unused_hint_bytes: AtomicU64::new(0),
+            hint_era: AtomicU32::new(0),
             counters: Default::default(),
         };
         Self { shared: Arc::new(shared) }
@@ -438,9 +442,25 @@ impl WorkingSet {
 
     /// Evicts everything that is not retained.
     pub fn clear(&self) {
-        let limits = self.shared.ledger.limits();
-        self.set_limits(Limits { total: 0, ..limits.clone() });
-        self.shared.ledger.set_limits(limits);
+        let evicted = self.shared.ledger.evict_all();
+        self.count_evictions(&evicted);
+    }
+
+    /// Says that what was hinted at until now and not asked for since will not be: those pages are the first to go, and
+    /// so are those that are still on their way.
+    pub fn forget_hints(&self) {
+        self.shared.hint_era.fetch_add(1, Ordering::Relaxed);
+        for resident in self.shared.ledger.residents() {
+            if resident.hint.load(Ordering::Relaxed) != NOT_HINTED {
+                // Under the lock of the slot, so that it is either still unused or retained for good.
+                let object = resident.object.clone();
+                let _slot = object.slot(resident.page);
+                if resident.retained.load(Ordering::Relaxed) == 0 {
+                    resident.priority.store(0, Ordering::Relaxed);
+                    self.used_hint(&resident);
+                }
+            }
+        }
     }
 
     /// Says that pages will hardly be wanted again: they are the first to go. Pages that are not resident, or
@@ -555,6 +575,7 @@ impl WorkingSet {
             counters.bytes_unique.fetch_add(object.bytes(), Ordering::Relaxed);
         }
         let (set, owner) = (self.clone(), object.clone());
+        let hint = hint.then(|| self.shared.hint_era.load(Ordering::Relaxed));
         let offset = object.source.offset(page);
         Read {
             storage: object.source.storage(),
@@ -573,16 +594,22 @@ impl WorkingSet {
         buffer: PageBuffer,
         outcome: io::Result<()>,
         priority: u8,
-        hint: bool,
+        hint_era: Option<u32>,
     ) {
+        // A hint that has been forgotten meanwhile is settled here.
+        let forgotten = hint_era.is_some_and(|era| era != self.shared.hint_era.load(Ordering::Relaxed));
+        if forgotten {
+            self.shared.unused_hint_bytes.fetch_sub(object.bytes(), Ordering::Relaxed);
+        }
+        let (priority, hint) = if forgotten { (0, false) } else { (priority, hint_era.is_some()) };
         let (name, offset) = (|| object.source.name(), object.source.offset(page));
         let checked = match outcome {
-            Ok(()) => (object.source.check(page, buffer.bytes())).map_err(|what| PageFault::Damaged {
-                name: name(),
-                page,
-                offset,
-                what,
-            }),
+            Ok(()) => {
+                // A source is anybody's: one that panics must not leave threads waiting for ever.
+                let check = AssertUnwindSafe(|| object.source.check(page, buffer.bytes()));
+                let checked = catch_unwind(check).unwrap_or_else(|_| Err("its check panicked".into()));
+                checked.map_err(|what| PageFault::Damaged { name: name(), page, offset, what })
+            }
             Err(e) => Err(PageFault::Read { name: name(), page, offset, source: Arc::new(e) }),
         };
         match checked {
@@ -597,7 +624,8 @@ impl WorkingSet {
                     hint: AtomicU8::new(if hint { READ_FOR_HINT } else { NOT_HINTED }),
                 });
                 *object.slot(page) = Slot::Resident(resident.clone());
-                self.shared.ledger.loaded(resident);
+                let evicted = self.shared.ledger.loaded(resident);
+                self.count_evictions(&evicted);
             }
             Err(fault) => {
                 if hint {

@@ -67,7 +67,7 @@ struct Queue {
     /// Pages seen so far, for their order.
     sights: u32,
     /// The blocks that have been looked at and not yet traced, and how many pages each wants.
-    columns: VecDeque<(u32, u64)>,
+    demands: VecDeque<(u32, u64)>,
 }
 
 /// A page seen ahead.
@@ -125,7 +125,7 @@ impl<'a> Lookahead<'a> {
         let region = region.clone();
         let (queue, spare_pages) = (Mutex::default(), AtomicU64::new(0));
         let threads = threads.max(1);
-        let stop = world.absorption.stop_transmittance;
+        let stop = world.absorption.stop_transmittance as f32;
         let seen = world.program.clouds().filter(|volume| volume.header().points > 0);
         let clouds: Vec<_> = seen.map(|volume| (volume, Expected::new(volume, stop))).collect();
         let page_bytes = clouds.iter().map(|(v, _)| u64::from(v.header().page_bytes)).max().unwrap_or(1);
@@ -222,10 +222,10 @@ impl<'a> Lookahead<'a> {
 
     /// Pages of the budget that the blocks being traced do not need themselves.
     fn spare(&self, queue: &mut Queue, here: u32) -> u64 {
-        let past = queue.columns.iter().take_while(|&&(block, _)| block < here).count();
-        queue.columns.drain(..past);
+        let past = queue.demands.iter().take_while(|&&(block, _)| block < here).count();
+        queue.demands.drain(..past);
         // Columns are taken over page by page, and threads may be in different ones.
-        let columns = queue.columns.iter().take(self.threads).map(|&(_, pages)| pages);
+        let columns = queue.demands.iter().take(self.threads).map(|&(_, pages)| pages);
         let budget = self.world.pages.budget_bytes() / self.page_bytes;
         let spare = budget.saturating_sub(columns.sum());
         self.spare_pages.store(spare, Ordering::Relaxed);
@@ -289,7 +289,8 @@ impl<'a> Lookahead<'a> {
         let rays = self.rays_of(i, j);
         let (mut complete, mut pages) = (true, 0);
         for (volume, expected) in &self.clouds {
-            let mut view = View { ahead: self, volume, queue, at, absent_nodes: Vec::new(), pages: 0 };
+            let mut view =
+                View { ahead: self, volume, queue, at, absent_nodes: Vec::new(), pages: 0, opened: 1 };
             let root = volume.header().root;
             match view.node_at(root.page, root.index) {
                 Some(root) => {
@@ -304,7 +305,7 @@ impl<'a> Lookahead<'a> {
             complete &= absent.is_empty();
         }
         if complete {
-            queue.columns.push_back((at, pages));
+            queue.demands.push_back((at, pages));
         }
         complete
     }
@@ -334,6 +335,7 @@ struct View<'v, 'a> {
     absent_nodes: Vec<u32>,
     /// Pages wanted, each counted for every node that has points in it.
     pages: u64,
+    opened: u64,
 }
 
 impl View<'_, '_> {
@@ -353,7 +355,12 @@ impl Terrain for View<'_, '_> {
         let first = node.first_child;
         for k in 0..node.child_mask.count_ones() as u16 {
             match self.node_at(first.page, first.index + k) {
-                Some(child) => found.push(child),
+                // What is no tree is for the rays to find out.
+                Some(child) if !child.is_child_of(node) || self.opened >= self.volume.most_nodes() => return,
+                Some(child) => {
+                    self.opened += 1;
+                    found.push(child);
+                }
                 None => return self.absent_nodes.push(self.volume.first_node_page + first.page),
             }
         }

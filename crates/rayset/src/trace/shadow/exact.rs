@@ -69,7 +69,7 @@ impl<'a> ShadowRays<'a> {
                     let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
                     self.trace(access, &rays, group.step, counts)?;
                     for (place, to) in rays.iter().enumerate() {
-                        rows[to.lane].0[j] = self.states[place].transmittance;
+                        rows[to.lane].0[j] = self.states[place].transmittance as f32;
                     }
                 }
             }

@@ -13,6 +13,7 @@ mod storage;
 mod uring;
 
 use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 pub use self::delayed::Delayed;
@@ -40,7 +41,9 @@ pub struct Read {
 impl Read {
     /// Carries the request out on the calling thread.
     pub fn run(mut self) {
-        let outcome = self.storage.read_exact_at(self.buffer.bytes_mut(), self.offset);
+        // A storage is anybody's: one that panics must not leave threads waiting for ever.
+        let read = AssertUnwindSafe(|| self.storage.read_exact_at(self.buffer.bytes_mut(), self.offset));
+        let outcome = catch_unwind(read).unwrap_or_else(|_| Err(io::Error::other("the storage panicked")));
         (self.done)(self.buffer, outcome);
     }
 }

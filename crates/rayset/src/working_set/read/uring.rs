@@ -2,11 +2,12 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::os::fd::AsRawFd;
+use std::os::fd::{AsRawFd, OwnedFd};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use io_uring::{IoUring, opcode, types};
+use rustix::event::{EventfdFlags, eventfd};
 
 use super::{Read, ReadBackend};
 
@@ -15,14 +16,22 @@ struct Queue {
     reads: VecDeque<Read>,
     /// The thread has nothing to do and has to be woken.
     asleep: bool,
+    /// The thread waits for reads to end, and would start others at once if told of them.
+    reaping: bool,
     closed: bool,
 }
 
-#[derive(Default)]
 struct Shared {
     queue: Mutex<Queue>,
     filled: Condvar,
+    /// Tells a thread that is in the kernel of new reads.
+    bell: OwnedFd,
 }
+
+/// What to wait for: that the bell can be read.
+const POLLIN: u32 = 1;
+/// Marks the completion of a wait for the bell.
+const BELL: u64 = u64::MAX;
 
 /// Reads through io_uring.
 pub struct Uring {
@@ -36,17 +45,23 @@ impl Uring {
     /// # Errors
     /// What the system says; old kernels and some containers have no io_uring.
     pub fn new(depth: u32) -> io::Result<Self> {
-        let ring = IoUring::new(depth.next_power_of_two())?;
+        // One more for the bell.
+        let ring = IoUring::new((depth + 1).next_power_of_two())?;
         let mut probe = io_uring::Probe::new();
         ring.submitter().register_probe(&mut probe)?;
-        if !probe.is_supported(opcode::Read::CODE) {
+        if !probe.is_supported(opcode::Read::CODE) || !probe.is_supported(opcode::PollAdd::CODE) {
             return Err(io::Error::new(io::ErrorKind::Unsupported, "this kernel's io_uring cannot read"));
         }
-        let shared = Arc::new(Shared::default());
-        let queue = shared.clone();
-        let thread = std::thread::Builder::new().name("rayset-uring".into()).stack_size(128 << 10).spawn(
-            move || Driver { ring, flight: (0..depth).map(|_| None).collect(), flying: 0 }.serve(&queue),
-        )?;
+        // Some systems let a ring be made and then forbid its use.
+        ring.submit()?;
+        let bell = eventfd(0, EventfdFlags::CLOEXEC)?;
+        let shared = Arc::new(Shared { queue: Mutex::default(), filled: Condvar::new(), bell });
+        let of_thread = shared.clone();
+        let flight = (0..depth).map(|_| None).collect();
+        let thread = std::thread::Builder::new()
+            .name("rayset-uring".into())
+            .stack_size(128 << 10)
+            .spawn(move || Driver { ring, shared: of_thread, flight, flying: 0, listening: false }.serve())?;
         Ok(Self { shared, thread: vec![thread] })
     }
 }
@@ -54,12 +69,16 @@ impl Uring {
 /// The thread's own state. Requests in `flight` own the memory that the kernel writes to.
 struct Driver {
     ring: IoUring,
+    shared: Arc<Shared>,
     flight: Vec<Option<Read>>,
     flying: usize,
+    /// A wait for the bell is in the ring.
+    listening: bool,
 }
 
 impl Driver {
-    fn serve(mut self, shared: &Shared) {
+    fn serve(mut self) {
+        let shared = self.shared.clone();
         loop {
             let mut queue = shared.queue.lock().unwrap_or_else(PoisonError::into_inner);
             while queue.reads.is_empty() && self.flying == 0 {
@@ -73,12 +92,35 @@ impl Driver {
             let room = self.flight.len() - self.flying;
             let count = room.min(queue.reads.len());
             let batch: Vec<Read> = queue.reads.drain(..count).collect();
+            // With no room for more there is nothing to be told.
+            queue.reaping = self.flying + count < self.flight.len();
             drop(queue);
             batch.into_iter().for_each(|read| self.start(read));
             if self.flying > 0 {
+                self.listen();
                 self.reap();
             }
         }
+    }
+
+    /// Has the ring complete a request when the bell rings.
+    fn listen(&mut self) {
+        if self.listening {
+            return;
+        }
+        let bell = types::Fd(self.shared.bell.as_raw_fd());
+        let entry = opcode::PollAdd::new(bell, POLLIN).build().user_data(BELL);
+        // SAFETY: the entry refers to no memory, and to a file that `shared` keeps open as long as the ring lives. The
+        // queue has room for one entry besides those of `flight`, and no second wait is ever in it.
+        self.listening = unsafe { self.ring.submission().push(&entry) }.is_ok();
+    }
+
+    /// The bell has rung: silences it.
+    fn heard(&mut self) {
+        self.listening = false;
+        let mut count = [0; 8];
+        // It holds a count, so this does not wait; what it was does not matter.
+        let _ = rustix::io::read(&self.shared.bell, &mut count);
     }
 
     fn start(&mut self, mut read: Read) {
@@ -97,8 +139,8 @@ impl Driver {
         self.flying += 1;
         // SAFETY: the entry points into the buffer and names the file of `self.flight[place]`, both of which stay
         // alive and untouched until the completion of this very request is reaped: `flight[place]` is cleared only
-        // in `finish`, and `Driver` is dropped only when nothing is flying. The queue has room for `flight.len()`
-        // entries, and no more are ever unsubmitted.
+        // in `finish`, and dropping the `Driver`, also when unwinding, first waits until nothing is flying. The queue has
+        // room for `flight.len()` entries besides the wait for the bell, and no more are ever unsubmitted.
         let pushed = unsafe { self.ring.submission().push(&entry) };
         if pushed.is_err() {
             self.fall_back(place);
@@ -118,7 +160,7 @@ impl Driver {
         }
         let done: Vec<(u64, i32)> = self.ring.completion().map(|c| (c.user_data(), c.result())).collect();
         for (place, result) in done {
-            self.finish(place as usize, result);
+            if place == BELL { self.heard() } else { self.finish(place as usize, result) }
         }
     }
 
@@ -144,14 +186,27 @@ impl Driver {
     }
 }
 
+impl Drop for Driver {
+    fn drop(&mut self) {
+        // The kernel may still write to the buffers of what is flying.
+        while self.flying > 0 {
+            self.reap();
+        }
+    }
+}
+
 impl ReadBackend for Uring {
     fn submit(&self, batch: Vec<Read>) {
         let mut queue = self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner);
         queue.reads.extend(batch);
         let asleep = queue.asleep;
+        let reaping = std::mem::take(&mut queue.reaping);
         drop(queue);
         if asleep {
             self.shared.filled.notify_one();
+        } else if reaping {
+            // Any number rings. Should it fail, the reads start when one that is flying ends.
+            let _ = rustix::io::write(&self.shared.bell, &1_u64.to_le_bytes());
         }
     }
 
