@@ -8,7 +8,10 @@ use std::sync::Arc;
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
+use rayset::octree::format::{BLOCK_BYTES, Footer, Header, NodeRef, PAGE_HEAD_BYTES, PageHead, PageKind};
+use rayset::octree::node::{NODE_BYTES, Node, NodePage, RunRange};
 use rayset::octree::verify::{Depth, verify};
+use rayset::points::ArraySource;
 use rayset::trace::ExecSettings;
 
 use crate::common::{build_at, camera, folder, mixed_points, paged, picture, scene, settings};
@@ -109,4 +112,48 @@ fn a_render_over_a_damaged_page_fails_and_says_where() {
         }
     }
     assert!(failed > 0, "no page was needed");
+}
+
+#[test]
+fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let points = ArraySource::new(vec![[0.0; 3], [0.1; 3]], vec![("radius", vec![0.5, 0.5])]);
+    let cloud = build_at(&path, Box::new(points), &BuildOptions::default());
+    let header = cloud.header().clone();
+    let mut bytes = std::fs::read(&path).expect("the file reads");
+    // Groups of eight records, each of which has the whole group before it for children: 8^20 ways down.
+    let at = header.page_offset(header.point_pages) as usize;
+    let page = &mut bytes[at..at + header.page_bytes as usize];
+    let leaf = NodePage::trusted(page).get(usize::from(header.root.index)).expect("a root");
+    for levels_are_right in [false, true] {
+        const LEVELS: u16 = 20;
+        let mut records = vec![Node { level: if levels_are_right { LEVELS as u8 } else { 0 }, ..leaf }; 8];
+        for group in 0..LEVELS {
+            let level = if levels_are_right { (LEVELS - 1 - group) as u8 } else { 0 };
+            let first_child = NodeRef { page: 0, index: 8 * group };
+            let own = RunRange::default();
+            records.extend(vec![Node { own, child_mask: 0xff, first_child, level, ..leaf }; 8]);
+        }
+        let page = &mut bytes[at..at + header.page_bytes as usize];
+        for (i, node) in records.iter().enumerate() {
+            node.encode(&mut page[PAGE_HEAD_BYTES + i * NODE_BYTES..][..NODE_BYTES]);
+        }
+        let used_bytes = (PAGE_HEAD_BYTES + records.len() * NODE_BYTES) as u32;
+        let records_head = records.len() as u32;
+        PageHead { kind: PageKind::Octree, page: header.point_pages, records: records_head, used_bytes }
+            .seal(page);
+        let root = NodeRef { page: 0, index: records.len() as u16 - 1 };
+        let block = Header { root, nodes: u64::MAX, ..header.clone() }.encode();
+        bytes[..BLOCK_BYTES].copy_from_slice(&block);
+        let end = bytes.len() - BLOCK_BYTES;
+        bytes[end..].copy_from_slice(&Footer::new(&block, cloud.footer().digest).encode());
+        std::fs::write(&path, &bytes).expect("a write");
+        let cloud = Arc::new(Cloud::open(&path).expect("every checksum is right"));
+        let scene = scene(&cloud, Kernel::Wyvill, false);
+        let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
+        let outcome = picture(&scene, &camera(), &settings(8, 8), &exec, &paged(&scene, 1 << 30));
+        let message = outcome.expect_err("no tree is walked for ever").to_string();
+        assert!(message.contains("octree") && message.contains("c.rset"), "{message}");
+    }
 }

@@ -83,6 +83,16 @@ fn a_picture_larger_than_the_budget_goes_out_in_bands_and_is_the_same() {
 }
 
 #[test]
+fn the_budget_holds_where_every_ray_meets_every_point() {
+    let folder = folder();
+    rayset(folder.path(), &["generate", "cube-2m", "-o", "p.ply"]);
+    rayset(folder.path(), &["build", "p.ply", "-o", "c.rset", "--radius", "1.5", "--memory", "64MiB"]);
+    let look = ["--memory", "12MiB", "--threads", "2", "--size", "8x8", "--opacity", "extinction:1e-7"];
+    let stats = render(folder.path(), &look);
+    assert!(number(&stats, "peak_rss_bytes") <= 12.0 * MIB, "{stats}");
+}
+
+#[test]
 fn the_bunny_builds_and_renders_under_20_megabytes() {
     let Some(scan) = real_data("scan/bun_zipper.ply") else {
         eprintln!("skipped: the scan of the bunny is not here");

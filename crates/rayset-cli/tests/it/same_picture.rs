@@ -4,8 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use rayset::field::Kernel;
+use rayset::geometry::DVec3;
 use rayset::octree::build::BuildOptions;
-use rayset::scene::{Phase, RenderSettings, Scene, Step};
+use rayset::points::ArraySource;
+use rayset::scene::{Camera, Phase, RenderSettings, Scene, Step};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, Region, WholePicture, render, render_region};
@@ -106,6 +108,26 @@ fn the_picture_is_the_same_for_every_tile_slab_and_band() {
             );
         }
     }
+}
+
+#[test]
+fn steps_that_single_precision_cannot_count_give_the_same_picture_for_every_slab() {
+    let folder = folder();
+    // A run as long as a hundred radii, and a step of which forty million lie across it.
+    let position = (0..128).map(|i| [f64::from(i) - 64.0, 0.0, 0.0]).collect();
+    let source = ArraySource::new(position, vec![("radius", vec![1.0; 128])]);
+    let cloud = build_at(&folder.path().join("long.rset"), Box::new(source), &BuildOptions::default());
+    let scene = scene(&cloud, Kernel::Wyvill, false);
+    let settings = RenderSettings { step: Step::Fixed(3e-6), stop_transmittance: 0.9999, ..settings(4, 4) };
+    let eye = Camera::look_at(DVec3::new(0.0, 0.2, 1.0001), DVec3::ZERO, DVec3::Y, 0.02);
+    let set = paged(&scene, 1 << 30);
+    let mut pictures = [32, 31, 7].map(|slab_samples| {
+        let exec = ExecSettings { slab_samples, ..exec(2) };
+        bits(&picture(&scene, &eye, &settings, &exec, &set).expect("a picture"))
+    });
+    assert!(f32::from_bits(pictures[0][5][3]) > 0.0);
+    pictures.sort_unstable();
+    assert!(pictures[0] == pictures[2]);
 }
 
 #[test]
