@@ -8,6 +8,7 @@ mod build_is_pure;
 mod common;
 mod edges;
 mod golden;
+mod graph;
 mod house;
 mod interrupted;
 mod memory;

@@ -24,6 +24,7 @@ pub struct Packet {
     /// Distance between samples in the packet's space.
     pub(super) step: [f64; LANES],
     pub(super) step_f32: [f32; LANES],
+    pub(super) per_step: [f64; LANES],
     /// Offset of the lattice, ξ in [0, 1).
     pub(super) phase: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
@@ -47,6 +48,7 @@ impl Packet {
             scale: [1.0; LANES],
             step: [step_world; LANES],
             step_f32: [step_world as f32; LANES],
+            per_step: [1.0 / step_world; LANES],
             phase: [0.0; LANES],
             direction_f32: [[0.0; LANES]; 3],
             inverse_direction: [[0.0; LANES]; 3],
@@ -88,6 +90,7 @@ impl Packet {
             local.scale[lane] = self.scale[lane] * scale;
             local.step[lane] = self.step[lane] * scale;
             local.step_f32[lane] = local.step[lane] as f32;
+            local.per_step[lane] = 1.0 / local.step[lane];
         }
         local
     }

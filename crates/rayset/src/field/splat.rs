@@ -197,7 +197,7 @@ impl Frames {
             frames.foot[0][lane] = (x + t_foot * d[0][lane]) as f32;
             frames.foot[1][lane] = (y + t_foot * d[1][lane]) as f32;
             frames.foot[2][lane] = (z + t_foot * d[2][lane]) as f32;
-            let nearest = (t_foot * (1.0 / packet.step[lane])).floor();
+            let nearest = (t_foot * packet.per_step[lane]).floor();
             frames.first_sample[lane] = (first - nearest) as f32;
             frames.sample_zero[lane] = ((nearest + packet.phase[lane]) * packet.step[lane] - t_foot) as f32;
         }

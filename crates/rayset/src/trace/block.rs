@@ -67,6 +67,7 @@ impl Live {
 pub(super) type Rows = Vec<SampleRow>;
 
 /// One node at the samples of a slab.
+#[derive(Debug)]
 pub(super) struct Block {
     /// Lanes whose rows hold anything; everywhere else the opacity is 0 and the boundary far.
     pub(super) touched: u64,
@@ -394,5 +395,110 @@ pub(super) fn each_lane(mut lanes: u64, mut f: impl FnMut(usize)) {
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;
         f(lane);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const WANTS: Wants = Wants { color: true, normal: false, boundary: false, material: false };
+
+    /// One lane of opacities of few values, so that ties are common, each with a colour that tells where it is from.
+    fn block() -> impl Strategy<Value = Block> {
+        let opacity = prop::sample::select(vec![0.0, 0.25, 0.5, 0.75, MAX_OPACITY as f32]);
+        (prop::collection::vec(opacity, SLAB_SAMPLES), 0.0_f32..1.0).prop_map(|(opacities, color)| {
+            let mut block = Block::new(WANTS);
+            block.touched = 1;
+            block.opacity[0].0.copy_from_slice(&opacities);
+            block.color.iter_mut().for_each(|rows| rows[0].0.fill(color));
+            block
+        })
+    }
+
+    fn copy(of: &Block) -> Block {
+        let mut copy = Block::new(WANTS);
+        copy.copy_from(of, WANTS);
+        copy
+    }
+
+    fn union(a: &Block, b: &Block) -> Block {
+        let mut out = copy(a);
+        out.unite(b, WANTS);
+        out
+    }
+
+    fn intersection(a: &Block, b: &Block) -> Block {
+        let mut children = [copy(a), copy(b)];
+        Block::intersect(&mut children, WANTS);
+        let [first, _] = children;
+        first
+    }
+
+    fn difference(a: &Block, b: &Block) -> Block {
+        let mut out = copy(a);
+        out.subtract(b, WANTS, 1.0);
+        out
+    }
+
+    fn blend(blocks: &[&Block]) -> Block {
+        let mut out = Block::new(WANTS);
+        for (place, block) in blocks.iter().enumerate() {
+            out.add(block, WANTS, place == 0);
+        }
+        out.finish_blend(WANTS);
+        out
+    }
+
+    fn opacities(block: &Block) -> [f32; SLAB_SAMPLES] {
+        if block.touched == 1 { block.opacity[0].0 } else { [0.0; SLAB_SAMPLES] }
+    }
+
+    /// Colours where there is anything.
+    fn colors(block: &Block) -> Vec<Option<f32>> {
+        let color = |j: usize| (opacities(block)[j] > 0.0).then(|| block.color[0][0].0[j]);
+        (0..SLAB_SAMPLES).map(color).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn opacity_under_union_and_intersection_is_a_distributive_lattice(a in block(), b in block(), c in block()) {
+            let equal = |x: Block, y: Block| opacities(&x) == opacities(&y);
+            prop_assert!(equal(union(&a, &b), union(&b, &a)));
+            prop_assert!(equal(intersection(&a, &b), intersection(&b, &a)));
+            prop_assert!(equal(union(&a, &union(&b, &c)), union(&union(&a, &b), &c)));
+            prop_assert!(equal(intersection(&a, &intersection(&b, &c)), intersection(&intersection(&a, &b), &c)));
+            prop_assert!(equal(union(&a, &intersection(&a, &b)), copy(&a)));
+            prop_assert!(equal(intersection(&a, &union(&a, &b)), copy(&a)));
+            prop_assert!(equal(
+                intersection(&a, &union(&b, &c)),
+                union(&intersection(&a, &b), &intersection(&a, &c))
+            ));
+        }
+
+        #[test]
+        fn attributes_of_union_are_associative(a in block(), b in block(), c in block()) {
+            prop_assert_eq!(colors(&union(&a, &union(&b, &c))), colors(&union(&union(&a, &b), &c)));
+        }
+
+        #[test]
+        fn nothing_taken_away_leaves_all_and_all_taken_away_leaves_nothing(a in block()) {
+            let nothing = Block::new(WANTS);
+            prop_assert_eq!(opacities(&difference(&a, &nothing)), opacities(&a));
+            prop_assert_eq!(colors(&difference(&a, &nothing)), colors(&a));
+            prop_assert_eq!(opacities(&difference(&a, &a)), [0.0; SLAB_SAMPLES]);
+        }
+
+        #[test]
+        fn blend_is_associative_up_to_rounding_and_clamped_once(a in block(), b in block(), c in block()) {
+            let at_once = opacities(&blend(&[&a, &b, &c]));
+            let nested = opacities(&blend(&[&blend(&[&a, &b]), &c]));
+            for j in 0..SLAB_SAMPLES {
+                prop_assert!((at_once[j] - nested[j]).abs() < 1e-6);
+                let sum = opacities(&a)[j] + opacities(&b)[j] + opacities(&c)[j];
+                prop_assert!((at_once[j] - sum.min(MAX_OPACITY as f32)).abs() < 1e-6);
+            }
+        }
     }
 }

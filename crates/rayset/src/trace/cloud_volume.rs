@@ -9,7 +9,7 @@ use super::RenderError;
 use super::access::{Access, Halt, POINT_PRIORITY};
 use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize};
 use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, run_bounds};
-use super::math::{exp_minus, ln};
+use super::math::{absorbed, ln};
 use super::packet_tracer::RenderCounts;
 use super::transfer::ColorTable;
 use crate::field::{
@@ -317,20 +317,34 @@ fn turn(
     distance
 }
 
+// Loops, not `map`: the compiler leaves closures out of functions that are compiled for other instruction sets.
+
 #[inline(always)]
 fn thickness_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
-    // A density that is negative or not a number absorbs nothing.
-    SampleRow(density.0.map(|d| if d > 0.0 { (per_density * d).min(MAX_THICKNESS) } else { 0.0 }))
+    let mut thickness = SampleRow([0.0; SLAB_SAMPLES]);
+    for (t, &d) in thickness.0.iter_mut().zip(&density.0) {
+        // A density that is negative or not a number absorbs nothing.
+        *t = if d > 0.0 { (per_density * d).min(MAX_THICKNESS) } else { 0.0 };
+    }
+    thickness
 }
 
 #[inline(always)]
 fn opacity_of_thickness(thickness: &SampleRow) -> SampleRow {
-    SampleRow(thickness.0.map(|t| (1.0 - exp_minus(t)).min(MAX_OPACITY as f32)))
+    let mut opacity = SampleRow([0.0; SLAB_SAMPLES]);
+    for (o, &t) in opacity.0.iter_mut().zip(&thickness.0) {
+        *o = absorbed(t).min(MAX_OPACITY as f32);
+    }
+    opacity
 }
 
 #[inline(always)]
 fn thickness_of_opacity(opacity: &SampleRow) -> SampleRow {
-    SampleRow(opacity.0.map(|o| if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 }))
+    let mut thickness = SampleRow([0.0; SLAB_SAMPLES]);
+    for (t, &o) in thickness.0.iter_mut().zip(&opacity.0) {
+        *t = if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
+    }
+    thickness
 }
 
 /// One packet on its way through one cloud.

@@ -108,5 +108,9 @@ impl Absorption {
 /// The part of the light that each sample's step takes.
 #[inline(always)]
 fn taken(thickness: &SampleRow, step_units: f32) -> SampleRow {
-    SampleRow(thickness.0.map(|t| absorbed(t * step_units)))
+    let mut taken = SampleRow([0.0; SLAB_SAMPLES]);
+    for (a, &t) in taken.0.iter_mut().zip(&thickness.0) {
+        *a = absorbed(t * step_units);
+    }
+    taken
 }

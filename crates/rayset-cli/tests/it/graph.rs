@@ -1,0 +1,272 @@
+//! Scene graphs: every operator, transform, leaf and light, against the judge.
+
+use std::sync::Arc;
+
+use rayset::field::Kernel;
+use rayset::geometry::{DAffine3, DMat3, DQuat, DVec3};
+use rayset::octree::build::BuildOptions;
+use rayset::scene::{
+    Channel, ColorMap, Form, Light, LightKind, Lighting, Material, Node, NoiseCloud, Operator, Pattern,
+    RenderSettings, Scene, Shape, Solid, Step, Transfer,
+};
+use rayset::trace::judge::Judge;
+
+use crate::common::{bits, build_at, camera, folder, look, mixed_points, plain_picture, settings};
+
+/// Pixels may differ by this in linear light, save for one in a thousand.
+const PIXEL_BOUND: f64 = 1.0 / 1024.0;
+const SIDE: u32 = 40;
+const STEP: f64 = 0.03;
+
+fn solid(form: Form, color: [f64; 3]) -> Node {
+    Node::new(Shape::Procedural(Arc::new(Solid::new(form).colored(color))))
+}
+
+fn soft(form: Form, color: [f64; 3], edge: f64) -> Node {
+    Node::new(Shape::Procedural(Arc::new(Solid { edge, opacity: 0.7, ..Solid::new(form).colored(color) })))
+}
+
+fn light(kind: LightKind, color: [f32; 3], shadow: bool) -> Light {
+    Light { kind, color, shadow }
+}
+
+fn turned_and_stretched() -> DAffine3 {
+    let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize(), 0.7);
+    DAffine3::from_scale_rotation_translation(DVec3::new(0.6, 1.1, 0.8), turn, DVec3::new(0.2, -0.1, 0.3))
+}
+
+fn mirrored() -> DAffine3 {
+    DAffine3::from_mat3_translation(
+        DMat3::from_cols(DVec3::NEG_X, DVec3::Y, DVec3::new(0.2, 0.0, 0.9)),
+        DVec3::new(-0.1, 0.2, 0.0),
+    )
+}
+
+fn scene(root: Node, lights: Vec<Light>) -> Scene {
+    Scene {
+        root: Arc::new(root),
+        lighting: if lights.is_empty() { Lighting::headlight() } else { Lighting::Lit(lights) },
+        background: None,
+        unit_distance: 0.15,
+    }
+}
+
+/// Every pixel of a small picture against the judge.
+fn check(what: &str, scene: &Scene, wrong_allowed: usize) {
+    let settings = RenderSettings { step: Step::Fixed(STEP), ..settings(SIDE, SIDE) };
+    let found = plain_picture(scene, &settings);
+    let judge = Judge::load(scene).expect("the clouds read");
+    let (mut covered, mut wrong) = (0, 0);
+    for y in 0..SIDE {
+        for x in 0..SIDE {
+            let exact = judge.pixel(&camera(), &settings, STEP, x, y).expect("a camera");
+            let pixel = found[(y * SIDE + x) as usize];
+            covered += usize::from(exact[3] > 0.05);
+            let worst = (0..4).map(|c| (f64::from(pixel[c]) - exact[c]).abs()).fold(0.0, f64::max);
+            wrong += usize::from(worst > PIXEL_BOUND || worst.is_nan());
+        }
+    }
+    assert!(covered > 50, "{what}: only {covered} pixels show anything");
+    assert!(wrong <= wrong_allowed, "{what}: {wrong} pixels differ");
+}
+
+struct Parts {
+    _folder: tempfile::TempDir,
+    cloud: Node,
+    other: Node,
+}
+
+fn parts() -> Parts {
+    let folder = folder();
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    let first = build_at(&folder.path().join("a.rset"), Box::new(mixed_points(700, 1.0, 31)), &options);
+    let second = build_at(&folder.path().join("b.rset"), Box::new(mixed_points(500, 2.0, 32)), &options);
+    let node = |cloud, kernel| Node::new(Shape::Cloud(look(cloud, kernel)));
+    Parts { cloud: node(&first, Kernel::Wyvill), other: node(&second, Kernel::Triweight), _folder: folder }
+}
+
+#[test]
+fn every_operator_over_clouds_and_solids_agrees_with_the_judge() {
+    let Parts { cloud, other, _folder } = parts();
+    let ball = || solid(Form::Sphere { radius: 0.7 }, [0.8, 0.3, 0.2]);
+    let block = || soft(Form::Box { size: DVec3::new(0.8, 0.9, 1.0) }, [0.2, 0.5, 0.9], 0.2);
+    for operator in [Operator::Union, Operator::Intersection, Operator::Difference, Operator::Blend] {
+        let name = operator.name();
+        check(
+            &format!("{name} of clouds"),
+            &scene(Node::operator(operator, [cloud.clone(), other.clone()]), vec![]),
+            2,
+        );
+        check(
+            &format!("{name} of a cloud and a ball"),
+            &scene(Node::operator(operator, [cloud.clone(), ball().moved(mirrored())]), vec![]),
+            2,
+        );
+        check(
+            &format!("{name} of solids"),
+            &scene(
+                Node::operator(
+                    operator,
+                    [ball(), block().moved(DAffine3::from_translation(DVec3::splat(0.3)))],
+                ),
+                vec![],
+            ),
+            2,
+        );
+        let three = [ball(), block(), cloud.clone()];
+        check(&format!("{name} of three"), &scene(Node::operator(operator, three), vec![]), 2);
+    }
+}
+
+#[test]
+fn nested_graphs_with_shared_nodes_agree_with_the_judge() {
+    let Parts { cloud, other, _folder } = parts();
+    let shared = Arc::new(cloud);
+    let hole = solid(Form::Cylinder { radius: 0.4, height: 3.0 }, [0.3, 0.9, 0.4]);
+    let slot = solid(Form::Box { size: DVec3::new(3.0, 0.2, 3.0) }, [0.9, 0.9, 0.2]);
+    let cut = Node::new(Shape::Operator(
+        Operator::Difference,
+        vec![shared.clone(), Arc::new(Node::operator(Operator::Union, [hole, slot]))],
+    ));
+    let both = Node::new(Shape::Operator(
+        Operator::Union,
+        vec![Arc::new(cut.moved(turned_and_stretched())), shared.clone(), Arc::new(other.moved(mirrored()))],
+    ));
+    check("a cut, moved copy beside the original", &scene(both, vec![]), 3);
+}
+
+#[test]
+fn every_transform_of_a_cloud_agrees_with_the_judge() {
+    let Parts { cloud, _folder, .. } = parts();
+    for (name, transform) in [
+        ("moved", DAffine3::from_translation(DVec3::new(0.4, 0.2, -0.6))),
+        ("shrunk", DAffine3::from_scale(DVec3::splat(0.5))),
+        ("turned and stretched", turned_and_stretched()),
+        ("mirrored and sheared", mirrored()),
+    ] {
+        check(name, &scene(cloud.clone().moved(transform), vec![]), 2);
+    }
+}
+
+#[test]
+fn every_procedural_field_agrees_with_the_judge() {
+    let checker = Pattern::Checker { colors: [[0.9, 0.9, 0.9], [0.1, 0.2, 0.5]], size: 0.3 };
+    let gradient = Pattern::Gradient {
+        from: DVec3::new(-0.5, -0.5, 0.0),
+        to: DVec3::new(0.5, 0.5, 0.0),
+        map: ColorMap::named("viridis".parse().expect("a map"), (0.0, 1.0)),
+    };
+    let forms = [
+        Form::Sphere { radius: 0.8 },
+        Form::Box { size: DVec3::new(1.2, 0.7, 0.9) },
+        Form::Cylinder { radius: 0.5, height: 1.1 },
+        Form::Cone { radius: 0.7, height: 1.2 },
+        Form::Torus { major: 0.6, minor: 0.2 },
+        Form::Ellipsoid { radii: DVec3::new(0.9, 0.4, 0.6) },
+    ];
+    for (i, form) in forms.into_iter().enumerate() {
+        let pattern = if i % 2 == 0 { checker.clone() } else { gradient.clone() };
+        let solid = Solid { form, opacity: 0.9, edge: if i % 3 == 0 { 0.0 } else { 0.15 }, pattern };
+        let node = Node::new(Shape::Procedural(Arc::new(solid)));
+        check(&format!("{form:?}"), &scene(node.moved(turned_and_stretched()), vec![]), 2);
+    }
+    let noise = NoiseCloud {
+        radii: DVec3::new(1.0, 0.8, 0.9),
+        scale: 0.5,
+        octaves: 4,
+        roughness: 0.5,
+        opacity: 0.4,
+        cover: 0.7,
+        seed: 3,
+        pattern: gradient,
+    };
+    check("noise", &scene(Node::new(Shape::Procedural(Arc::new(noise))), vec![]), 2);
+    let half = solid(Form::HalfSpace { normal: DVec3::new(0.6, 0.8, 0.0), offset: 0.1 }, [0.4, 0.6, 0.3]);
+    let ball = solid(Form::Sphere { radius: 0.8 }, [0.8, 0.7, 0.3]);
+    check("half a ball", &scene(Node::operator(Operator::Intersection, [half, ball]), vec![]), 2);
+}
+
+#[test]
+fn transfer_functions_and_materials_at_any_node_agree_with_the_judge() {
+    let Parts { cloud, other, _folder } = parts();
+    let shiny = Material { specular: 0.6, shininess: 12.5, diffuse: 0.5, ..Material::default() };
+    let faded =
+        Transfer::Opacity { input: Channel::Opacity, curve: vec![(0.0, 0.0), (0.4, 0.6), (1.0, 0.3)] };
+    let by_red = Transfer::Color {
+        input: Channel::Red,
+        map: ColorMap::named("inferno".parse().expect("a map"), (0.0, 0.8)),
+    };
+    let mut blend = Node::operator(Operator::Blend, [cloud.of(shiny), other]);
+    blend.transfers = vec![faded, by_red];
+    check("a blend of materials, faded and mapped", &scene(blend.clone(), vec![]), 2);
+    let block =
+        solid(Form::Box { size: DVec3::splat(0.9) }, [0.6, 0.5, 0.4]).of(Material { ambient: 0.6, ..shiny });
+    check("and a block cut into it", &scene(Node::operator(Operator::Difference, [block, blend]), vec![]), 3);
+}
+
+#[test]
+fn every_light_and_exact_shadow_agrees_with_the_judge() {
+    let Parts { cloud, _folder, .. } = parts();
+    let small = cloud.moved(DAffine3::from_scale_rotation_translation(
+        DVec3::splat(0.4),
+        DQuat::IDENTITY,
+        DVec3::new(0.0, 0.4, 0.2),
+    ));
+    let floor = solid(Form::Box { size: DVec3::new(2.0, 0.2, 2.0) }, [0.8, 0.8, 0.7])
+        .moved(DAffine3::from_translation(DVec3::new(0.0, -0.7, 0.0)));
+    let veil = soft(Form::Sphere { radius: 0.3 }, [0.3, 0.6, 0.9], 0.3)
+        .moved(DAffine3::from_translation(DVec3::new(-0.5, 0.1, 0.3)));
+    let root = Node::operator(Operator::Union, [small, floor, veil]);
+    let down = LightKind::Directional { direction: DVec3::new(0.3, -1.0, -0.4) };
+    let lamp = |decays| LightKind::Point { position: DVec3::new(-0.8, 1.2, 0.9), decays };
+    let ambient = light(LightKind::Ambient, [0.5, 0.5, 0.6], false);
+    for (name, lights) in [
+        ("ambient", vec![ambient]),
+        ("directional", vec![ambient, light(down, [0.9, 0.8, 0.7], true)]),
+        ("point", vec![light(lamp(true), [1.5, 1.4, 1.2], true)]),
+        ("unshadowed", vec![light(down, [0.5; 3], false), light(lamp(false), [0.3, 0.4, 0.5], false)]),
+        ("all", vec![ambient, light(down, [0.4; 3], true), light(lamp(false), [0.4, 0.3, 0.3], true)]),
+    ] {
+        check(name, &scene(root.clone(), lights), 4);
+    }
+    let inside =
+        light(LightKind::Point { position: DVec3::new(0.0, -0.2, 0.2), decays: true }, [0.3; 3], true);
+    check("a light among the objects", &scene(root, vec![inside]), 4);
+}
+
+#[test]
+fn twenty_leaves_over_one_cloud_use_the_pages_of_one() {
+    let folder = folder();
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    let cloud = build_at(&folder.path().join("c.rset"), Box::new(mixed_points(8000, 1.0, 33)), &options);
+    let leaf = Arc::new(Node::new(Shape::Cloud(look(&cloud, Kernel::Wyvill))));
+    let place = |i: u32| {
+        let at = DVec3::new(f64::from(i % 5) - 2.0, f64::from(i / 5) - 1.5, 0.0) * 0.45;
+        let moved = DAffine3::from_scale_rotation_translation(
+            DVec3::splat(0.2),
+            DQuat::from_rotation_y(f64::from(i)),
+            at,
+        );
+        Arc::new(Node {
+            parent_from_local: moved,
+            ..Node::new(Shape::Operator(Operator::Union, vec![leaf.clone()]))
+        })
+    };
+    let root = Node::new(Shape::Operator(Operator::Union, (0..20).map(place).collect()));
+    let scene = scene(root, vec![]);
+    let exec = rayset::trace::ExecSettings { threads: 2, ..Default::default() };
+    let paged = crate::common::paged(&scene, 1 << 30);
+    let picture =
+        crate::common::picture(&scene, &camera(), &settings(64, 64), &exec, &paged).expect("a picture");
+    assert!(picture.iter().filter(|p| p[3] > 0.1).count() > 500);
+    let statistics = paged.pages.statistics();
+    let header = cloud.header();
+    let all = u64::from(header.pages()) * u64::from(header.page_bytes);
+    assert!(statistics.peak_bytes <= all, "{} bytes of pages for a cloud of {all}", statistics.peak_bytes);
+    // Every page is read once, whichever leaf comes first.
+    let small = bits(&picture);
+    let tight = crate::common::paged(&scene, 12 * u64::from(header.page_bytes));
+    let again =
+        crate::common::picture(&scene, &camera(), &settings(64, 64), &exec, &tight).expect("a picture");
+    assert!(bits(&again) == small);
+}
