@@ -75,7 +75,7 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
         position: Some(view.position.to_array()),
         look_at: Some(view.look_at.to_array()),
         up: Some(view.up.to_array()),
-        fovy: view.fovy_degrees,
+        fovy: Some(view.fovy_degrees),
         ..CameraArgs::default()
     };
     let (width, height) = args.size;

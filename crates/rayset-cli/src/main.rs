@@ -3,6 +3,7 @@
 mod bench;
 mod bench_cloud;
 mod build;
+mod check;
 mod demo;
 mod generate;
 mod info;
@@ -20,8 +21,8 @@ use clap::{Parser, Subcommand};
 
 /// Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 ///
-/// A cloud file is built once from scans, simulations or tables (`build`), and rendered any number of times (`render`)
-/// within the memory that you allow. Start with `rayset demo`.
+/// A cloud file is built once from scans, simulations or tables (`build`). Scenes of clouds and other objects, or clouds
+/// alone, are rendered any number of times (`render`) within the memory that you allow. Start with `rayset demo`.
 #[derive(Parser)]
 #[command(name = "rayset", version, arg_required_else_help = true)]
 struct Cli {
@@ -41,7 +42,9 @@ enum Command {
     Info(info::InfoArgs),
     /// Check a cloud file
     Verify(verify::VerifyArgs),
-    /// Render a cloud to a PNG picture
+    /// Check a scene file before it is rendered
+    Check(check::CheckArgs),
+    /// Render a scene or a cloud to a PNG picture
     Render(Box<render::RenderArgs>),
     /// Build and render the standard workloads, and say how long it took
     Bench(bench::BenchArgs),
@@ -55,6 +58,7 @@ fn main() -> ExitCode {
         Command::Build(args) => build::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Check(args) => check::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Bench(args) => bench::run(&args),
     };

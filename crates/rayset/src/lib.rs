@@ -47,5 +47,6 @@ pub mod image;
 pub mod octree;
 pub mod points;
 pub mod scene;
+pub mod scene_file;
 pub mod trace;
 pub mod working_set;

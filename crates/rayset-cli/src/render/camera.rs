@@ -23,9 +23,9 @@ pub(crate) struct CameraArgs {
     /// Up
     #[arg(long, value_parser = values::vector, allow_hyphen_values = true)]
     pub(crate) up: Option<[f64; 3]>,
-    /// Vertical field of view in degrees
-    #[arg(long, default_value_t = 45.0)]
-    pub(crate) fovy: f64,
+    /// Vertical field of view in degrees; 45 by default
+    #[arg(long)]
+    pub(crate) fovy: Option<f64>,
     /// Parallel rays
     #[arg(long)]
     pub(crate) orthographic: bool,
@@ -35,6 +35,15 @@ pub(crate) struct CameraArgs {
 }
 
 impl CameraArgs {
+    /// Whether any of these was given.
+    pub(super) fn is_given(&self) -> bool {
+        self.position.is_some()
+            || self.direction.is_some()
+            || self.up.is_some()
+            || self.fovy.is_some()
+            || self.orthographic
+    }
+
     pub(super) fn camera(&self, header: &Header, settings: RenderSettings) -> Result<Camera> {
         let aspect = f64::from(settings.width) / f64::from(settings.height);
         let bounds = header.bounds.inflated(0.5 * header.radius_mean);
@@ -48,12 +57,9 @@ impl CameraArgs {
         } else {
             direction.any_orthonormal_vector()
         };
-        let fovy = self.fovy.to_radians();
-        ensure!(
-            self.fovy > 0.0 && self.fovy < 180.0,
-            "--fovy {} is not between 0 and 180 degrees",
-            self.fovy
-        );
+        let degrees = self.fovy.unwrap_or(45.0);
+        ensure!(degrees > 0.0 && degrees < 180.0, "--fovy {degrees} is not between 0 and 180 degrees");
+        let fovy = degrees.to_radians();
         let mut camera = Camera::framing(&bounds, direction, up, fovy, aspect, self.orthographic);
         if let Some(position) = self.position {
             camera.position = vector(position);

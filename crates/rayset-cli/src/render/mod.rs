@@ -1,40 +1,47 @@
-//! `rayset render`
+//! `rayset render`: [`run`] is the way from arguments to a picture.
 
 mod camera;
 mod picture;
 mod report;
+mod shot;
 mod sink;
 mod work;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use rayset::octree::Cloud;
+use rayset::scene::Camera;
+use rayset::trace::memory::MemoryPlan;
 use rayset::trace::render_region;
 
 pub(crate) use self::camera::CameraArgs;
-use self::camera::warn_of_small_radii;
-use self::picture::PictureArgs;
+use self::picture::{LookArgs, PictureArgs};
 use self::report::RenderReport;
+use self::shot::Shot;
 use self::sink::PngSink;
 use self::work::{Work, WorkArgs};
 use crate::report::{bytes, remark};
 
-/// Render a cloud to a PNG picture.
+/// Render a scene or a cloud to a PNG picture.
 ///
-/// The picture depends on the cloud and on the options under "Picture"; those under "Work" never change a pixel.
+/// The picture depends on the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
+/// change a pixel.
 #[derive(Args, Clone)]
 pub(crate) struct RenderArgs {
-    /// Cloud file
-    cloud: PathBuf,
+    /// Scene file (.json) or cloud file
+    input: PathBuf,
     /// Picture to write
     #[arg(short, long)]
     output: PathBuf,
+    /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
+    #[arg(long)]
+    turntable: Option<u32>,
     #[command(flatten)]
     picture: PictureArgs,
+    #[command(flatten)]
+    look: LookArgs,
     #[command(flatten)]
     camera: CameraArgs,
     #[command(flatten)]
@@ -45,24 +52,39 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
+    let shot = Shot::new(args)?;
+    let (work, plan) = Work::prepare(&args.work, &shot.scene, shot.settings)?;
+    match args.turntable {
+        None => picture(args, &shot, &shot.camera, &args.output, &work, &plan),
+        Some(frames) => (0..frames).try_for_each(|frame| {
+            let camera = shot.turned(f64::from(frame) / f64::from(frames));
+            picture(args, &shot, &camera, &numbered(&args.output, frame), &work, &plan)
+        }),
+    }
+}
+
+/// Renders one picture.
+fn picture(
+    args: &RenderArgs,
+    shot: &Shot,
+    camera: &Camera,
+    output: &Path,
+    work: &Work,
+    plan: &MemoryPlan,
+) -> Result<()> {
     let started = Instant::now();
-    let cloud = Arc::new(Cloud::open(&args.cloud)?);
-    let header = cloud.header();
-    let settings = args.picture.settings()?;
-    let scene = args.picture.scene(&cloud)?;
-    let camera = args.camera.camera(header, settings)?;
-    let region = args.picture.region(settings)?;
-    warn_of_small_radii(header, &camera, settings);
-    let (work, plan) = Work::prepare(&args.work, &scene, settings)?;
-    let mut sink = PngSink::create(&args.output, &region)?;
-    let counts = render_region(&scene, &camera, &settings, &region, &work.exec, &work.paged, &mut sink)?;
+    let region = args.picture.region(shot.settings)?;
+    let mut sink = PngSink::create(output, &region, shot.development)?;
+    work.paged.pages.reset_statistics();
+    let counts =
+        render_region(&shot.scene, camera, &shot.settings, &region, &work.exec, &work.paged, &mut sink)?;
     sink.finish()?;
-    let report = RenderReport::new(&work, &plan, counts, header, started.elapsed());
+    let report = RenderReport::new(work, plan, counts, started.elapsed());
     if let Some(path) = &args.stats {
         let text = serde_json::to_string_pretty(&report)?;
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    report.describe(&args.output);
+    report.describe(output);
     if report.memory_bytes < plan.comfortable_bytes && report.pages.reads_per_page > 2.0 {
         remark(format_args!(
             "pages were read {:.1} times each; --memory {} would do better",
@@ -71,6 +93,12 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+/// `turn.png` becomes `turn.0007.png`.
+fn numbered(path: &Path, frame: u32) -> PathBuf {
+    let extension = path.extension().map_or_else(|| "png".into(), |e| e.to_string_lossy().into_owned());
+    path.with_extension(format!("{frame:04}.{extension}"))
 }
 
 /// The options of a render with default values, for commands that render on the way.
@@ -96,7 +124,7 @@ impl RenderArgs {
     }
 
     pub(crate) fn with_size(mut self, width: u32, height: u32) -> Self {
-        self.picture.size = (width, height);
+        self.picture.size = Some((width, height));
         self
     }
 }

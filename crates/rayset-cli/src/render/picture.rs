@@ -5,6 +5,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
 use rayset::field::{Kernel, linear_from_srgb};
+use rayset::image::Development;
 use rayset::octree::Cloud;
 use rayset::octree::format::Header;
 use rayset::scene::{
@@ -15,24 +16,36 @@ use rayset::trace::Region;
 
 use crate::values;
 
-#[derive(Args, Clone)]
+#[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Picture")]
 pub(crate) struct PictureArgs {
-    /// Width and height in pixels
-    #[arg(long, value_parser = values::dimensions, default_value = "512x512")]
-    pub(crate) size: (u32, u32),
+    /// Width and height in pixels; 512x512 by default
+    #[arg(long, value_parser = values::dimensions)]
+    pub(crate) size: Option<(u32, u32)>,
     /// Only a part of the picture: left,top,width,height
     #[arg(long, value_delimiter = ',')]
     crop: Option<Vec<u32>>,
-    /// Kernel: wyvill, chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight
-    #[arg(long, default_value = "wyvill")]
-    kernel: Kernel,
+    /// Rays along each side of a pixel; 1 by default
+    #[arg(long)]
+    samples: Option<u32>,
+    /// Exposure in stops: light is multiplied by two to this power
+    #[arg(long, allow_hyphen_values = true)]
+    exposure: Option<f64>,
+}
+
+/// What a cloud is to look like; a scene says all of this itself.
+#[derive(Args, Clone, Default)]
+#[command(next_help_heading = "Look of a cloud (a scene file says this itself)")]
+pub(crate) struct LookArgs {
+    /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight
+    #[arg(long)]
+    kernel: Option<Kernel>,
     /// Kernels integrate to one (smoothed-particle hydrodynamics)
     #[arg(long)]
     normalised: bool,
-    /// Opacity from density: clamp, extinction:K, or a curve like 0:0,1:0.5,4:1
-    #[arg(long, default_value = "clamp")]
-    opacity: String,
+    /// Opacity from density: clamp (by default), extinction:K, or a curve like 0:0,1:0.5,4:1
+    #[arg(long)]
+    opacity: Option<String>,
     /// Length that opacity refers to, in units of the cloud; the mean radius by default
     #[arg(long)]
     unit_distance: Option<f64>,
@@ -48,24 +61,24 @@ pub(crate) struct PictureArgs {
     /// Values at the ends of the colour map, as 0:10
     #[arg(long, value_parser = values::range)]
     value_range: Option<(f64, f64)>,
-    /// Light: from the eye, or none
-    #[arg(long, value_enum, default_value = "headlight")]
-    shading: ShadingArg,
+    /// Light: from the eye (by default), or none
+    #[arg(long, value_enum)]
+    shading: Option<ShadingArg>,
     /// Background colour; transparent by default
     #[arg(long, value_parser = values::color)]
     background: Option<[f64; 3]>,
-    /// Distance between samples, in units of the cloud, or `auto`
-    #[arg(long, default_value = "auto")]
-    step: String,
-    /// Automatic distance between samples as a fraction of the radius
-    #[arg(long, default_value_t = 0.25)]
-    step_fraction: f64,
-    /// Samples of a ray begin half a step from the eye, or a different fraction for each pixel
-    #[arg(long, value_enum, default_value = "half")]
-    phase: PhaseArg,
-    /// Rays end where less than this is seen through
-    #[arg(long, default_value_t = 0.01)]
-    stop: f32,
+    /// Distance between samples, in units of the cloud, or `auto` (by default)
+    #[arg(long)]
+    step: Option<String>,
+    /// Automatic distance between samples as a fraction of the radius; 0.25 by default
+    #[arg(long)]
+    step_fraction: Option<f64>,
+    /// Samples of a ray begin half a step from the eye (by default), or a different fraction for each pixel
+    #[arg(long, value_enum)]
+    phase: Option<PhaseArg>,
+    /// Rays end where less than this is seen through; 0.01 by default
+    #[arg(long)]
+    stop: Option<f32>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -81,23 +94,13 @@ enum PhaseArg {
 }
 
 impl PictureArgs {
-    pub(super) fn settings(&self) -> Result<RenderSettings> {
-        let step = match self.step.as_str() {
-            "auto" => Step::Automatic { fraction: self.step_fraction },
-            number => Step::Fixed(
-                number.parse().with_context(|| format!("--step {number}: expected a length or `auto`"))?,
-            ),
-        };
-        Ok(RenderSettings {
-            width: self.size.0,
-            height: self.size.1,
-            step,
-            phase: match self.phase {
-                PhaseArg::Half => Phase::Half,
-                PhaseArg::Hashed => Phase::Hashed,
-            },
-            stop_transmittance: self.stop,
-        })
+    /// Changes what a scene says where the command line says something else.
+    pub(super) fn apply(&self, settings: &mut RenderSettings, development: &mut Development) {
+        if let Some((width, height)) = self.size {
+            (settings.width, settings.height) = (width, height);
+        }
+        settings.samples = self.samples.unwrap_or(settings.samples);
+        development.exposure = self.exposure.unwrap_or(development.exposure);
     }
 
     pub(super) fn region(&self, settings: RenderSettings) -> Result<Region> {
@@ -114,18 +117,66 @@ impl PictureArgs {
         );
         Ok(Region { columns: x..right, rows: y..bottom })
     }
+}
+
+impl LookArgs {
+    /// The first option of these that was given.
+    pub(super) fn given(&self) -> Option<&'static str> {
+        let options = [
+            ("--kernel", self.kernel.is_some()),
+            ("--normalised", self.normalised),
+            ("--opacity", self.opacity.is_some()),
+            ("--unit-distance", self.unit_distance.is_some()),
+            ("--color", self.color.is_some()),
+            ("--colormap", self.colormap.is_some()),
+            ("--color-by", self.color_by.is_some()),
+            ("--value-range", self.value_range.is_some()),
+            ("--shading", self.shading.is_some()),
+            ("--background", self.background.is_some()),
+            ("--step", self.step.is_some()),
+            ("--step-fraction", self.step_fraction.is_some()),
+            ("--phase", self.phase.is_some()),
+            ("--stop", self.stop.is_some()),
+        ];
+        options.into_iter().find(|(_, given)| *given).map(|(name, _)| name)
+    }
+
+    pub(super) fn settings(&self) -> Result<RenderSettings> {
+        let step = match self.step.as_deref() {
+            None | Some("auto") => Step::Automatic { fraction: self.step_fraction.unwrap_or(0.25) },
+            Some(number) => Step::Fixed(
+                number.parse().with_context(|| format!("--step {number}: expected a length or `auto`"))?,
+            ),
+        };
+        let plain = RenderSettings::default();
+        Ok(RenderSettings {
+            step,
+            phase: match self.phase {
+                None | Some(PhaseArg::Half) => Phase::Half,
+                Some(PhaseArg::Hashed) => Phase::Hashed,
+            },
+            stop_transmittance: self.stop.unwrap_or(plain.stop_transmittance),
+            ..plain
+        })
+    }
 
     pub(super) fn scene(&self, cloud: &Arc<Cloud>) -> Result<Scene> {
         let header = cloud.header();
         let linear = |c: [f64; 3]| c.map(|v| linear_from_srgb(v) as f32);
-        let transfer =
-            TransferFunction { opacity: values::opacity(&self.opacity)?, color: self.color_rule(header)? };
-        let object =
-            CloudObject { cloud: cloud.clone(), kernel: self.kernel, normalised: self.normalised, transfer };
+        let transfer = TransferFunction {
+            opacity: values::opacity(self.opacity.as_deref().unwrap_or("clamp"))?,
+            color: self.color_rule(header)?,
+        };
+        let object = CloudObject {
+            cloud: cloud.clone(),
+            kernel: self.kernel.unwrap_or_default(),
+            normalised: self.normalised,
+            transfer,
+        };
         Ok(Scene {
             lighting: match self.shading {
-                ShadingArg::None => Lighting::Unlit,
-                ShadingArg::Headlight => Lighting::headlight(),
+                Some(ShadingArg::None) => Lighting::Unlit,
+                None | Some(ShadingArg::Headlight) => Lighting::headlight(),
             },
             background: self.background.map(linear),
             unit_distance: self.unit_distance.unwrap_or(header.radius_mean),

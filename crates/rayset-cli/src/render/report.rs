@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::time::Duration;
 
-use rayset::octree::format::Header;
 use rayset::trace::RenderCounts;
 use rayset::trace::memory::MemoryPlan;
 
@@ -20,7 +19,7 @@ pub(super) struct RenderReport {
     simd: &'static str,
     predictor: &'static str,
     io: String,
-    page_bytes: u32,
+    page_bytes: u64,
     pub(super) memory_bytes: u64,
     pages_budget_bytes: u64,
     peak_rss_bytes: Option<u64>,
@@ -31,20 +30,14 @@ pub(super) struct RenderReport {
 }
 
 impl RenderReport {
-    pub(super) fn new(
-        work: &Work,
-        plan: &MemoryPlan,
-        counts: RenderCounts,
-        header: &Header,
-        elapsed: Duration,
-    ) -> Self {
+    pub(super) fn new(work: &Work, plan: &MemoryPlan, counts: RenderCounts, elapsed: Duration) -> Self {
         Self {
             seconds: elapsed.as_secs_f64(),
             threads: work.exec.threads,
             simd: work.exec.simd.name(),
             predictor: work.exec.predictor.name(),
             io: work.io.clone(),
-            page_bytes: header.page_bytes,
+            page_bytes: plan.largest_page_bytes,
             memory_bytes: work.memory,
             pages_budget_bytes: plan.page_bytes,
             peak_rss_bytes: peak_rss(),
@@ -72,7 +65,7 @@ impl RenderReport {
             "working set: {} page requests, {} reads of {} ({:.2} a page), {} evictions, waited {:.3} s, at most {} of {}",
             report::count(set.working_set.hits + set.working_set.misses),
             report::count(set.working_set.reads),
-            report::bytes(u64::from(self.page_bytes)),
+            report::bytes(self.page_bytes),
             set.reads_per_page,
             report::count(set.working_set.evictions),
             set.stall_seconds,

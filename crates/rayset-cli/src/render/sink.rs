@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use rayset::image::{Band, PngBands};
+use rayset::image::{Band, Development, PngBands};
 use rayset::trace::{Region, Sink};
 
 use crate::progress::Meter;
@@ -19,11 +19,12 @@ pub(super) struct PngSink {
 }
 
 impl PngSink {
-    pub(super) fn create(path: &Path, region: &Region) -> Result<Self> {
+    pub(super) fn create(path: &Path, region: &Region, development: Development) -> Result<Self> {
         let name = path.file_name().context("--output names no file")?.to_string_lossy();
         let partial = path.with_file_name(format!(".{name}.partial"));
         let file = File::create(&partial).with_context(|| format!("cannot write {}", path.display()))?;
-        let png = PngBands::new(BufWriter::new(file), region.columns.len() as u32, region.rows.len() as u32)?;
+        let (width, height) = (region.columns.len() as u32, region.rows.len() as u32);
+        let png = PngBands::new(BufWriter::new(file), width, height, development)?;
         Ok(Self { png, partial, path: path.to_owned(), meter: Meter::new("pixels", false) })
     }
 

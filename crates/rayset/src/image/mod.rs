@@ -1,7 +1,9 @@
 //! Pictures: bands of rows in linear light, and PNG.
 
+mod develop;
 mod png_out;
 
+pub use develop::{Development, ToneMapping};
 pub use png_out::{PngBands, PngError};
 
 /// Rows of a picture: premultiplied colour and opacity in linear light.

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::{Band, srgb_from_linear};
+use super::{Band, Development, srgb_from_linear};
 
 /// Why a picture could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -24,6 +24,7 @@ pub struct PngBands<W: Write + 'static> {
     writer: png::StreamWriter<'static, W>,
     row: Vec<u8>,
     table: Vec<u8>,
+    development: Development,
 }
 
 impl<W: Write + 'static> PngBands<W> {
@@ -31,7 +32,7 @@ impl<W: Write + 'static> PngBands<W> {
     ///
     /// # Errors
     /// [`PngError`] where the size is zero or the system refuses.
-    pub fn new(output: W, width: u32, height: u32) -> Result<Self, PngError> {
+    pub fn new(output: W, width: u32, height: u32, development: Development) -> Result<Self, PngError> {
         let mut encoder = png::Encoder::new(output, width, height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
@@ -39,7 +40,7 @@ impl<W: Write + 'static> PngBands<W> {
         encoder.set_compression(png::Compression::Fast);
         let writer = encoder.write_header()?.into_stream_writer()?;
         let byte = |i| (srgb_from_linear(i as f64 / (TABLE - 1) as f64) * 255.0).round() as u8;
-        Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect() })
+        Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect(), development })
     }
 
     /// Appends a band.
@@ -53,7 +54,8 @@ impl<W: Write + 'static> PngBands<W> {
                 let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
                 // A component that is not a number becomes 0 in the cast.
                 let byte = |v: f32| {
-                    self.table[((v * straight).clamp(0.0, 1.0) * (TABLE - 1) as f32).round() as usize]
+                    let shown = self.development.apply(v * straight).clamp(0.0, 1.0);
+                    self.table[(shown * (TABLE - 1) as f32).round() as usize]
                 };
                 let alpha = (opacity.clamp(0.0, 1.0) * 255.0).round() as u8;
                 self.row.extend_from_slice(&[byte(r), byte(g), byte(b), alpha]);

@@ -100,6 +100,28 @@ pub enum Phase {
     Hashed,
 }
 
+/// Where in a pixel its rays go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Sampling {
+    /// Through the middles of a lattice.
+    #[default]
+    Fixed,
+    /// Through a place in each cell of the lattice that is a hash of pixel and cell: turns steps at edges into noise.
+    Stratified,
+}
+
+/// How it is found what of a light reaches a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shadows {
+    /// By a ray from the sample to the light: the reference.
+    Exact,
+    /// From tables of the light's own rays.
+    Cached {
+        /// Rays of a light along each side of what it lights.
+        resolution: u32,
+    },
+}
+
 /// What decides pixels besides the scene and the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
@@ -113,27 +135,61 @@ pub struct RenderSettings {
     pub phase: Phase,
     /// A ray ends at its first sample behind which less than this is seen. 0: rays go on to the end.
     pub stop_transmittance: f32,
+    /// Rays through a pixel are this number squared.
+    pub samples: u32,
+    /// And go there.
+    pub sampling: Sampling,
+    /// Shadows.
+    pub shadows: Shadows,
+    /// How often the light of a ray is followed on where it is reflected or refracted.
+    pub max_depth: u32,
 }
 
 impl Default for RenderSettings {
     fn default() -> Self {
-        Self { width: 512, height: 512, step: Step::default(), phase: Phase::Half, stop_transmittance: 0.01 }
+        Self {
+            width: 512,
+            height: 512,
+            step: Step::default(),
+            phase: Phase::Half,
+            stop_transmittance: 0.01,
+            samples: 1,
+            sampling: Sampling::Fixed,
+            shadows: Shadows::Exact,
+            max_depth: 4,
+        }
     }
 }
 
 impl RenderSettings {
-    /// ξ of the ray through a pixel.
+    /// ξ of the ray through a pixel, or through a cell of a pixel where there are several: then cells are counted.
     #[must_use]
     pub fn phase_of(&self, x: u32, y: u32) -> f64 {
         match self.phase {
             Phase::Half => 0.5,
-            Phase::Hashed => {
-                // Two rounds of a multiplicative hash (splitmix64's finaliser) of the pixel's number.
-                let mut z = u64::from(y) << 32 | u64::from(x);
-                z = (z ^ z >> 30).wrapping_add(0x9e37_79b9_7f4a_7c15).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-                z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-                ((z ^ z >> 31) >> 40) as f64 / f64::from(1 << 24)
-            }
+            Phase::Hashed => hash(x, y, 0),
         }
     }
+
+    /// Where a ray goes through the picture, in pixels: the one through cell (`i`, `j`) of pixel (`x`, `y`).
+    #[must_use]
+    pub fn ray_place(&self, x: u32, y: u32, i: u32, j: u32) -> (f64, f64) {
+        let cells = f64::from(self.samples);
+        let (u, v) = match self.sampling {
+            Sampling::Fixed => (0.5, 0.5),
+            Sampling::Stratified => {
+                let (column, row) = (x * self.samples + i, y * self.samples + j);
+                (hash(column, row, 1), hash(column, row, 2))
+            }
+        };
+        (f64::from(x) + (f64::from(i) + u) / cells, f64::from(y) + (f64::from(j) + v) / cells)
+    }
+}
+
+/// A number from 0 to 1 that looks random: two rounds of a multiplicative hash (splitmix64's finaliser).
+fn hash(x: u32, y: u32, stream: u64) -> f64 {
+    let mut z = (u64::from(y) << 32 | u64::from(x)).wrapping_add(stream.wrapping_mul(0xd1b5_4a32_d192_ed03));
+    z = (z ^ z >> 30).wrapping_add(0x9e37_79b9_7f4a_7c15).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ z >> 31) >> 40) as f64 / f64::from(1 << 24)
 }

@@ -25,6 +25,8 @@ pub(super) struct Wants {
     pub(super) normal: bool,
     /// The signed distance to the boundary that the shading vector belongs to.
     pub(super) boundary: bool,
+    /// Shading vector and boundary around the object, where its opacity is 0: it is taken away from something.
+    pub(super) outside: bool,
     pub(super) material: bool,
 }
 
@@ -34,6 +36,7 @@ impl Wants {
             color: self.color || other.color,
             normal: self.normal || other.normal,
             boundary: self.boundary || other.boundary,
+            outside: self.outside || other.outside,
             material: self.material || other.material,
         }
     }
@@ -182,7 +185,7 @@ impl Block {
             }
             let (a, b) = (self.opacity[lane], other.opacity[lane]);
             let mut takes = bits_where(|j| b.0[j] > a.0[j]);
-            if wants.boundary {
+            if wants.outside {
                 // Outside both, the nearer boundary is the union's.
                 let (s, t) = (self.boundary[lane], other.boundary[lane]);
                 takes |= bits_where(|j| a.0[j] == 0.0 && b.0[j] == 0.0 && t.0[j] < s.0[j]);
@@ -210,7 +213,7 @@ impl Block {
                 }
                 take(&mut largest, &o, takes);
                 let mut takes = bits_where(|j| o.0[j] < least.0[j]);
-                if wants.boundary {
+                if wants.outside {
                     // Where both are outside, the boundary that lies farther is the intersection's.
                     let (s, t) = (first.boundary[lane], other.boundary[lane]);
                     takes |= bits_where(|j| o.0[j] == 0.0 && least.0[j] == 0.0 && t.0[j] > s.0[j]);
@@ -403,7 +406,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const WANTS: Wants = Wants { color: true, normal: false, boundary: false, material: false };
+    const WANTS: Wants =
+        Wants { color: true, normal: false, boundary: false, outside: false, material: false };
 
     /// One lane of opacities of few values, so that ties are common, each with a colour that tells where it is from.
     fn block() -> impl Strategy<Value = Block> {

@@ -292,7 +292,17 @@ impl<'a> Judge<'a> {
                 }
             };
             let reaching = if light.throws_shadows() && distance > 0.0 {
-                let from = Ray { origin: q + toward * (0.5 * step), direction: toward };
+                // Behind a boundary that is at most two steps away a sample is lit as if it lay on it.
+                let depth = -sample.boundary;
+                let on_boundary = depth > 0.0 && depth <= 2.0 * step;
+                let place = if on_boundary { q + sample.normal * depth } else { q };
+                let (toward, distance) = match light.kind {
+                    LightKind::Point { position, .. } => {
+                        ((position - place).normalize_or(DVec3::Y), position.distance(place))
+                    }
+                    _ => (toward, distance),
+                };
+                let from = Ray { origin: place + toward * (0.5 * step), direction: toward };
                 self.march(settings, &from, phase, step, distance - 0.5 * step, |_, _, _| {})
             } else {
                 1.0

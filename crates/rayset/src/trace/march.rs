@@ -219,7 +219,7 @@ impl<'p> March<'p> {
                     if place > 0 {
                         out.unite(&other, wants);
                     }
-                    if place + 1 < children.len() && !wants.boundary {
+                    if place + 1 < children.len() {
                         live = out.not_opaque(&live, measure);
                     }
                 }
@@ -264,7 +264,7 @@ impl<'p> March<'p> {
                     counts,
                     &mut blocks[place],
                 );
-                if !wants.boundary {
+                if !wants.outside {
                     live = blocks[place].not_empty(&live);
                 }
             }

@@ -50,7 +50,10 @@ impl SceneNeeds {
         let wants = Wants {
             color: true,
             normal: lit,
-            boundary: lit && has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _))),
+            boundary: lit
+                && (scene.lighting.throws_shadows()
+                    || has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _)))),
+            outside: false,
             material: lit && has(|node| node.material.is_some()),
         };
         let picture = blocks(&scene.root) * Block::bytes(wants);
@@ -86,6 +89,8 @@ fn blocks(node: &Node) -> usize {
 pub struct MemoryPlan {
     /// For pages.
     pub page_bytes: u64,
+    /// Bytes of the largest page.
+    pub largest_page_bytes: u64,
     /// Rows of the picture made at a time.
     pub band_rows: u32,
     /// The smallest budget in which the render runs.
@@ -129,6 +134,7 @@ pub fn plan(
     let picture = u64::from(band_rows) * row;
     let comfortable_pages: u64 = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page).sum();
     Ok(MemoryPlan {
+        largest_page_bytes: page,
         page_bytes: (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page,
         band_rows,
         least_bytes,

@@ -204,6 +204,12 @@ fn check(
     if !(settings.stop_transmittance >= 0.0 && settings.stop_transmittance < 1.0) {
         return wrong("stop transmittance", format!("{} is not in [0, 1)", settings.stop_transmittance));
     }
+    if !(1..=64).contains(&settings.samples) {
+        return wrong(
+            "samples",
+            format!("{} is not between 1 and 64 along a side of a pixel", settings.samples),
+        );
+    }
     if !(1..=8).contains(&exec.tile_pixels) || !(1..=SLAB_SAMPLES).contains(&exec.slab_samples) {
         return wrong("tile or slab", "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into());
     }
@@ -287,17 +293,28 @@ impl Job<'_> {
     /// Traces the rays of a tile and returns its pixels.
     fn tile(&self, attempt: Attempt<'_>, tracer: &mut PacketTracer<'_>) -> Result<[[f32; 4]; LANES], Halt> {
         let Attempt { tile, access, .. } = attempt;
-        let mut rays = Vec::with_capacity(LANES);
-        for y in tile.y..tile.y + tile.height {
-            for x in tile.x..tile.x + tile.width {
-                rays.push((self.rays.pixel_ray(x, y), self.settings.phase_of(x, y)));
+        let cells = self.settings.samples;
+        let mut sums = [[0.0; 4]; LANES];
+        for (i, j) in (0..cells).flat_map(|j| (0..cells).map(move |i| (i, j))) {
+            let mut rays = Vec::with_capacity(LANES);
+            for y in tile.y..tile.y + tile.height {
+                for x in tile.x..tile.x + tile.width {
+                    let (u, v) = self.settings.ray_place(x, y, i, j);
+                    rays.push((self.rays.ray(u, v), self.settings.phase_of(x * cells + i, y * cells + j)));
+                }
+            }
+            for group in self.world.steps.groups(access, &self.world.program, &rays)? {
+                let mut pixels = [[0.0; 4]; LANES];
+                tracer.trace(access, &rays, &group, &mut pixels)?;
+                for &member in &group.members {
+                    for channel in 0..4 {
+                        sums[member][channel] += pixels[member][channel];
+                    }
+                }
             }
         }
-        let mut pixels = [[0.0; 4]; LANES];
-        for group in self.world.steps.groups(access, &self.world.program, &rays)? {
-            tracer.trace(access, &rays, &group, &mut pixels)?;
-        }
-        Ok(pixels)
+        let share = 1.0 / (cells * cells) as f32;
+        Ok(sums.map(|sum| sum.map(|v| v * share)))
     }
 }
 

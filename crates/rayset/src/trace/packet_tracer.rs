@@ -119,9 +119,15 @@ impl<'a> PacketTracer<'a> {
             }
             let none = Vec::new();
             let shadows = match &mut self.shadows {
-                Some(shadows) => {
-                    shadows.find(access, &world.shader, packet, slab, &self.shares, &mut self.counts)?
-                }
+                Some(shadows) => shadows.find(
+                    access,
+                    &world.shader,
+                    packet,
+                    slab,
+                    block,
+                    &self.shares,
+                    &mut self.counts,
+                )?,
                 None => &none,
             };
             world.shader.shade(packet, slab, block, &self.shares, shadows, &mut self.states);

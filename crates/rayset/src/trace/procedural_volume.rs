@@ -60,7 +60,7 @@ impl ProceduralVolume {
     ) {
         out.touched = 0;
         let bounds =
-            if wants.boundary { self.bounds_local.inflated(self.reach_local) } else { self.bounds_local };
+            if wants.outside { self.bounds_local.inflated(self.reach_local) } else { self.bounds_local };
         each_lane(live.lanes(), |lane| {
             let world = packet.ray(lane);
             let origin = self.local_from_world.transform_point3(world.origin);
@@ -94,7 +94,7 @@ impl ProceduralVolume {
             places[j] = origin + direction * packet.sample_t_world(lane, slab.first + j as u64);
         }
         self.field.sample_all(&places[range.clone()], &mut samples[range.clone()]);
-        if !wants.boundary && samples[range.clone()].iter().all(|s| s.opacity <= 0.0) {
+        if !wants.outside && samples[range.clone()].iter().all(|s| s.opacity <= 0.0) {
             return;
         }
         out.clear_lane(lane, wants);

@@ -207,7 +207,7 @@ impl Compiler<'_> {
         let mut wants = Wants::default();
         for instruction in &mut self.instructions {
             wants = wants.and(instruction.wants);
-            if instruction.wants.boundary && !matches!(instruction.action, Action::Cloud(_)) {
+            if instruction.wants.outside && !matches!(instruction.action, Action::Cloud(_)) {
                 instruction.bounds = instruction.bounds.inflated(reach);
             }
         }
@@ -225,7 +225,8 @@ impl Compiler<'_> {
         Wants {
             color: color.is_none(),
             normal: lights.iter().any(|l| l.kind != LightKind::Ambient) || self.bends_rays(),
-            boundary: false,
+            boundary: self.scene.lighting.throws_shadows(),
+            outside: false,
             material: materials_differ,
         }
     }
@@ -266,6 +267,7 @@ impl Compiler<'_> {
             let of_child = match operator {
                 Operator::Difference => Wants {
                     boundary: below.boundary || below.normal,
+                    outside: below.outside || (below.normal && place > 0),
                     color: below.color && place == 0,
                     material: below.material && place == 0,
                     ..below

@@ -1,7 +1,7 @@
 //! Shadow rays from every sample that counts: the reference, for small pictures.
 
 use crate::field::{LANES, Packet, SampleRow, Slab};
-use crate::geometry::Ray;
+use crate::geometry::{DVec3, Ray};
 use crate::scene::{Light, LightKind};
 use crate::trace::access::{Access, Halt};
 use crate::trace::block::Block;
@@ -11,6 +11,8 @@ use crate::trace::packet_tracer::RenderCounts;
 use crate::trace::program::Program;
 use crate::trace::secondary::coherent_groups;
 use crate::trace::world::World;
+
+use super::lit_place;
 
 /// Traces shadow rays, in packets of neighbours at the same depth.
 pub(super) struct ShadowRays<'a> {
@@ -51,6 +53,7 @@ impl<'a> ShadowRays<'a> {
         light: &Light,
         packet: &Packet,
         slab: Slab,
+        block: &Block,
         shares: &Shares,
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
@@ -58,7 +61,10 @@ impl<'a> ShadowRays<'a> {
         for j in 0..slab.samples {
             let rays: Vec<ToLight> = (0..packet.len())
                 .filter(|&lane| shares.samples[lane] >> j & 1 == 1)
-                .filter_map(|lane| to_light(light, packet, lane, slab.first + j as u64))
+                .filter_map(|lane| {
+                    let origin = lit_place(packet, block, lane, slab.first + j as u64, j);
+                    to_light(light, origin, packet.phase(lane), lane)
+                })
                 .collect();
             if rays.is_empty() {
                 continue;
@@ -153,9 +159,8 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], block: &mut Block) {
     }
 }
 
-/// The ray from a sample to a light; nothing where the sample is the light.
-fn to_light(light: &Light, packet: &Packet, lane: usize, sample: u64) -> Option<ToLight> {
-    let origin = packet.ray(lane).at(packet.sample_t_world(lane, sample));
+/// The ray from a place to a light; nothing where the place is the light's.
+fn to_light(light: &Light, origin: DVec3, phase: f64, lane: usize) -> Option<ToLight> {
     let (direction, distance) = match light.kind {
         LightKind::Directional { direction } => (-direction.normalize(), f64::INFINITY),
         LightKind::Point { position, .. } => {
@@ -164,5 +169,5 @@ fn to_light(light: &Light, packet: &Packet, lane: usize, sample: u64) -> Option<
         }
         LightKind::Ambient | LightKind::Headlight => return None,
     };
-    Some(ToLight { ray: Ray { origin, direction }, phase: packet.phase(lane), light: distance, lane })
+    Some(ToLight { ray: Ray { origin, direction }, phase, light: distance, lane })
 }

@@ -3,13 +3,30 @@
 mod exact;
 
 use super::access::{Access, Halt};
+use super::block::Block;
 use super::composite::Shares;
 use super::packet_tracer::RenderCounts;
 use super::shade::{Shader, ShadowRows};
 use super::world::World;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
+use crate::geometry::DVec3;
 
 use self::exact::ShadowRays;
+
+/// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
+/// and would else shadow itself more or less as the lattice happens to lie.
+const STEPS_TO_BOUNDARY: f64 = 2.0;
+
+/// The place at which a sample is lit.
+fn lit_place(packet: &Packet, block: &Block, lane: usize, sample: u64, j: usize) -> DVec3 {
+    let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
+    let depth = -f64::from(block.boundary[lane].0[j]);
+    if !(depth > 0.0 && depth <= STEPS_TO_BOUNDARY * packet.step_world()) {
+        return place;
+    }
+    let normal = block.normal.each_ref().map(|rows| f64::from(rows[lane].0[j]));
+    place + DVec3::from_array(normal) * depth
+}
 
 /// The shadows of one thread.
 pub(super) struct Shadows<'a> {
@@ -35,12 +52,13 @@ impl<'a> Shadows<'a> {
         shader: &Shader,
         packet: &Packet,
         slab: Slab,
+        block: &Block,
         shares: &Shares,
         counts: &mut RenderCounts,
     ) -> Result<&ShadowRows, Halt> {
         for (number, light) in shader.shadow_lights() {
             if let Some(rows) = &mut self.rows[number] {
-                self.exact.find(access, light, packet, slab, shares, counts, rows)?;
+                self.exact.find(access, light, packet, slab, block, shares, counts, rows)?;
             }
         }
         Ok(&self.rows)

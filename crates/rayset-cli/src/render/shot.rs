@@ -1,0 +1,68 @@
+//! What is to be rendered: a scene file, or a cloud with a look from the command line.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Result, bail};
+use rayset::geometry::{DAffine3, DQuat, DVec3};
+use rayset::image::Development;
+use rayset::octree::Cloud;
+use rayset::scene::{Camera, RenderSettings, Scene};
+use rayset::scene_file::SceneFile;
+
+use super::RenderArgs;
+use super::camera::warn_of_small_radii;
+
+/// A scene from one place.
+pub(super) struct Shot {
+    pub(super) scene: Scene,
+    pub(super) camera: Camera,
+    pub(super) settings: RenderSettings,
+    pub(super) development: Development,
+}
+
+impl Shot {
+    pub(super) fn new(args: &RenderArgs) -> Result<Self> {
+        if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }
+    }
+
+    fn of_scene(args: &RenderArgs) -> Result<Self> {
+        if let Some(option) = args.look.given() {
+            bail!("{option} is for clouds; {} says itself what its objects look like", args.input.display());
+        }
+        if args.camera.is_given() {
+            bail!("the camera stands in {}; change it there", args.input.display());
+        }
+        let SceneFile { scene, camera, mut settings, mut development } = SceneFile::load(&args.input)?;
+        args.picture.apply(&mut settings, &mut development);
+        Ok(Self { scene, camera, settings, development })
+    }
+
+    fn of_cloud(args: &RenderArgs) -> Result<Self> {
+        let cloud = Arc::new(Cloud::open(&args.input)?);
+        let (mut settings, mut development) = (args.look.settings()?, Development::default());
+        args.picture.apply(&mut settings, &mut development);
+        let camera = args.camera.camera(cloud.header(), settings)?;
+        warn_of_small_radii(cloud.header(), &camera, settings);
+        Ok(Self { scene: args.look.scene(&cloud)?, camera, settings, development })
+    }
+
+    /// The camera, turned about the middle of the scene.
+    pub(super) fn turned(&self, turns: f64) -> Camera {
+        let bounds = self.scene.root.bounds();
+        let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
+        let axis = self.camera.up.normalize_or(DVec3::Y);
+        let turn = DAffine3::from_quat(DQuat::from_axis_angle(axis, turns * std::f64::consts::TAU));
+        Camera {
+            position: center + turn.transform_vector3(self.camera.position - center),
+            direction: turn.transform_vector3(self.camera.direction),
+            up: self.camera.up,
+            ..self.camera
+        }
+    }
+}
+
+/// Scene files are JSON by their names.
+pub(crate) fn is_scene(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+}

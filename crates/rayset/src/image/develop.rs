@@ -1,0 +1,35 @@
+//! From light to the numbers of a picture: exposure and tone mapping.
+
+/// How bright light becomes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum ToneMapping {
+    /// Up to 1 as it is; what is brighter is white.
+    #[default]
+    None,
+    /// Like film: highlights are compressed. The fit of the ACES curve by Narkowicz (2015).
+    Filmic,
+}
+
+/// Exposure and tone mapping, for pictures that are to be looked at. Files of light (OpenEXR) are not developed.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Development {
+    /// Stops: light is multiplied by two to this power.
+    pub exposure: f64,
+    /// What follows.
+    pub tone_mapping: ToneMapping,
+}
+
+impl Development {
+    /// A value of straight (not premultiplied) linear light as the picture shows it, still linear.
+    #[must_use]
+    pub fn apply(&self, light: f32) -> f32 {
+        let x = light * self.exposure.exp2() as f32;
+        match self.tone_mapping {
+            ToneMapping::None => x,
+            ToneMapping::Filmic => {
+                let x = x.max(0.0);
+                x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
+            }
+        }
+    }
+}

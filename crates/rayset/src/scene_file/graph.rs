@@ -1,0 +1,483 @@
+//! The graph of a scene file.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::SceneFileError;
+use super::preset::Preset;
+use super::reader::{Cursor, Object};
+use crate::field::Kernel;
+use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
+use crate::octree::Cloud;
+use crate::scene::{
+    Channel, CloudObject, ColorMap, ColorRule, Form, MapInput, Material, Node, NoiseCloud, OpacityRule,
+    Operator, Palette, Pattern, Procedural, Shape, Solid, Transfer,
+};
+
+/// Keys that every node may have.
+const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "material"];
+
+const OPERATORS: [Operator; 4] =
+    [Operator::Union, Operator::Intersection, Operator::Difference, Operator::Blend];
+const SOLIDS: [&str; 7] = ["sphere", "box", "cylinder", "cone", "torus", "halfSpace", "ellipsoid"];
+
+/// What `type` may be.
+#[derive(Clone, Copy)]
+enum Type {
+    Cloud,
+    Operator(Operator),
+    Solid(&'static str),
+    Noise,
+}
+
+/// Makes nodes, each that has a name once.
+pub(super) struct GraphReader<'a> {
+    /// Every node that has a name.
+    named: HashMap<&'a str, Cursor<'a>>,
+    made: HashMap<&'a str, Arc<Node>>,
+    /// Names of the nodes that are being made, outermost first.
+    making: Vec<&'a str>,
+    clouds: HashMap<PathBuf, Arc<Cloud>>,
+}
+
+impl<'a> GraphReader<'a> {
+    /// Finds all names of a file.
+    pub(super) fn new(file: &Object<'a>) -> Result<Self, SceneFileError> {
+        let mut reader =
+            Self { named: HashMap::new(), made: HashMap::new(), making: Vec::new(), clouds: HashMap::new() };
+        if let Some(define) = file.get("define") {
+            for (name, node) in define.any_object()?.entries() {
+                reader.name(name, &node)?;
+                reader.find_names(&node, Some(name))?;
+            }
+        }
+        if let Some(root) = file.get("root") {
+            reader.find_names(&root, None)?;
+        }
+        Ok(reader)
+    }
+
+    fn name(&mut self, name: &'a str, node: &Cursor<'a>) -> Result<(), SceneFileError> {
+        match self.named.insert(name, node.clone()) {
+            Some(_) => Err(node.error(format!("the name \"{name}\" is given twice"))),
+            None => Ok(()),
+        }
+    }
+
+    fn find_names(&mut self, node: &Cursor<'a>, known_as: Option<&str>) -> Result<(), SceneFileError> {
+        let Ok(object) = node.any_object() else { return Ok(()) };
+        if let Some(id) = object.get("id") {
+            let name = id.text()?;
+            if known_as != Some(name) {
+                self.name(name, node)?;
+            }
+        }
+        let children = object.get("children").filter(|at| at.value.is_array());
+        for child in children.map(|at| at.list()).transpose()?.into_iter().flatten() {
+            self.find_names(&child, None)?;
+        }
+        Ok(())
+    }
+
+    /// Makes a node.
+    pub(super) fn node(&mut self, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
+        let object = at.any_object()?;
+        if let Some(reference) = object.get("ref") {
+            return self.reference(at, &reference);
+        }
+        match object.get("id") {
+            Some(id) => self.named_node(id.text()?, &id),
+            None => self.new_node(at).map(Arc::new),
+        }
+    }
+
+    /// The node of a name, wherever it is written.
+    fn named_node(&mut self, name: &'a str, from: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
+        if let Some(node) = self.made.get(name) {
+            return Ok(node.clone());
+        }
+        if self.making.contains(&name) {
+            let way = [&self.making[..], &[name]].concat().join(" → ");
+            return Err(from.error(format!("a node cannot contain itself: {way}")));
+        }
+        let Some(at) = self.named.get(name).cloned() else {
+            let mut names: Vec<&str> = self.named.keys().copied().collect();
+            names.sort_unstable();
+            let known = if names.is_empty() {
+                "no node has a name".into()
+            } else {
+                format!("there are {}", names.join(", "))
+            };
+            return Err(from.error(format!("no node is named \"{name}\"; {known}")));
+        };
+        self.making.push(name);
+        let node = if at.any_object()?.get("ref").is_some() {
+            self.node(&at)?
+        } else {
+            Arc::new(self.new_node(&at)?)
+        };
+        self.making.pop();
+        self.made.insert(name, node.clone());
+        Ok(node)
+    }
+
+    /// A node used once more, perhaps moved.
+    fn reference(&mut self, at: &Cursor<'a>, reference: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
+        let object = at.object(&["ref", "comment", "transform", "transfers", "material"])?;
+        let shared = self.named_node(reference.text()?, reference)?;
+        let changes = ["transform", "transfers", "material"].iter().any(|key| object.get(key).is_some());
+        if !changes {
+            return Ok(shared);
+        }
+        let union = Shape::Operator(Operator::Union, vec![shared]);
+        Ok(Arc::new(decorated(union, &object)?))
+    }
+
+    fn new_node(&mut self, at: &Cursor<'a>) -> Result<Node, SceneFileError> {
+        let any = at.any_object()?;
+        let mut types = vec![("cloud", Type::Cloud), ("noise", Type::Noise)];
+        types.extend(OPERATORS.map(|o| (o.name(), Type::Operator(o))));
+        types.extend(SOLIDS.map(|s| (s, Type::Solid(s))));
+        let with = |more: &[&str]| at.object(&[&COMMON[..], more].concat());
+        let (object, shape) = match any.require("type")?.one_of(&types)? {
+            Type::Cloud => {
+                let object = with(&["file", "kernel", "normalised", "transferFunction"])?;
+                let cloud = self.cloud(&object)?;
+                (object, Shape::Cloud(cloud))
+            }
+            Type::Operator(operator) => {
+                let object = with(&["children"])?;
+                let at = object.require("children")?;
+                let least = if operator == Operator::Difference { 2 } else { 1 };
+                let children = at.list()?;
+                if children.len() < least {
+                    let children = if least == 1 { "at least one child" } else { "two children or more" };
+                    return Err(at.expected(&format!("{children} of a {}", operator.name())));
+                }
+                let children = children.iter().map(|child| self.node(child)).collect::<Result<_, _>>()?;
+                (object, Shape::Operator(operator, children))
+            }
+            Type::Solid(name) => {
+                let (own, form) = form(name, at)?;
+                let object = with(&[own, &["opacity", "edge", "color"]].concat())?;
+                let opacity = object.read_or("opacity", 1.0, |at| at.number(0.0, 1.0))?;
+                let edge = object.read_or("edge", 0.0, |at| at.number(0.0, f64::MAX))?;
+                let solid = Solid { form, opacity, edge, pattern: pattern(&object)? };
+                (object, Shape::Procedural(Arc::new(solid) as Arc<dyn Procedural>))
+            }
+            Type::Noise => {
+                let own = ["radii", "scale", "octaves", "roughness", "opacity", "cover", "seed", "color"];
+                let object = with(&own)?;
+                let radii = object.require("radii")?;
+                let cloud = NoiseCloud {
+                    radii: positive_vector(&radii)?,
+                    scale: object.require("scale")?.positive()?,
+                    octaves: object.read_or("octaves", 4, |at| at.whole(1, 8))?,
+                    roughness: object.read_or("roughness", 0.5, |at| at.number(0.0, 1.0))?,
+                    opacity: object.read_or("opacity", 0.5, |at| at.number(0.0, 1.0))?,
+                    cover: object.read_or("cover", 0.6, |at| at.number(0.0, 1.0))?,
+                    seed: object.read_or("seed", 0, |at| at.whole(0, u32::MAX))?,
+                    pattern: pattern(&object)?,
+                };
+                (object, Shape::Procedural(Arc::new(cloud)))
+            }
+        };
+        decorated(shape, &object)
+    }
+
+    fn cloud(&mut self, object: &Object<'a>) -> Result<CloudObject, SceneFileError> {
+        let at = object.require("file")?;
+        let cloud = self.open(&at)?;
+        let mut made = CloudObject::plain(cloud);
+        let kernels = Kernel::ALL.map(|kernel| (kernel.name(), kernel));
+        made.kernel = object.read_or("kernel", made.kernel, |at| at.one_of(&kernels))?;
+        made.normalised = object.read_or("normalised", false, Cursor::boolean)?;
+        if let Some(at) = object.get("transferFunction") {
+            read_transfer_function(&at, &mut made)?;
+        }
+        Ok(made)
+    }
+
+    /// Opens a cloud file, once for all nodes that name it.
+    fn open(&mut self, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
+        let path = beside(at.document.file, at.text()?);
+        let key =
+            path.canonicalize().map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))?;
+        if let Some(cloud) = self.clouds.get(&key) {
+            return Ok(cloud.clone());
+        }
+        let cloud = Arc::new(Cloud::open(&path).map_err(|e| at.error(e.to_string()))?);
+        self.clouds.insert(key, cloud.clone());
+        Ok(cloud)
+    }
+}
+
+/// A path that a scene file names.
+pub(super) fn beside(file: &Path, name: &str) -> PathBuf {
+    file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name))
+}
+
+/// What any node may have besides its shape.
+fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> {
+    let mut node = Node::new(shape);
+    if let Some(at) = object.get("transform") {
+        node.parent_from_local = transform(&at)?;
+    }
+    if let Some(at) = object.get("transfers") {
+        for at in at.list()? {
+            node.transfers.extend(transfers(&at)?);
+        }
+    }
+    if let Some(at) = object.get("material") {
+        node.material = Some(material(&at)?);
+    }
+    Ok(node)
+}
+
+/// One or several moves, the first of which is made first.
+fn transform(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
+    if at.value.is_array() {
+        let steps = at.list()?;
+        return steps.iter().try_fold(DAffine3::IDENTITY, |sum, step| Ok(transform(step)? * sum));
+    }
+    let object = at.object(&["scale", "rotate", "translate", "matrix"])?;
+    let mut sum = DAffine3::IDENTITY;
+    if let Some(at) = object.get("matrix") {
+        let rows = at.list()?;
+        let [x, y, z] = rows.as_slice() else {
+            return Err(at.expected("three rows of four numbers"));
+        };
+        let rows = [x.numbers::<4>()?, y.numbers::<4>()?, z.numbers::<4>()?];
+        let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
+        let linear = DMat3::from_cols(column(0), column(1), column(2));
+        sum = DAffine3::from_mat3_translation(linear, column(3));
+    }
+    if let Some(at) = object.get("scale") {
+        let scale = if at.value.is_number() { DVec3::splat(at.any_number()?) } else { at.vector()? };
+        sum = DAffine3::from_scale(scale) * sum;
+    }
+    if let Some(at) = object.get("rotate") {
+        let rotate = at.object(&["axis", "degrees"])?;
+        let axis = rotate.require("axis")?.direction()?.normalize();
+        let angle = rotate.require("degrees")?.any_number()?.to_radians();
+        sum = DAffine3::from_quat(DQuat::from_axis_angle(axis, angle)) * sum;
+    }
+    if let Some(at) = object.get("translate") {
+        sum = DAffine3::from_translation(at.vector()?) * sum;
+    }
+    let determinant = sum.matrix3.determinant();
+    if determinant == 0.0 || !determinant.is_finite() {
+        return Err(
+            at.error("this transform flattens space: no scale may be 0, no row of a matrix may repeat")
+        );
+    }
+    Ok(sum)
+}
+
+fn material(at: &Cursor<'_>) -> Result<Material, SceneFileError> {
+    let known = ["ambient", "diffuse", "specular", "shininess", "reflectance", "refractiveIndex"];
+    let object = at.object(&known)?;
+    let plain = Material::default();
+    let part = |key: &str, default: f64| object.read_or(key, default, |at| at.number(0.0, 1000.0));
+    Ok(Material {
+        ambient: part("ambient", plain.ambient)?,
+        diffuse: part("diffuse", plain.diffuse)?,
+        specular: part("specular", plain.specular)?,
+        shininess: object.read_or("shininess", plain.shininess, |at| at.number(0.0, 1e4))?,
+        reflectance: object.read_or("reflectance", plain.reflectance, |at| at.number(0.0, 1.0))?,
+        refractive_index: object
+            .read_or("refractiveIndex", plain.refractive_index, |at| at.number(0.1, 10.0))?,
+    })
+}
+
+/// A transfer function over what a node makes: opacity, colour or both.
+fn transfers(at: &Cursor<'_>) -> Result<Vec<Transfer>, SceneFileError> {
+    let object = at.object(&["input", "opacity", "color", "valueRange"])?;
+    let inputs = [
+        ("opacity", Channel::Opacity),
+        ("red", Channel::Red),
+        ("green", Channel::Green),
+        ("blue", Channel::Blue),
+    ];
+    let input = object.read_or("input", Channel::Opacity, |at| at.one_of(&inputs))?;
+    let mut made = Vec::new();
+    if let Some(at) = object.get("opacity") {
+        made.push(Transfer::Opacity { input, curve: curve(&at)? });
+    }
+    if let Some(at) = object.get("color") {
+        let range = object.read_or("valueRange", (0.0, 1.0), value_range)?;
+        made.push(Transfer::Color { input, map: ColorMap { palette: palette(&at)?, range } });
+    }
+    if made.is_empty() { Err(at.error("expected \"opacity\", \"color\" or both")) } else { Ok(made) }
+}
+
+fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(), SceneFileError> {
+    let object = at.object(&["opacity", "color", "input", "valueRange", "preset"])?;
+    let preset = object.get("preset").map(|at| Preset::load(&at)).transpose()?;
+    if let Some(opacity) = preset.as_ref().and_then(|preset| preset.opacity.clone()) {
+        made.transfer.opacity = OpacityRule::Curve(opacity);
+    }
+    if let Some(at) = object.get("opacity") {
+        made.transfer.opacity = opacity(&at)?;
+    }
+    let input = object.get("input");
+    let header = made.cloud.header();
+    let (input, known_range) = match &input {
+        None => (MapInput::Density, (0.0, 1.0)),
+        Some(at) if at.text()? == "density" => (MapInput::Density, (0.0, 1.0)),
+        Some(at) => {
+            let name = at.text()?;
+            let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
+            let index = stored.iter().position(|stored| *stored == name).ok_or_else(|| {
+                let all = [&["density"], &stored[..]].concat().join(", ");
+                at.error(format!("the cloud stores no \"{name}\"; it has {all}"))
+            })?;
+            let attribute = &header.attributes[index];
+            let (low, high) = (f64::from(attribute.min), f64::from(attribute.max));
+            (MapInput::Attribute(index), (low, if high > low { high } else { low + 1.0 }))
+        }
+    };
+    let preset_map = preset.and_then(|preset| preset.map);
+    let known_range = preset_map.as_ref().map_or(known_range, |map| map.range);
+    let range = object.read_or("valueRange", known_range, value_range)?;
+    if let Some(map) = preset_map {
+        made.transfer.color = ColorRule::Map { map: ColorMap { range, ..map }, input };
+    }
+    if let Some(at) = object.get("color") {
+        made.transfer.color = match at.value.as_str() {
+            Some("points") if header.has_color => ColorRule::Points,
+            Some("points") => return Err(at.error("the cloud stores no colours")),
+            Some(text) if !text.starts_with('#') => {
+                ColorRule::Map { map: ColorMap { palette: palette(&at)?, range }, input }
+            }
+            None if is_stops(&at) => {
+                ColorRule::Map { map: ColorMap { palette: palette(&at)?, range }, input }
+            }
+            _ => ColorRule::Uniform(at.color()?.map(|v| v as f32)),
+        };
+    }
+    Ok(())
+}
+
+/// Whether a value is a list of lists.
+fn is_stops(at: &Cursor<'_>) -> bool {
+    at.value.as_array().and_then(|items| items.first()).is_some_and(serde_json::Value::is_array)
+}
+
+fn opacity(at: &Cursor<'_>) -> Result<OpacityRule, SceneFileError> {
+    if at.value.as_str() == Some("clamp") {
+        return Ok(OpacityRule::Clamp);
+    }
+    if at.value.is_object() {
+        let kappa = at.object(&["extinction"])?.require("extinction")?.number(0.0, f64::MAX)?;
+        return Ok(OpacityRule::Extinction(kappa));
+    }
+    if at.value.is_array() {
+        return Ok(OpacityRule::Curve(curve(at)?));
+    }
+    Err(at.expected("\"clamp\", {\"extinction\": 2.5} or a curve like [[0, 0], [1, 0.5]]"))
+}
+
+/// Points of ascending values and opacities from 0 to 1.
+fn curve(at: &Cursor<'_>) -> Result<Vec<(f64, f64)>, SceneFileError> {
+    let mut curve: Vec<(f64, f64)> = Vec::new();
+    for item in at.list()? {
+        let [value, opacity] = item.numbers::<2>()?;
+        if !(0.0..=1.0).contains(&opacity) {
+            return Err(item.error(format!("expected an opacity from 0 to 1, found {opacity}")));
+        }
+        if curve.last().is_some_and(|last| last.0 >= value) {
+            return Err(item.error("expected values in ascending order"));
+        }
+        curve.push((value, opacity));
+    }
+    if curve.is_empty() { Err(at.error("expected at least one [value, opacity]")) } else { Ok(curve) }
+}
+
+fn value_range(at: &Cursor<'_>) -> Result<(f64, f64), SceneFileError> {
+    let [low, high] = at.numbers::<2>()?;
+    if low == high { Err(at.error("expected two different numbers")) } else { Ok((low, high)) }
+}
+
+/// A palette by its name, or as a list of places and colours.
+fn palette(at: &Cursor<'_>) -> Result<Palette, SceneFileError> {
+    if let Some(name) = at.value.as_str() {
+        return name
+            .parse()
+            .map(Palette::Named)
+            .map_err(|e: crate::scene::UnknownColormap| at.error(e.to_string()));
+    }
+    let mut stops: Vec<(f64, [f64; 3])> = Vec::new();
+    for item in at.list()? {
+        let pair = item.list()?;
+        let [place, color] = pair.as_slice() else {
+            return Err(item.expected("a place from 0 to 1 and a colour, like [0.5, \"#c8b090\"]"));
+        };
+        let place_at = place.number(0.0, 1.0)?;
+        if stops.last().is_some_and(|last| last.0 >= place_at) {
+            return Err(place.error("expected places in ascending order"));
+        }
+        stops.push((place_at, color.color()?.map(crate::image::srgb_from_linear)));
+    }
+    if stops.is_empty() {
+        Err(at.error("expected at least one [place, colour]"))
+    } else {
+        Ok(Palette::Stops(stops.into()))
+    }
+}
+
+fn pattern(object: &Object<'_>) -> Result<Pattern, SceneFileError> {
+    let Some(at) = object.get("color") else { return Ok(Pattern::Uniform([1.0; 3])) };
+    if !at.value.is_object() {
+        return at.color().map(Pattern::Uniform);
+    }
+    if at.any_object()?.require("type")?.one_of(&[("checker", true), ("gradient", false)])? {
+        let object = at.object(&["type", "colors", "size"])?;
+        let colors_at = object.require("colors")?;
+        let colors = colors_at.list()?;
+        let [first, second] = colors.as_slice() else {
+            return Err(colors_at.expected("two colours"));
+        };
+        let size = object.require("size")?.positive()?;
+        return Ok(Pattern::Checker { colors: [first.color()?, second.color()?], size });
+    }
+    let object = at.object(&["type", "from", "to", "color", "valueRange"])?;
+    let (from, to) = (object.require("from")?.vector()?, object.require("to")?.vector()?);
+    if from == to {
+        return Err(at.error("\"from\" and \"to\" are the same place"));
+    }
+    let range = object.read_or("valueRange", (0.0, 1.0), value_range)?;
+    Ok(Pattern::Gradient { from, to, map: ColorMap { palette: palette(&object.require("color")?)?, range } })
+}
+
+fn positive_vector(at: &Cursor<'_>) -> Result<DVec3, SceneFileError> {
+    let vector = at.vector()?;
+    if vector.min_element() > 0.0 { Ok(vector) } else { Err(at.expected("three numbers above 0")) }
+}
+
+/// The shape of a solid, and the keys that it has of its own.
+fn form(name: &str, at: &Cursor<'_>) -> Result<(&'static [&'static str], Form), SceneFileError> {
+    let object = at.any_object()?;
+    let length = |key: &str| object.require(key)?.positive();
+    Ok(match name {
+        "sphere" => (&["radius"], Form::Sphere { radius: length("radius")? }),
+        "box" => (&["size"], Form::Box { size: positive_vector(&object.require("size")?)? }),
+        "cylinder" => {
+            (&["radius", "height"], Form::Cylinder { radius: length("radius")?, height: length("height")? })
+        }
+        "cone" => {
+            (&["radius", "height"], Form::Cone { radius: length("radius")?, height: length("height")? })
+        }
+        "torus" => {
+            let (major, minor) = (length("majorRadius")?, length("minorRadius")?);
+            (&["majorRadius", "minorRadius"], Form::Torus { major, minor })
+        }
+        "halfSpace" => {
+            let normal = object.require("normal")?.direction()?.normalize();
+            let offset = object.read_or("offset", 0.0, Cursor::any_number)?;
+            (&["normal", "offset"], Form::HalfSpace { normal, offset })
+        }
+        _ => (&["radii"], Form::Ellipsoid { radii: positive_vector(&object.require("radii")?)? }),
+    })
+}

@@ -1,0 +1,172 @@
+//! Where in a text a value of a JSON document stands.
+
+/// One step from a value to a value inside it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    Key(String),
+    Index(usize),
+}
+
+/// A place in a text, counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Place {
+    pub(super) line: usize,
+    pub(super) column: usize,
+}
+
+/// Finds the value at the end of a path in a text that is known to be JSON; for a key that stands there, the key.
+pub(super) fn locate(text: &str, path: &[Step]) -> Place {
+    let mut scanner = Scanner { bytes: text.as_bytes(), at: 0 };
+    for step in path {
+        let before = scanner.at;
+        if !scanner.enter(step) {
+            scanner.at = before;
+            break;
+        }
+    }
+    scanner.skip_space();
+    place_of(text, scanner.at)
+}
+
+/// The first key that stands twice in one object, if there is one, and its place.
+pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
+    let mut scanner = Scanner { bytes: text.as_bytes(), at: 0 };
+    let mut open: Vec<Vec<String>> = Vec::new();
+    loop {
+        scanner.skip_space();
+        let at = scanner.at;
+        match scanner.bytes.get(at)? {
+            b'{' => open.push(Vec::new()),
+            b'[' => open.push(vec!["[".into()]),
+            b'}' | b']' => drop(open.pop()),
+            b'"' => {
+                let word = scanner.string();
+                scanner.skip_space();
+                if scanner.bytes.get(scanner.at) == Some(&b':')
+                    && let Some(keys) = open.last_mut()
+                {
+                    if keys.contains(&word) {
+                        return Some((word, place_of(text, at)));
+                    }
+                    keys.push(word);
+                }
+                continue;
+            }
+            _ => {}
+        }
+        scanner.at += 1;
+    }
+}
+
+fn place_of(text: &str, at: usize) -> Place {
+    let before = &text.as_bytes()[..at.min(text.len())];
+    let line = before.iter().filter(|&&b| b == b'\n').count() + 1;
+    let start = before.iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1);
+    Place { line, column: String::from_utf8_lossy(&before[start..]).chars().count() + 1 }
+}
+
+struct Scanner<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Scanner<'_> {
+    fn skip_space(&mut self) {
+        while self.bytes.get(self.at).is_some_and(|b| b.is_ascii_whitespace() || *b == b',' || *b == b':') {
+            self.at += 1;
+        }
+    }
+
+    /// Passes a string and returns it as it is written, without its escapes resolved.
+    fn string(&mut self) -> String {
+        self.at += 1;
+        let start = self.at;
+        while let Some(&b) = self.bytes.get(self.at) {
+            match b {
+                b'\\' => self.at += 1,
+                b'"' => break,
+                _ => {}
+            }
+            self.at += 1;
+        }
+        let end = self.at.min(self.bytes.len());
+        self.at += 1;
+        String::from_utf8_lossy(&self.bytes[start..end]).into_owned()
+    }
+
+    /// Passes a whole value.
+    fn skip_value(&mut self) {
+        self.skip_space();
+        let mut depth = 0_usize;
+        while let Some(&b) = self.bytes.get(self.at) {
+            match b {
+                b'"' => {
+                    self.string();
+                    if depth == 0 {
+                        return;
+                    }
+                    continue;
+                }
+                b'{' | b'[' => depth += 1,
+                b'}' | b']' if depth <= 1 => {
+                    self.at += usize::from(depth == 1);
+                    return;
+                }
+                b'}' | b']' => depth -= 1,
+                b',' if depth == 0 => return,
+                _ => {}
+            }
+            self.at += 1;
+        }
+    }
+
+    /// Goes to a value inside the one that begins here; false where there is none.
+    fn enter(&mut self, step: &Step) -> bool {
+        self.skip_space();
+        match (step, self.bytes.get(self.at)) {
+            (Step::Index(index), Some(b'[')) => {
+                self.at += 1;
+                for _ in 0..*index {
+                    self.skip_value();
+                }
+                true
+            }
+            (Step::Key(key), Some(b'{')) => {
+                self.at += 1;
+                loop {
+                    self.skip_space();
+                    if self.bytes.get(self.at) != Some(&b'"') {
+                        return false;
+                    }
+                    if self.string() == *key {
+                        return true;
+                    }
+                    self.skip_value();
+                }
+            }
+            _ => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_found_where_they_stand() {
+        let text = "{\n  \"a\": [1, {\"b\": \"x]\\\"\", \"c\": 2}],\n  \"d\": true\n}";
+        let key = |k: &str| Step::Key(k.into());
+        let at = |path: &[Step]| {
+            let Place { line, column } = locate(text, path);
+            (line, column)
+        };
+        assert_eq!(at(&[]), (1, 1));
+        assert_eq!(at(&[key("a"), Step::Index(0)]), (2, 9));
+        assert_eq!(at(&[key("a"), Step::Index(1), key("c")]), (2, 34));
+        assert_eq!(at(&[key("d")]), (3, 8));
+        assert_eq!(repeated_key("{\"a\": {\"b\": 1}, \"b\": [\"a\", \"a\"]}"), None);
+        let (key, place) = repeated_key("{\"a\": 1,\n \"a\": 2}").expect("it stands twice");
+        assert_eq!((key.as_str(), place), ("a", Place { line: 2, column: 2 }));
+    }
+}

@@ -1,0 +1,160 @@
+//! Scene files: one strict, versioned form of JSON. `docs/scene.md` tells it to people, `docs/scene.schema.json` to
+//! editors.
+//!
+//! A scene holds what decides pixels and nothing else: camera, image, lights, render settings and the graph. Memory and
+//! threads are for whoever renders it.
+
+mod graph;
+mod locate;
+mod preset;
+mod reader;
+mod view;
+
+use std::path::{Path, PathBuf};
+
+use self::graph::GraphReader;
+use self::reader::{Cursor, Document, Object};
+use crate::image::Development;
+use crate::scene::{Camera, Light, LightKind, Lighting, RenderSettings, Scene, SceneError};
+
+/// Version of the form that this code reads.
+pub const VERSION: u32 = 1;
+
+/// What a scene file says.
+#[derive(Clone, Debug)]
+pub struct SceneFile {
+    /// The graph and its light.
+    pub scene: Scene,
+    /// Where from; the whole scene, slightly from above, where the file does not say.
+    pub camera: Camera,
+    /// Size of the picture and everything else that decides pixels.
+    pub settings: RenderSettings,
+    /// From light to the picture's numbers.
+    pub development: Development,
+}
+
+/// What is wrong with a scene file, and where.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{}:{line}:{column}: {}{what}", file.display(), if key.is_empty() { String::new() } else { format!("{key}: ") })]
+pub struct SceneFileError {
+    /// The file.
+    pub file: PathBuf,
+    /// Line, counted from 1.
+    pub line: usize,
+    /// Column, counted from 1 in characters.
+    pub column: usize,
+    /// The way to the value, as `root.children[1].radius`; empty where it is the whole file.
+    pub key: String,
+    /// What is wrong, what was expected and what to do.
+    pub what: String,
+}
+
+/// Why there is no scene.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LoadError {
+    /// The operating system refused.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// Something in the file.
+    #[error(transparent)]
+    Content(#[from] SceneFileError),
+}
+
+impl SceneFile {
+    /// Reads a scene and opens the data it names, by paths relative to the file.
+    ///
+    /// # Errors
+    /// [`LoadError`] that names line, column, key and what was expected.
+    pub fn load(path: &Path) -> Result<Self, LoadError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| LoadError::Io { path: path.to_owned(), source })?;
+        Ok(Self::parse(path, &text)?)
+    }
+
+    /// Reads a scene from a text; `path` is where it is said to stand.
+    ///
+    /// # Errors
+    /// [`SceneFileError`] that names line, column, key and what was expected.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, SceneFileError> {
+        let document = Document { file: path, text };
+        let value = document.parse()?;
+        let whole = Cursor::root(&document, &value);
+        let known =
+            ["$schema", "rayset", "image", "camera", "background", "lights", "rendering", "define", "root"];
+        let file = whole.object(&known)?;
+        check_version(&file)?;
+        let root_at = file.require("root")?;
+        let mut graph = GraphReader::new(&file)?;
+        let root = graph.node(&root_at)?;
+        let (settings, development) = view::settings(&file)?;
+        let bounds = root.bounds();
+        let scene = Scene {
+            lighting: lighting(&file)?,
+            background: match file.get("background") {
+                Some(cursor) if !cursor.value.is_null() => Some(cursor.color()?.map(|v| v as f32)),
+                _ => None,
+            },
+            unit_distance: view::unit_distance(&file, &bounds)?,
+            root,
+        };
+        scene.check().map_err(|e| match e {
+            SceneError::UnitDistance => whole.error(e.to_string()),
+            _ => root_at.error(e.to_string()),
+        })?;
+        let camera = view::camera(&file, &bounds, &settings)?;
+        Ok(Self { scene, camera, settings, development })
+    }
+}
+
+fn check_version(file: &Object<'_>) -> Result<(), SceneFileError> {
+    let at = file.get("rayset").ok_or_else(|| {
+        file.cursor.error(format!("\"rayset\" is missing; a scene begins with {{\"rayset\": {VERSION}"))
+    })?;
+    if at.value.as_u64() == Some(u64::from(VERSION)) {
+        return Ok(());
+    }
+    Err(at.expected(&format!("{VERSION}, the version of scene files that this program reads")))
+}
+
+fn lighting(file: &Object<'_>) -> Result<Lighting, SceneFileError> {
+    let Some(at) = file.get("lights") else { return Ok(Lighting::headlight()) };
+    if at.value.as_str() == Some("none") {
+        return Ok(Lighting::Unlit);
+    }
+    if !at.value.is_array() {
+        return Err(at.expected("a list of lights, or \"none\""));
+    }
+    Ok(Lighting::Lit(at.list()?.iter().map(light).collect::<Result<_, _>>()?))
+}
+
+fn light(at: &Cursor<'_>) -> Result<Light, SceneFileError> {
+    let of_type = at.any_object()?.require("type")?;
+    let common = ["type", "color", "intensity"];
+    let with = |more: &[&str]| at.object(&[&common[..], more].concat());
+    let (object, kind) =
+        match of_type.one_of(&[("ambient", 0), ("headlight", 1), ("directional", 2), ("point", 3)])? {
+            0 => (with(&[])?, LightKind::Ambient),
+            1 => (with(&[])?, LightKind::Headlight),
+            2 => {
+                let object = with(&["direction", "shadow"])?;
+                let direction = object.require("direction")?.direction()?;
+                (object, LightKind::Directional { direction })
+            }
+            _ => {
+                let object = with(&["position", "decay", "shadow"])?;
+                let position = object.require("position")?.vector()?;
+                let decays = object.read_or("decay", true, Cursor::boolean)?;
+                (object, LightKind::Point { position, decays })
+            }
+        };
+    let color = object.read_or("color", [1.0; 3], Cursor::color)?;
+    let intensity = object.read_or("intensity", 1.0, |at| at.number(0.0, 1e12))?;
+    let color = color.map(|v| (v * intensity) as f32);
+    Ok(Light { kind, color, shadow: object.read_or("shadow", true, Cursor::boolean)? })
+}

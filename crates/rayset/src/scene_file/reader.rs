@@ -1,0 +1,280 @@
+//! Reading a JSON document strictly: every value is asked for by type, every key has to be known, and whatever is wrong
+//! says where it stands and what was expected.
+
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use super::SceneFileError;
+use super::locate::{Step, locate, repeated_key};
+use crate::field::linear_from_srgb;
+use crate::geometry::DVec3;
+
+/// A document: its text, for places, and the file that it was read from.
+pub(super) struct Document<'a> {
+    pub(super) file: &'a Path,
+    pub(super) text: &'a str,
+}
+
+impl Document<'_> {
+    /// Parses the text.
+    pub(super) fn parse(&self) -> Result<Value, SceneFileError> {
+        let value = serde_json::from_str(self.text).map_err(|e| {
+            // The parser says the place at the end, which the error says by itself.
+            let what = e.to_string();
+            let what = what.split(" at line ").next().unwrap_or_default().to_owned();
+            self.error_at(
+                e.line().max(1),
+                e.column().max(1),
+                String::new(),
+                format!("this is not JSON: {what}"),
+            )
+        })?;
+        if let Some((key, place)) = repeated_key(self.text) {
+            let what = "this key stands twice in one object; only one can count".to_owned();
+            return Err(self.error_at(place.line, place.column, key, what));
+        }
+        Ok(value)
+    }
+
+    fn error_at(&self, line: usize, column: usize, key: String, what: String) -> SceneFileError {
+        SceneFileError { file: self.file.to_owned(), line, column, key, what }
+    }
+}
+
+/// A value and the way to it.
+#[derive(Clone)]
+pub(super) struct Cursor<'a> {
+    pub(super) document: &'a Document<'a>,
+    pub(super) value: &'a Value,
+    path: Vec<Step>,
+}
+
+/// An object whose keys are all known.
+#[derive(Clone)]
+pub(super) struct Object<'a> {
+    pub(super) cursor: Cursor<'a>,
+    map: &'a Map<String, Value>,
+}
+
+impl<'a> Cursor<'a> {
+    pub(super) fn root(document: &'a Document<'a>, value: &'a Value) -> Self {
+        Self { document, value, path: Vec::new() }
+    }
+
+    /// What is wrong with this value.
+    pub(super) fn error(&self, what: impl Into<String>) -> SceneFileError {
+        let place = locate(self.document.text, &self.path);
+        self.document.error_at(place.line, place.column, self.name(), what.into())
+    }
+
+    /// As [`error`](Self::error), with what was found instead of what was expected.
+    pub(super) fn expected(&self, what: &str) -> SceneFileError {
+        let found = match self.value {
+            Value::Null => "null".into(),
+            Value::Bool(b) => b.to_string(),
+            Value::Number(n) => n.to_string(),
+            Value::String(s) => format!("{s:?}"),
+            Value::Array(items) => format!("a list of {}", items.len()),
+            Value::Object(_) => "an object".into(),
+        };
+        self.error(format!("expected {what}, found {found}"))
+    }
+
+    /// The way to the value, as one would write it.
+    fn name(&self) -> String {
+        let mut name = String::new();
+        for step in &self.path {
+            match step {
+                Step::Key(key) if name.is_empty() => name.push_str(key),
+                Step::Key(key) => name = format!("{name}.{key}"),
+                Step::Index(index) => name = format!("{name}[{index}]"),
+            }
+        }
+        name
+    }
+
+    fn inner(&self, value: &'a Value, step: Step) -> Self {
+        let mut path = self.path.clone();
+        path.push(step);
+        Self { document: self.document, value, path }
+    }
+
+    /// An object with no keys but those that are known.
+    pub(super) fn object(&self, known: &[&str]) -> Result<Object<'a>, SceneFileError> {
+        let object = self.any_object()?;
+        for (key, value) in object.map {
+            if !known.contains(&key.as_str()) {
+                let nearest = nearest(key, known);
+                let hint = nearest.map_or_else(
+                    || format!("expected one of {}", known.join(", ")),
+                    |nearest| format!("did you mean \"{nearest}\"?"),
+                );
+                return Err(self.inner(value, Step::Key(key.clone())).error(format!("unknown key; {hint}")));
+            }
+        }
+        Ok(object)
+    }
+
+    /// An object whose keys are looked at later.
+    pub(super) fn any_object(&self) -> Result<Object<'a>, SceneFileError> {
+        match self.value {
+            Value::Object(map) => Ok(Object { cursor: self.clone(), map }),
+            _ => Err(self.expected("an object")),
+        }
+    }
+
+    pub(super) fn list(&self) -> Result<Vec<Self>, SceneFileError> {
+        match self.value {
+            Value::Array(items) => {
+                Ok(items.iter().enumerate().map(|(i, item)| self.inner(item, Step::Index(i))).collect())
+            }
+            _ => Err(self.expected("a list")),
+        }
+    }
+
+    pub(super) fn text(&self) -> Result<&'a str, SceneFileError> {
+        self.value.as_str().ok_or_else(|| self.expected("text"))
+    }
+
+    pub(super) fn boolean(&self) -> Result<bool, SceneFileError> {
+        self.value.as_bool().ok_or_else(|| self.expected("true or false"))
+    }
+
+    /// A number within bounds, both included.
+    pub(super) fn number(&self, least: f64, most: f64) -> Result<f64, SceneFileError> {
+        let fits = |v: &f64| (least..=most).contains(v);
+        self.value.as_f64().filter(fits).ok_or_else(|| {
+            let expected = match (least == f64::MIN, most == f64::MAX) {
+                (true, true) => "a number".to_owned(),
+                (false, true) if least == f64::MIN_POSITIVE => "a number above 0".to_owned(),
+                (false, true) => format!("a number of at least {least}"),
+                (true, false) => format!("a number of at most {most}"),
+                (false, false) => format!("a number from {least} to {most}"),
+            };
+            self.expected(&expected)
+        })
+    }
+
+    pub(super) fn any_number(&self) -> Result<f64, SceneFileError> {
+        self.number(f64::MIN, f64::MAX)
+    }
+
+    pub(super) fn positive(&self) -> Result<f64, SceneFileError> {
+        self.number(f64::MIN_POSITIVE, f64::MAX)
+    }
+
+    /// A whole number within bounds, both included.
+    pub(super) fn whole(&self, least: u32, most: u32) -> Result<u32, SceneFileError> {
+        let whole = self.value.as_u64().and_then(|v| u32::try_from(v).ok());
+        whole
+            .filter(|v| (least..=most).contains(v))
+            .ok_or_else(|| self.expected(&format!("a whole number from {least} to {most}")))
+    }
+
+    pub(super) fn numbers<const N: usize>(&self) -> Result<[f64; N], SceneFileError> {
+        let items = match self.value {
+            Value::Array(items) if items.len() == N => self.list()?,
+            _ => return Err(self.expected(&format!("a list of {N} numbers"))),
+        };
+        let mut numbers = [0.0; N];
+        for (number, item) in numbers.iter_mut().zip(&items) {
+            *number = item.any_number()?;
+        }
+        Ok(numbers)
+    }
+
+    pub(super) fn vector(&self) -> Result<DVec3, SceneFileError> {
+        self.numbers::<3>().map(DVec3::from_array)
+    }
+
+    /// A vector that is not zero.
+    pub(super) fn direction(&self) -> Result<DVec3, SceneFileError> {
+        let vector = self.vector()?;
+        if vector.length_squared() > 0.0 {
+            Ok(vector)
+        } else {
+            Err(self.error("expected a direction, found a vector of length 0"))
+        }
+    }
+
+    /// A colour: `"#c8b090"` as screens show it, or three numbers of linear light.
+    pub(super) fn color(&self) -> Result<[f64; 3], SceneFileError> {
+        const EXPECTED: &str = "a colour like \"#c8b090\" or [0.5, 0.4, 0.3] (linear light)";
+        match self.value {
+            Value::String(text) => {
+                let hex = text.strip_prefix('#').filter(|hex| hex.len() == 6 && hex.is_ascii());
+                let value = hex.and_then(|hex| u32::from_str_radix(hex, 16).ok());
+                let value = value.ok_or_else(|| self.expected(EXPECTED))?;
+                Ok([16, 8, 0].map(|shift| linear_from_srgb(f64::from(value >> shift & 255) / 255.0)))
+            }
+            Value::Array(items) if items.len() == 3 => {
+                let mut color = [0.0; 3];
+                for (channel, item) in color.iter_mut().zip(self.list()?) {
+                    *channel = item.number(0.0, f64::MAX)?;
+                }
+                Ok(color)
+            }
+            _ => Err(self.expected(EXPECTED)),
+        }
+    }
+
+    /// One of a few words.
+    pub(super) fn one_of<T: Copy>(&self, words: &[(&str, T)]) -> Result<T, SceneFileError> {
+        let names: Vec<&str> = words.iter().map(|(name, _)| *name).collect();
+        let found = self.value.as_str().and_then(|text| words.iter().find(|(name, _)| *name == text));
+        found.map(|&(_, value)| value).ok_or_else(|| {
+            let close = self.value.as_str().and_then(|text| nearest(text, &names));
+            let hint = close.map_or_else(String::new, |n| format!("; did you mean \"{n}\"?"));
+            let mut error = self.expected(&format!("one of {}", names.join(", ")));
+            error.what.push_str(&hint);
+            error
+        })
+    }
+}
+
+impl<'a> Object<'a> {
+    pub(super) fn get(&self, key: &str) -> Option<Cursor<'a>> {
+        self.map.get(key).map(|value| self.cursor.inner(value, Step::Key(key.to_owned())))
+    }
+
+    pub(super) fn require(&self, key: &str) -> Result<Cursor<'a>, SceneFileError> {
+        self.get(key).ok_or_else(|| self.cursor.error(format!("\"{key}\" is missing")))
+    }
+
+    pub(super) fn entries(&self) -> impl Iterator<Item = (&'a str, Cursor<'a>)> {
+        self.map.iter().map(|(key, value)| (key.as_str(), self.cursor.inner(value, Step::Key(key.clone()))))
+    }
+
+    /// What `read` makes of a value, or a default where there is none.
+    pub(super) fn read_or<T>(
+        &self,
+        key: &str,
+        default: T,
+        read: impl FnOnce(&Cursor<'a>) -> Result<T, SceneFileError>,
+    ) -> Result<T, SceneFileError> {
+        self.get(key).map_or(Ok(default), |cursor| read(&cursor))
+    }
+}
+
+/// The word that is most like another, where one is like it at all.
+fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
+    let close = known.iter().map(|k| (edits(&word.to_lowercase(), &k.to_lowercase()), *k)).min()?;
+    (close.0 <= 1 + word.len() / 3).then_some(close.1)
+}
+
+/// Letters to insert, remove or exchange to turn one word into another (Levenshtein 1966).
+fn edits(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, &y) in b.iter().enumerate() {
+            let exchanged = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = exchanged.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
