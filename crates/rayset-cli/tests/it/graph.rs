@@ -7,8 +7,9 @@ use rayset::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use rayset::octree::build::BuildOptions;
 use rayset::scene::{
     Channel, ColorMap, Form, Light, LightKind, Lighting, Material, Node, NoiseCloud, Operator, Pattern,
-    RenderSettings, Scene, Shape, Solid, Step, Transfer,
+    RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
 };
+use rayset::trace::ExecSettings;
 use rayset::trace::judge::Judge;
 
 use crate::common::{bits, build_at, camera, folder, look, mixed_points, plain_picture, settings};
@@ -269,4 +270,46 @@ fn twenty_leaves_over_one_cloud_use_the_pages_of_one() {
     let again =
         crate::common::picture(&scene, &camera(), &settings(64, 64), &exec, &tight).expect("a picture");
     assert!(bits(&again) == small);
+}
+
+#[test]
+fn cached_shadows_are_the_same_whatever_the_means_and_close_to_exact_ones() {
+    let Parts { cloud, _folder, .. } = parts();
+    let small = cloud.moved(DAffine3::from_scale_rotation_translation(
+        DVec3::splat(0.4),
+        DQuat::IDENTITY,
+        DVec3::new(0.0, 0.4, 0.2),
+    ));
+    let floor = solid(Form::Box { size: DVec3::new(2.0, 0.2, 2.0) }, [0.8, 0.8, 0.7])
+        .moved(DAffine3::from_translation(DVec3::new(0.0, -0.7, 0.0)));
+    let down = LightKind::Directional { direction: DVec3::new(0.3, -1.0, -0.4) };
+    let lamp = LightKind::Point { position: DVec3::new(-0.8, 1.2, 0.9), decays: false };
+    let among = LightKind::Point { position: DVec3::new(0.3, 0.0, 0.9), decays: false };
+    let lights = [down, lamp, among].map(|kind| light(kind, [0.4; 3], true)).to_vec();
+    let scene = scene(Node::operator(Operator::Union, [small, floor]), lights);
+    let exact = RenderSettings { step: Step::Fixed(STEP), ..settings(64, 64) };
+    let cached = RenderSettings { shadows: Shadows::Cached { resolution: 512 }, ..exact };
+    let picture = |settings: &RenderSettings, exec: ExecSettings, pages: u64| {
+        let paged = crate::common::paged(&scene, pages * (16 << 10));
+        crate::common::picture(&scene, &camera(), settings, &exec, &paged).expect("a picture")
+    };
+    let exec = |threads| ExecSettings { threads, ..ExecSettings::default() };
+    let found = picture(&cached, exec(1), 10_000);
+    for (slab_samples, tile_pixels, threads, pages) in
+        [(32, 8, 2, 150), (7, 8, 1, 10_000), (32, 3, 2, 10_000), (16, 8, 3, 300)]
+    {
+        let again = picture(&cached, ExecSettings { slab_samples, tile_pixels, ..exec(threads) }, pages);
+        assert!(
+            bits(&again) == bits(&found),
+            "slabs of {slab_samples}, tiles of {tile_pixels}, {pages} pages"
+        );
+    }
+    let reference = picture(&exact, exec(2), 10_000);
+    let mut errors: Vec<f32> = (found.iter().zip(&reference))
+        .map(|(a, b)| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max))
+        .collect();
+    errors.sort_unstable_by(f32::total_cmp);
+    let (mean, p99) = (errors.iter().sum::<f32>() / errors.len() as f32, errors[errors.len() * 99 / 100]);
+    println!("mean {mean}, 99 % within {p99}, largest {}", errors[errors.len() - 1]);
+    assert!(mean < 0.001 && p99 < 0.02, "mean {mean}, 99 % within {p99}");
 }

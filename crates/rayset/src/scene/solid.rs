@@ -202,7 +202,8 @@ impl Procedural for Solid {
     }
 
     fn detail(&self) -> f64 {
-        let hard = 0.25 * self.form.thickness();
+        // Silhouettes of hard edges are as fine as the steps.
+        let hard = self.form.thickness() / 16.0;
         let pattern = match &self.pattern {
             Pattern::Checker { size, .. } => *size,
             Pattern::Uniform(_) | Pattern::Gradient { .. } => f64::INFINITY,

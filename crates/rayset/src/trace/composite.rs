@@ -24,11 +24,14 @@ pub(super) struct Shares {
     pub(super) samples: [u32; LANES],
     /// What part of the light of a sample reaches the beginning of its ray.
     pub(super) share: Vec<SampleRow>,
+    /// What of the light of the places behind a sample does.
+    pub(super) behind: Vec<SampleRow>,
 }
 
 impl Shares {
     pub(super) fn new() -> Self {
-        Self { samples: [0; LANES], share: vec![SampleRow([0.0; SLAB_SAMPLES]); LANES] }
+        let rows = || vec![SampleRow([0.0; SLAB_SAMPLES]); LANES];
+        Self { samples: [0; LANES], share: rows(), behind: rows() }
     }
 
     /// How many there are.
@@ -68,8 +71,8 @@ impl Absorption {
         each_lane(lanes & block.touched, |lane| {
             let thickness = &block.opacity[lane];
             let taken = dispatch!(self.simd.level(), _simd => taken(thickness, step_units));
-            let (samples, ends) =
-                self.through(&taken, slab, &mut states[lane].transmittance, &mut shares.share[lane]);
+            let rows = (&mut shares.share[lane], &mut shares.behind[lane]);
+            let (samples, ends) = self.through(&taken, slab, &mut states[lane].transmittance, rows);
             shares.samples[lane] = samples;
             if ends {
                 going &= !(1 << lane);
@@ -84,7 +87,7 @@ impl Absorption {
         taken: &SampleRow,
         slab: Slab,
         transmittance: &mut f64,
-        share: &mut SampleRow,
+        (share, behind): (&mut SampleRow, &mut SampleRow),
     ) -> (u32, bool) {
         let mut opaque = 0_u32;
         for (j, &a) in taken.0[..slab.samples].iter().enumerate() {
@@ -97,6 +100,7 @@ impl Absorption {
             samples |= 1 << j;
             share.0[j] = *transmittance as f32 * taken.0[j];
             *transmittance *= 1.0 - f64::from(taken.0[j]);
+            behind.0[j] = *transmittance as f32;
             if *transmittance < self.stop_transmittance {
                 return (samples, true);
             }

@@ -3,9 +3,10 @@
 use super::composite::Absorption;
 use super::program::{Program, Purpose};
 use super::shade::Shader;
+use super::shadow::LightTable;
 use super::steps::StepRule;
 use super::{ExecSettings, RenderError};
-use crate::scene::{RenderSettings, Scene};
+use crate::scene::{RenderSettings, Scene, Shadows};
 use crate::working_set::{PagedClouds, WorkingSet};
 
 /// Everything that a thread needs to trace a packet.
@@ -15,6 +16,8 @@ pub(super) struct World {
     /// The same graph, for its opacity alone; nothing where no light throws shadows.
     pub(super) shadow_program: Option<Program>,
     pub(super) shader: Shader,
+    /// For each light, where its shadows are looked up; nothing where they are exact or there are none.
+    pub(super) light_tables: Vec<Option<LightTable>>,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
     pub(super) background: Option<[f32; 3]>,
@@ -36,6 +39,13 @@ impl World {
             Some(_) => Some(Program::compile(scene, Purpose::Shadow, exec.simd, paged)?),
             None => None,
         };
+        let mut light_tables: Vec<Option<LightTable>> = (0..shader.lights()).map(|_| None).collect();
+        if let Shadows::Cached { resolution } = settings.shadows {
+            let bounds = scene.root.bounds();
+            for (number, light) in shader.shadow_lights() {
+                light_tables[number] = LightTable::new(light, &bounds, resolution, &paged.pages);
+            }
+        }
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
             stop_transmittance: f64::from(settings.stop_transmittance),
@@ -47,6 +57,7 @@ impl World {
             program,
             shadow_program,
             shader,
+            light_tables,
             absorption,
             background: scene.background,
             slabs_on_a_miss: exec.predictor.slabs_on_a_miss(),

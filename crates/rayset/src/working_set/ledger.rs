@@ -5,7 +5,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::buffer::PageBuffer;
-use super::{Kind, Object, ObjectId, Resident, Slot, lock};
+use super::{KINDS, Kind, Object, ObjectId, Resident, Slot, lock};
 
 /// Hard limits in bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,7 +13,7 @@ pub struct Limits {
     /// For all pages together.
     pub total: u64,
     /// For each kind, in the order of [`Kind::ALL`].
-    pub by_kind: [u64; 3],
+    pub by_kind: [u64; KINDS],
     /// For single objects.
     pub by_object: Vec<(ObjectId, u64)>,
 }
@@ -22,7 +22,7 @@ impl Limits {
     /// A limit for all pages together and none besides.
     #[must_use]
     pub fn total(bytes: u64) -> Self {
-        Self { total: bytes, by_kind: [u64::MAX; 3], by_object: Vec::new() }
+        Self { total: bytes, by_kind: [u64::MAX; KINDS], by_object: Vec::new() }
     }
 
     /// The same with a limit for one kind.
@@ -49,10 +49,10 @@ impl Limits {
 struct Books {
     limits: Limits,
     used: u64,
-    used_by_kind: [u64; 3],
+    used_by_kind: [u64; KINDS],
     used_by_object: Vec<u64>,
     peak: u64,
-    peak_by_kind: [u64; 3],
+    peak_by_kind: [u64; KINDS],
     /// Pages whose room is reserved and whose bytes are on their way.
     loading: u64,
     residents: Vec<Arc<Resident>>,
@@ -101,10 +101,10 @@ impl Ledger {
         let books = Books {
             limits,
             used: 0,
-            used_by_kind: [0; 3],
+            used_by_kind: [0; KINDS],
             used_by_object: Vec::new(),
             peak: 0,
-            peak_by_kind: [0; 3],
+            peak_by_kind: [0; KINDS],
             loading: 0,
             residents: Vec::new(),
             candidates: Vec::new(),
@@ -141,12 +141,21 @@ impl Ledger {
 
     /// Evicts everything that is neither retained nor loading. Returns what went.
     pub(super) fn evict_all(&self) -> Vec<Evicted> {
+        self.evict_whatever(Obstacle::Total)
+    }
+
+    /// The same of one object.
+    pub(super) fn evict_object(&self, object: ObjectId) -> Vec<Evicted> {
+        self.evict_whatever(Obstacle::Object(object))
+    }
+
+    fn evict_whatever(&self, obstacle: Obstacle) -> Vec<Evicted> {
         let mut books = lock(&self.books);
         let mut evicted = Vec::new();
-        while let Some(page) = books.evict(Obstacle::Total, None) {
+        while let Some(page) = books.evict(obstacle, None) {
             evicted.push(page);
+            books.spare.clear();
         }
-        books.spare.clear();
         evicted
     }
 
@@ -257,7 +266,7 @@ impl Ledger {
         retained.map(|r| r.object.bytes()).sum()
     }
 
-    pub(super) fn peaks(&self) -> (u64, [u64; 3]) {
+    pub(super) fn peaks(&self) -> (u64, [u64; KINDS]) {
         let books = lock(&self.books);
         (books.peak, books.peak_by_kind)
     }

@@ -42,24 +42,30 @@ pub enum Kind {
     Points,
     /// Bricks of a grid.
     Voxels,
+    /// Light that reaches places, computed.
+    Shadows,
 }
+
+/// Number of kinds.
+pub const KINDS: usize = 4;
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 3] = [Self::Octree, Self::Points, Self::Voxels];
+    pub const ALL: [Self; KINDS] = [Self::Octree, Self::Points, Self::Voxels, Self::Shadows];
 
     fn index(self) -> usize {
         match self {
             Self::Octree => 0,
             Self::Points => 1,
             Self::Voxels => 2,
+            Self::Shadows => 3,
         }
     }
 
     /// The name used in statistics.
     #[must_use]
     pub fn name(self) -> &'static str {
-        ["octree", "points", "voxels"][self.index()]
+        ["octree", "points", "voxels", "shadows"][self.index()]
     }
 }
 
@@ -207,7 +213,7 @@ struct Shared {
     unused_hint_bytes: AtomicU64,
     /// Hints of earlier eras are forgotten.
     hint_era: AtomicU32,
-    counters: [Counters; 3],
+    counters: [Counters; KINDS],
 }
 
 /// Pages in memory, shared by threads. Cheap to clone.
@@ -346,6 +352,70 @@ impl WorkingSet {
             Slot::Failed(fault) => Some(Err(fault.clone())),
             Slot::Absent | Slot::Loading => None,
         }
+    }
+
+    /// Retains a page that is made, not read: `compute` fills its bytes where it is absent, on the calling thread, which
+    /// may retain other pages meanwhile. Another thread that wants the page waits for it, or makes it where this one fails.
+    ///
+    /// # Errors
+    /// What `compute` returns, which leaves the page absent; a [`PageFault`] where there is no room.
+    pub fn retain_computed<E: From<PageFault>>(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        priority: u8,
+        mut compute: impl FnMut(&mut [u8]) -> Result<(), E>,
+    ) -> Result<PageGuard, E> {
+        let counters = &self.shared.counters[object.kind(page).index()];
+        loop {
+            let mut slot = object.slot(page);
+            match &*slot {
+                Slot::Resident(resident) => {
+                    counters.hits.fetch_add(1, Ordering::Relaxed);
+                    return Ok(self.guard(resident, priority, counters));
+                }
+                Slot::Failed(fault) => return Err(fault.clone().into()),
+                Slot::Loading => {
+                    drop(slot);
+                    let started = Instant::now();
+                    counters.late.fetch_add(1, Ordering::Relaxed);
+                    let is_loading = || matches!(&*object.slot(page), Slot::Loading);
+                    self.shared.ledger.wait_until(|| (!is_loading()).then_some(()));
+                    counters.stalls.fetch_add(1, Ordering::Relaxed);
+                    let waited = started.elapsed().as_nanos() as u64;
+                    counters.stall_nanoseconds.fetch_add(waited, Ordering::Relaxed);
+                    continue;
+                }
+                Slot::Absent => *slot = Slot::Loading,
+            }
+            drop(slot);
+            counters.misses.fetch_add(1, Ordering::Relaxed);
+            let mut buffer = self.make_room(object, page).inspect_err(|_| self.give_up(object, page))?;
+            if let Err(error) = compute(buffer.bytes_mut()) {
+                *object.slot(page) = Slot::Absent;
+                self.shared.ledger.failed(object.kind(page), object, buffer);
+                return Err(error);
+            }
+            let resident = Arc::new(Resident {
+                object: object.clone(),
+                page,
+                buffer,
+                retained: AtomicU32::new(1),
+                priority: AtomicU8::new(priority),
+                last_use: AtomicU64::new(self.tick()),
+                hint: AtomicU8::new(NOT_HINTED),
+            });
+            *object.slot(page) = Slot::Resident(resident.clone());
+            let evicted = self.shared.ledger.loaded(resident.clone());
+            self.count_evictions(&evicted);
+            return Ok(PageGuard { resident, shared: self.shared.clone(), decays: true });
+        }
+    }
+
+    /// Evicts all pages of an object that are not retained: it will not be used again.
+    pub fn forget(&self, object: &Object) {
+        let evicted = self.shared.ledger.evict_object(object.id);
+        self.count_evictions(&evicted);
     }
 
     /// A page, if it is resident now. Looking at it so does not count as its use.

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::KINDS;
 use super::Kind;
 use super::ledger::Ledger;
 
@@ -74,13 +75,13 @@ pub struct KindStatistics {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
     /// By kind, in the order of [`Kind::ALL`].
-    pub by_kind: [KindStatistics; 3],
+    pub by_kind: [KindStatistics; KINDS],
     /// Most bytes at any time, of all kinds together.
     pub peak_bytes: u64,
 }
 
 impl Statistics {
-    pub(super) fn collect(counters: &[Counters; 3], ledger: &Ledger) -> Self {
+    pub(super) fn collect(counters: &[Counters; KINDS], ledger: &Ledger) -> Self {
         let (peak_bytes, peaks) = ledger.peaks();
         let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
         let by_kind = std::array::from_fn(|k| {

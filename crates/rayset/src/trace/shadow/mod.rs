@@ -1,6 +1,9 @@
 //! How much of each light reaches each sample.
 
+mod cached;
+mod curve;
 mod exact;
+mod map;
 
 use super::access::{Access, Halt};
 use super::block::Block;
@@ -11,6 +14,8 @@ use super::world::World;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::geometry::DVec3;
 
+pub(super) use self::cached::LightTable;
+use self::cached::ShadowTables;
 use self::exact::ShadowRays;
 
 /// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
@@ -31,6 +36,8 @@ fn lit_place(packet: &Packet, block: &Block, lane: usize, sample: u64, j: usize)
 /// The shadows of one thread.
 pub(super) struct Shadows<'a> {
     exact: ShadowRays<'a>,
+    cached: ShadowTables<'a>,
+    world: &'a World,
     rows: ShadowRows,
 }
 
@@ -42,10 +49,13 @@ impl<'a> Shadows<'a> {
         for (number, _) in world.shader.shadow_lights() {
             rows[number] = Some(vec![SampleRow([1.0; SLAB_SAMPLES]); LANES]);
         }
-        Some(Self { exact: ShadowRays::new(world, program, slab_samples), rows })
+        let exact = ShadowRays::new(world, program, slab_samples);
+        let cached = ShadowTables::new(world, program, slab_samples);
+        Some(Self { exact, cached, world, rows })
     }
 
     /// Finds what reaches the samples that count.
+    #[expect(clippy::too_many_arguments, reason = "one slab of one packet, as light sees it")]
     pub(super) fn find(
         &mut self,
         access: Access<'_>,
@@ -57,8 +67,12 @@ impl<'a> Shadows<'a> {
         counts: &mut RenderCounts,
     ) -> Result<&ShadowRows, Halt> {
         for (number, light) in shader.shadow_lights() {
-            if let Some(rows) = &mut self.rows[number] {
-                self.exact.find(access, light, packet, slab, block, shares, counts, rows)?;
+            let Some(rows) = &mut self.rows[number] else { continue };
+            match self.world.light_tables.get(number).and_then(Option::as_ref) {
+                Some(table) => {
+                    self.cached.find(access, light, table, packet, slab, block, shares, counts, rows)?;
+                }
+                None => self.exact.find(access, light, packet, slab, block, shares, counts, rows)?,
             }
         }
         Ok(&self.rows)

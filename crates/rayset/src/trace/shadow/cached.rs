@@ -1,0 +1,275 @@
+//! Shadows from tables of the light's own rays: each block a pure function of scene, light and block, made when it is
+//! first wanted, evicted like any page and made again to the same bits.
+
+use std::io;
+use std::sync::Arc;
+
+use super::curve::{self, CurveBuilder};
+use super::map::{BLOCK_CELLS, LightMap};
+use crate::field::{LANES, Packet, SampleRow, Slab};
+use crate::geometry::{Aabb, DVec3, Ray};
+use crate::scene::{Light, LightKind};
+use crate::trace::access::{Access, Halt};
+use crate::trace::block::{Block, each_lane};
+use crate::trace::composite::{RayState, Shares};
+use crate::trace::march::March;
+use crate::trace::packet_tracer::RenderCounts;
+use crate::trace::program::Program;
+use crate::trace::world::World;
+use crate::working_set::read::Storage;
+use crate::working_set::{Kind, Object, PageGuard, PageSource, WorkingSet};
+
+/// Bytes of a block.
+const BLOCK_BYTES: usize = 16 << 10;
+const CORNERS: u32 = BLOCK_CELLS + 1;
+/// Priority of blocks: dearer to make again than pages are to read.
+const BLOCK_PRIORITY: u8 = 220;
+
+/// The table of one light.
+pub(in crate::trace) struct LightTable {
+    map: LightMap,
+    blocks: Arc<Object>,
+    pages: WorkingSet,
+}
+
+impl LightTable {
+    /// For a light that throws shadows, over a scene; nothing for one that has no rays.
+    pub(in crate::trace) fn new(
+        light: &Light,
+        bounds: &Aabb,
+        resolution: u32,
+        pages: &WorkingSet,
+    ) -> Option<Self> {
+        let map = LightMap::new(light, bounds, resolution)?;
+        let blocks = pages.add(Arc::new(BlockSource { blocks: map.blocks() }));
+        Some(Self { map, blocks, pages: pages.clone() })
+    }
+}
+
+impl Drop for LightTable {
+    fn drop(&mut self) {
+        self.pages.forget(&self.blocks);
+    }
+}
+
+/// Blocks as pages that are made, not read.
+struct BlockSource {
+    blocks: u32,
+}
+
+impl Storage for BlockSource {
+    fn read_exact_at(&self, _: &mut [u8], _: u64) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+}
+
+impl PageSource for BlockSource {
+    fn pages(&self) -> u32 {
+        self.blocks
+    }
+
+    fn page_bytes(&self) -> usize {
+        BLOCK_BYTES
+    }
+
+    fn kind(&self, _: u32) -> Kind {
+        Kind::Shadows
+    }
+
+    fn offset(&self, _: u32) -> u64 {
+        0
+    }
+
+    fn storage(&self) -> Arc<dyn Storage> {
+        Arc::new(Self { blocks: 0 })
+    }
+
+    fn check(&self, _: u32, _: &[u8]) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn name(&self) -> String {
+        "shadows".into()
+    }
+}
+
+/// Looks shadows up, and makes the blocks that are missing.
+pub(super) struct ShadowTables<'a> {
+    world: &'a World,
+    maker: BlockMaker<'a>,
+}
+
+impl<'a> ShadowTables<'a> {
+    pub(super) fn new(world: &'a World, program: &'a Program, slab_samples: usize) -> Self {
+        let maker = BlockMaker {
+            world,
+            program,
+            march: March::new(program, slab_samples),
+            states: [RayState::START; LANES],
+            shares: Shares::new(),
+        };
+        Self { world, maker }
+    }
+
+    /// Fills the rows of the samples that count.
+    #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
+    pub(super) fn find(
+        &mut self,
+        access: Access<'_>,
+        light: &Light,
+        table: &LightTable,
+        packet: &Packet,
+        slab: Slab,
+        block: &Block,
+        shares: &Shares,
+        counts: &mut RenderCounts,
+        rows: &mut [SampleRow],
+    ) -> Result<(), Halt> {
+        // The block looked at last stays retained: neighbours mostly share it.
+        let mut last: Option<(u32, PageGuard)> = None;
+        let mut lanes = shares.lanes();
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            for j in (0..slab.samples).filter(|j| shares.samples[lane] >> j & 1 == 1) {
+                let (place, back) = lifted(table, light, packet, block, lane, slab.first + j as u64, j);
+                let Some(texel) = table.map.texel(place) else {
+                    rows[lane].0[j] = 1.0;
+                    continue;
+                };
+                if last.as_ref().is_none_or(|(number, _)| *number != texel.block) {
+                    drop(last.take());
+                    let compute =
+                        |bytes: &mut [u8]| self.maker.make(access, table, texel.block, bytes, counts);
+                    let pages = &self.world.pages;
+                    let guard = pages.retain_computed(&table.blocks, texel.block, BLOCK_PRIORITY, compute)?;
+                    last = Some((texel.block, guard));
+                }
+                let Some((_, guard)) = &last else { continue };
+                let at = |i: u32, k: u32| {
+                    let ray = (texel.cell.1 + k) * CORNERS + texel.cell.0 + i;
+                    let distance = (texel.distance - back) as f32;
+                    curve::transmittance(guard, (CORNERS * CORNERS) as usize, ray as usize, distance)
+                };
+                let (u, v) = (texel.within.0 as f32, texel.within.1 as f32);
+                let (low, high) =
+                    (at(0, 0) + (at(1, 0) - at(0, 0)) * u, at(0, 1) + (at(1, 1) - at(0, 1)) * u);
+                rows[lane].0[j] = (low + (high - low) * v).clamp(0.0, 1.0);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where a sample is looked up, and how far before it, toward the light. As an exact shadow ray does, the look-up leaves
+/// out what lies within ξ steps; and since a table knows surfaces between its rays only as flat, a sample at a boundary is
+/// lifted by as much as a slanting surface may deviate from that.
+fn lifted(
+    table: &LightTable,
+    light: &Light,
+    packet: &Packet,
+    block: &Block,
+    lane: usize,
+    sample: u64,
+    j: usize,
+) -> (DVec3, f64) {
+    let place = super::lit_place(packet, block, lane, sample, j);
+    let back = packet.phase(lane) * packet.step_world();
+    let at_boundary = f64::from(block.boundary[lane].0[j]).abs() <= 2.0 * packet.step_world();
+    let normal = DVec3::from_array(block.normal.each_ref().map(|rows| f64::from(rows[lane].0[j])));
+    if !at_boundary || normal == DVec3::ZERO {
+        return (place, back);
+    }
+    let toward = match light.kind {
+        LightKind::Directional { direction } => -direction.normalize(),
+        LightKind::Point { position, .. } => (position - place).normalize_or(DVec3::Y),
+        LightKind::Ambient | LightKind::Headlight => return (place, back),
+    };
+    let cosine = normal.dot(toward);
+    let size = table.map.texel(place).map_or(0.0, |texel| texel.size);
+    let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+    (place + normal * (size * sine).copysign(cosine), back + 0.5 * size)
+}
+
+/// Traces the rays of a light.
+struct BlockMaker<'a> {
+    world: &'a World,
+    program: &'a Program,
+    march: March<'a>,
+    states: [RayState; LANES],
+    shares: Shares,
+}
+
+impl BlockMaker<'_> {
+    /// Makes a block.
+    fn make(
+        &mut self,
+        access: Access<'_>,
+        table: &LightTable,
+        block: u32,
+        bytes: &mut [u8],
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
+        let rays: Vec<(Ray, f64)> = table.map.rays(block).into_iter().map(|ray| (ray, 0.5)).collect();
+        let mut curves: Vec<CurveBuilder> = vec![CurveBuilder::new(); rays.len()];
+        for group in self.world.steps.groups(access, self.program, &rays)? {
+            let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
+            let packet = Packet::new(&members, group.step);
+            counts.shadow_rays += members.len() as u64;
+            self.states.fill(RayState::START);
+            self.march.begin(&packet);
+            let mut scratch = self.march.block();
+            let outcome = self.pass(access, &packet, &group.members, &mut scratch, &mut curves, counts);
+            self.march.give_back(scratch);
+            outcome?;
+        }
+        curve::encode(curves.into_iter().map(CurveBuilder::finish).collect(), bytes);
+        Ok(())
+    }
+
+    fn pass(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        members: &[usize],
+        block: &mut Block,
+        curves: &mut [CurveBuilder],
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
+        let mut going = packet.all();
+        let mut from = 0;
+        while going != 0
+            && let Some(slab) = self.march.next_slab(from)
+        {
+            from = slab.end();
+            self.march.evaluate(access, packet, slab, going, counts, block)?;
+            let lanes = going;
+            let before = self.states.map(|state| state.transmittance as f32);
+            let absorption = &self.world.absorption;
+            going = absorption.absorb(packet, slab, block, lanes, &mut self.states, &mut self.shares);
+            each_lane(self.shares.lanes(), |lane| {
+                self.extend(packet, slab, lane, before[lane], &mut curves[members[lane]]);
+            });
+        }
+        Ok(())
+    }
+
+    /// Appends the samples of a slab to the curve of a ray. A sample takes its light between the middles of the gaps
+    /// beside it.
+    fn extend(&self, packet: &Packet, slab: Slab, lane: usize, before: f32, curve: &mut CurveBuilder) {
+        let (mut left, step) = (before, packet.step_world());
+        let mut samples = self.shares.samples[lane];
+        while samples != 0 {
+            let j = samples.trailing_zeros() as usize;
+            samples &= samples - 1;
+            let t = packet.sample_t_world(lane, slab.first + j as u64);
+            let (near, far) = ((t - 0.5 * step) as f32, (t + 0.5 * step) as f32);
+            // Where the ray came through nothing, the light has not changed since the last knot.
+            if curve.last().is_none_or(|x| x < near) {
+                curve.push((near, left));
+            }
+            left = self.shares.behind[lane].0[j];
+            curve.push((far, left));
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! The rays of a light: a lattice over what it may light.
+
+use crate::geometry::{Aabb, DVec3, Ray};
+use crate::scene::{Light, LightKind};
+
+/// Cells along a side of a block; its rays pass through their corners.
+pub(super) const BLOCK_CELLS: u32 = 7;
+
+/// Rays of a light through the corners of square cells.
+#[derive(Clone, Debug)]
+pub(super) struct LightMap {
+    faces: Vec<Face>,
+    /// Cells along a side of a face.
+    resolution: u32,
+}
+
+/// A square of cells, and where their rays come from.
+#[derive(Clone, Copy, Debug)]
+struct Face {
+    /// The light, or the middle of the plane that parallel rays start from.
+    origin: DVec3,
+    forward: DVec3,
+    right: DVec3,
+    up: DVec3,
+    /// Half its side: of the plane at distance 1 where rays diverge, else in world units.
+    half: f64,
+    diverges: bool,
+}
+
+/// Where a place is on a map.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Texel {
+    pub(super) block: u32,
+    /// Cell within the block.
+    pub(super) cell: (u32, u32),
+    /// Place within the cell, 0 to 1.
+    pub(super) within: (f64, f64),
+    /// Distance along the rays.
+    pub(super) distance: f64,
+    /// Size of a cell there, world space.
+    pub(super) size: f64,
+}
+
+impl LightMap {
+    /// Of a light that throws shadows, over a scene; nothing for one that has no rays.
+    pub(super) fn new(light: &Light, bounds: &Aabb, resolution: u32) -> Option<Self> {
+        if bounds.is_empty() {
+            return None;
+        }
+        let (center, radius) = (bounds.center(), 0.5 * bounds.size().length());
+        let faces = match light.kind {
+            LightKind::Directional { direction } => {
+                let forward = direction.normalize();
+                let face = Face::toward(center - forward * (1.001 * radius), forward, 1.001 * radius, false);
+                vec![face]
+            }
+            LightKind::Point { position, .. } => {
+                let toward = center - position;
+                let sine = radius / toward.length();
+                // From well outside, one face takes all of the scene.
+                if sine < 0.8 {
+                    let tangent = sine / (1.0 - sine * sine).sqrt();
+                    vec![Face::toward(position, toward.normalize(), 1.001 * tangent, true)]
+                } else {
+                    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+                    let all = axes.into_iter().flat_map(|axis| [axis, -axis]);
+                    all.map(|forward| Face::toward(position, forward, 1.0, true)).collect()
+                }
+            }
+            LightKind::Ambient | LightKind::Headlight => return None,
+        };
+        Some(Self { faces, resolution })
+    }
+
+    /// Blocks along a side of a face.
+    fn side(&self) -> u32 {
+        self.resolution.div_ceil(BLOCK_CELLS)
+    }
+
+    pub(super) fn blocks(&self) -> u32 {
+        self.faces.len() as u32 * self.side() * self.side()
+    }
+
+    /// The rays of a block, row by row; they start at the light.
+    pub(super) fn rays(&self, block: u32) -> Vec<Ray> {
+        let (side, corners) = (self.side(), BLOCK_CELLS + 1);
+        let face = &self.faces[(block / (side * side)) as usize];
+        let (bx, by) = (block % side, block / side % side);
+        let place = |b: u32, c: u32| f64::from(b * BLOCK_CELLS + c) / f64::from(self.resolution) * 2.0 - 1.0;
+        (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
+    }
+
+    /// Where a place is; nothing where no ray of the light comes by.
+    pub(super) fn texel(&self, place: DVec3) -> Option<Texel> {
+        let (number, (u, v, distance)) =
+            self.faces.iter().enumerate().find_map(|(i, face)| face.project(place).map(|p| (i as u32, p)))?;
+        let resolution = f64::from(self.resolution);
+        let (x, y) = ((u + 1.0) * 0.5 * resolution, (v + 1.0) * 0.5 * resolution);
+        let (column, row) = ((x as u32).min(self.resolution - 1), (y as u32).min(self.resolution - 1));
+        let side = self.side();
+        let face = &self.faces[number as usize];
+        let cell = 2.0 * face.half / resolution;
+        Some(Texel {
+            block: (number * side + row / BLOCK_CELLS) * side + column / BLOCK_CELLS,
+            cell: (column % BLOCK_CELLS, row % BLOCK_CELLS),
+            within: (x - f64::from(column), y - f64::from(row)),
+            distance,
+            size: if face.diverges { cell * distance } else { cell },
+        })
+    }
+}
+
+impl Face {
+    fn toward(origin: DVec3, forward: DVec3, half: f64, diverges: bool) -> Self {
+        let right = forward.any_orthonormal_vector();
+        Self { origin, forward, right, up: right.cross(forward), half, diverges }
+    }
+
+    fn ray(&self, u: f64, v: f64) -> Ray {
+        let across = (self.right * u + self.up * v) * self.half;
+        if self.diverges {
+            Ray { origin: self.origin, direction: (self.forward + across).normalize() }
+        } else {
+            Ray { origin: self.origin + across, direction: self.forward }
+        }
+    }
+
+    /// Place on the face, −1 to 1, and distance along its ray.
+    fn project(&self, place: DVec3) -> Option<(f64, f64, f64)> {
+        let offset = place - self.origin;
+        let depth = offset.dot(self.forward);
+        let scale = if self.diverges { depth * self.half } else { self.half };
+        let (u, v) = (offset.dot(self.right) / scale, offset.dot(self.up) / scale);
+        let inside = depth > 0.0 && u.abs() <= 1.0 && v.abs() <= 1.0;
+        inside.then(|| (u, v, if self.diverges { offset.length() } else { depth }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_place_is_between_the_rays_of_its_cell(
+            place in prop::array::uniform3(-1.0_f64..1.0),
+            light in prop::array::uniform3(-4.0_f64..4.0),
+            parallel in any::<bool>(),
+        ) {
+            let (place, light) = (DVec3::from_array(place), DVec3::from_array(light));
+            prop_assume!(light.distance(place) > 0.1);
+            let kind = if parallel {
+                LightKind::Directional { direction: light }
+            } else {
+                LightKind::Point { position: light, decays: false }
+            };
+            let light = Light { kind, color: [1.0; 3], shadow: true };
+            let map = LightMap::new(&light, &Aabb::new(DVec3::NEG_ONE, DVec3::ONE), 100).expect("it has rays");
+            let texel = map.texel(place).expect("the map covers the scene");
+            prop_assert!(texel.block < map.blocks());
+            let rays = map.rays(texel.block);
+            let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (BLOCK_CELLS + 1) + texel.cell.0 + i) as usize];
+            for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                let away = ray(i, j).at(texel.distance).distance(place);
+                prop_assert!(away <= 3.0 * texel.size, "{away} of {}", texel.size);
+            }
+            let (u, v) = texel.within;
+            let nearest = ray(u32::from(u > 0.5), u32::from(v > 0.5)).at(texel.distance).distance(place);
+            prop_assert!(nearest <= 1.5 * texel.size, "{nearest} of {}", texel.size);
+        }
+    }
+}
