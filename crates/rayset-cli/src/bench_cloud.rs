@@ -16,7 +16,7 @@ use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
-use rayset::working_set::{Limits, PagedClouds, Statistics, WorkingSet};
+use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
 use crate::statistics::{PageStatistics, WorkStatistics};
@@ -169,7 +169,7 @@ impl Prepared {
         if let Some(delay) = case.delay {
             backend = Arc::new(Delayed::new(backend, delay)?);
         }
-        let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(budget), backend));
+        let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(budget), backend));
         paged.add(&self.cloud, Arc::new(storage));
         let predictor: Arc<dyn Predictor> =
             if case.packet { Arc::new(PacketPredictor) } else { Arc::new(NoPredictor) };
@@ -236,7 +236,7 @@ impl Prepared {
 }
 
 struct Run {
-    paged: PagedClouds,
+    paged: PagedFiles,
     exec: ExecSettings,
     budget: u64,
     seconds: Vec<f64>,

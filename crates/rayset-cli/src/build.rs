@@ -4,6 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
+use rayset::grid;
+use rayset::grid::build::GridBuildError;
+use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::octree::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
 use rayset::points::{self, ReadOptions};
 
@@ -11,15 +14,18 @@ use crate::memory::{PROCESS_BYTES, peak_rss};
 use crate::progress::Meter;
 use crate::{report, values};
 
-/// Build a cloud file from points.
+/// Build a cloud file from points, or a grid file from a volume.
 ///
-/// Several inputs make one cloud. The result is the same, byte for byte, for any --memory and --threads.
+/// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files
+    /// Points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// Cloud file to write
+    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
+    #[arg(long)]
+    raw: Option<RawLayout>,
+    /// Cloud or grid file to write
     #[arg(short, long)]
     output: PathBuf,
     /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default the column `radius`
@@ -79,6 +85,9 @@ enum Invalid {
 }
 
 pub(crate) fn run(args: &BuildArgs) -> Result<()> {
+    if args.raw.is_some() || args.inputs.iter().any(|path| VolumeSource::is_volume(path)) {
+        return build_grid(args);
+    }
     let options = options(args)?;
     let read = ReadOptions { text_columns: args.columns.clone() };
     let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
@@ -87,6 +96,43 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     meter.finish();
     let built = built.map_err(|e| name_smallest_budget(e, args.memory))?;
     if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }
+}
+
+fn build_grid(args: &BuildArgs) -> Result<()> {
+    let [input] = args.inputs.as_slice() else { bail!("a grid is built from one volume at a time") };
+    let source = match &args.raw {
+        Some(layout) => VolumeSource::open_raw(input, layout)?,
+        None => VolumeSource::open(input)?,
+    };
+    let meter = Meter::new("slices", args.json);
+    let started = std::time::Instant::now();
+    let memory = args.memory.saturating_sub(PROCESS_BYTES);
+    let mut progress = |done, total| meter.show("reading", done, total);
+    let built = grid::build::build(source, &args.output, memory, &mut progress);
+    meter.finish();
+    let header = built.map_err(|e| match e {
+        GridBuildError::Memory { needed, .. } => anyhow::anyhow!(
+            "--memory {} is too small; the smallest that would do is {} bytes",
+            report::bytes(args.memory),
+            needed + PROCESS_BYTES
+        ),
+        other => other.into(),
+    })?;
+    let (low, high) = header.value_range();
+    report::say(format_args!(
+        "{}: {} x {} x {} voxels of {}, values {low} to {high}, {} in {} pages",
+        args.output.display(),
+        header.size[0],
+        header.size[1],
+        header.size[2],
+        header.kind.name(),
+        report::bytes(header.file_bytes),
+        header.pages()
+    ));
+    let seconds = started.elapsed().as_secs_f64();
+    let peak = peak_rss().map_or_else(String::new, |b| format!(", peak memory {}", report::bytes(b)));
+    report::say(format_args!("{seconds:.2} s{peak}"));
+    Ok(())
 }
 
 /// The library is told what is left after the process itself; its error must speak of the whole.

@@ -2,39 +2,61 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
-use rayset::points::{PlyWriter, PointBatch, Workload};
+use rayset::points::{MeshSource, PlyWriter, PointBatch, PointSource, Workload};
 
 use crate::report;
 
 /// Write a generated cloud as a binary PLY file.
 ///
-/// sphere-N and cube-N are the workloads of the benchmark (points on the unit sphere, in the unit cube), knot-N and
-/// galaxy-N are to look at; N is a number like 5000, 100k or 1m.
+/// sphere-N and cube-N are the workloads of the benchmark (points on the unit sphere, in the unit cube), knot-N, galaxy-N
+/// and vase-N are to look at; N is a number like 5000, 100k or 1m. Or points on the triangles of a mesh.
 #[derive(Args)]
 pub(crate) struct GenerateArgs {
-    /// sphere-N, cube-N, knot-N or galaxy-N
-    workload: Workload,
+    /// sphere-N, cube-N, knot-N, galaxy-N or vase-N
+    #[arg(required_unless_present = "from_mesh")]
+    workload: Option<Workload>,
+    /// Points on the faces of this PLY file instead, evenly by area
+    #[arg(long, requires = "points", conflicts_with = "workload")]
+    from_mesh: Option<PathBuf>,
+    /// How many
+    #[arg(long, requires = "from_mesh")]
+    points: Option<u64>,
     /// File to write; NAME.ply by default
     #[arg(short, long)]
     output: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: &GenerateArgs) -> Result<()> {
-    let path = args.output.clone().unwrap_or_else(|| format!("{}.ply", args.workload).into());
-    let count = write(&args.workload, &path)?;
+    let Some(workload) = &args.workload else { return from_mesh(args) };
+    let path = args.output.clone().unwrap_or_else(|| format!("{workload}.ply").into());
+    let count = write(workload, &path)?;
     report::say(format_args!("{}: {} points", path.display(), report::count(count)));
-    if let Some(radius) = args.workload.radius() {
+    if let Some(radius) = workload.radius() {
         report::say(format_args!("build it with --radius {radius}"));
     }
     Ok(())
 }
 
+fn from_mesh(args: &GenerateArgs) -> Result<()> {
+    let (Some(mesh), Some(points)) = (&args.from_mesh, args.points) else {
+        bail!("--from-mesh needs --points")
+    };
+    let path = args.output.clone().unwrap_or_else(|| "points.ply".into());
+    let count = write_source(&mut MeshSource::open(mesh, points)?, &path)?;
+    report::say(format_args!("{}: {} points", path.display(), report::count(count)));
+    Ok(())
+}
+
 /// Writes a workload to a file; returns the number of points.
 pub(crate) fn write(workload: &Workload, path: &Path) -> Result<u64> {
+    write_source(&mut *workload.source(), path)
+}
+
+/// Writes points with all their columns to a file; returns their number.
+pub(crate) fn write_source(source: &mut dyn PointSource, path: &Path) -> Result<u64> {
     let doing = || format!("cannot write {}", path.display());
-    let mut source = workload.source();
     let attributes = source.schema().attributes.clone();
     source.select(&(0..attributes.len()).collect::<Vec<_>>());
     let mut writer = PlyWriter::create(path, &attributes).with_context(doing)?;

@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use clap::Args;
+use rayset::geometry::{Aabb, DVec3};
+use rayset::grid::Grid;
 use rayset::octree::Cloud;
 use rayset::octree::format::Column;
 use rayset::scene::{CloudObject, Scene};
@@ -13,10 +15,10 @@ use rayset::trace::memory::{self, SceneNeeds};
 use crate::memory::PROCESS_BYTES;
 use crate::report;
 
-/// Say what is in a cloud file, and how much memory it wants
+/// Say what is in a cloud or grid file, and how much memory it wants
 #[derive(Args)]
 pub(crate) struct InfoArgs {
-    /// Cloud file
+    /// Cloud or grid file
     cloud: PathBuf,
     /// Report as JSON
     #[arg(long)]
@@ -50,6 +52,9 @@ struct Info {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
+    if Grid::is_grid(&args.cloud) {
+        return describe_grid(&Grid::open(&args.cloud)?);
+    }
     let cloud = Arc::new(Cloud::open(&args.cloud)?);
     let h = cloud.header();
     let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));
@@ -81,6 +86,28 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         render_memory_comfortable: plan.comfortable_bytes,
     };
     if args.json { report::json(&info) } else { describe(&info, h.radius, h.weight) }
+}
+
+fn describe_grid(grid: &Grid) -> Result<()> {
+    let h = grid.header();
+    let (low, high) = h.value_range();
+    let bounds = Aabb::new(DVec3::ZERO, h.last_voxel()).transformed(&h.space_from_voxel);
+    report::say(format_args!(
+        "voxels      {} x {} x {} of {}",
+        h.size[0],
+        h.size[1],
+        h.size[2],
+        h.kind.name()
+    ));
+    report::say(format_args!("values      {low} to {high}"));
+    report::say(format_args!("bounds      {}  to  {}", bounds.min, bounds.max));
+    report::say(format_args!(
+        "file        {}, {} bricks, {} pages",
+        report::bytes(h.file_bytes),
+        h.brick_pages(),
+        h.pages()
+    ));
+    Ok(())
 }
 
 fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {

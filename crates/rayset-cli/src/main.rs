@@ -5,6 +5,7 @@ mod bench_cloud;
 mod build;
 mod check;
 mod demo;
+mod figure;
 mod generate;
 mod info;
 mod memory;
@@ -36,8 +37,9 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Write a generated cloud as a PLY file
     Generate(generate::GenerateArgs),
-    /// Build a cloud file from points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC, PTS
-    Build(build::BuildArgs),
+    /// Build a cloud file from points (PLY, LAS, LAZ, XYZ, TXT, CSV, ASC, PTS) or a grid file from a volume (NRRD, MHA,
+    /// MHD, NII, VTI, raw)
+    Build(Box<build::BuildArgs>),
     /// Say what is in a cloud file, and how much memory it wants
     Info(info::InfoArgs),
     /// Check a cloud file
@@ -46,6 +48,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Render a scene or a cloud to a PNG picture
     Render(Box<render::RenderArgs>),
+    /// Make a figure of the paper
+    Figure(figure::FigureArgs),
     /// Build and render the standard workloads, and say how long it took
     Bench(bench::BenchArgs),
 }
@@ -60,6 +64,7 @@ fn main() -> ExitCode {
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Figure(args) => figure::run(&args),
         Command::Bench(args) => bench::run(&args),
     };
     match outcome {

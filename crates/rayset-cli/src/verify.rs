@@ -4,15 +4,16 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use rayset::grid::Grid;
 use rayset::octree::Cloud;
 use rayset::octree::verify::{Depth, verify};
 
 use crate::report;
 
-/// Check a cloud file: by default every page's checksum and records
+/// Check a cloud or grid file: by default every page's checksum and records
 #[derive(Args)]
 pub(crate) struct VerifyArgs {
-    /// Cloud file
+    /// Cloud or grid file
     cloud: PathBuf,
     /// Only header, footer and length
     #[arg(long, conflicts_with = "deep")]
@@ -23,6 +24,9 @@ pub(crate) struct VerifyArgs {
 }
 
 pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
+    if Grid::is_grid(&args.cloud) {
+        return verify_grid(args);
+    }
     let cloud = Cloud::open(&args.cloud)?;
     let depth = match (args.quick, args.deep) {
         (true, _) => Depth::Quick,
@@ -41,5 +45,16 @@ pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
             found.nodes
         ),
     });
+    Ok(())
+}
+
+fn verify_grid(args: &VerifyArgs) -> Result<()> {
+    let grid = Grid::open(&args.cloud)?;
+    if args.quick {
+        report::say("ok: header, footer and length");
+        return Ok(());
+    }
+    let pages = grid.verify().map_err(|what| anyhow::anyhow!("{}, {what}", args.cloud.display()))?;
+    report::say(format_args!("ok: {pages} pages"));
     Ok(())
 }

@@ -19,7 +19,7 @@ use rayset::scene::{
 };
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, PagedClouds, WorkingSet};
+use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
 /// A standard workload as a PLY file and as a cloud, in a folder that stays between runs.
 struct Prepared {
@@ -72,7 +72,7 @@ impl Prepared {
 /// A cloud that is in memory after its first render.
 struct InCore {
     cloud: Arc<Cloud>,
-    paged: PagedClouds,
+    paged: PagedFiles,
 }
 
 impl InCore {
@@ -82,7 +82,7 @@ impl InCore {
         }
         let cloud = Arc::new(Cloud::open(&prepared.rset).expect("the cloud opens"));
         let backend = read::backend(BackendKind::Auto).expect("a way to read");
-        let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(cloud.header().file_bytes), backend));
+        let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(cloud.header().file_bytes), backend));
         paged.open(&cloud, false).expect("the cloud opens");
         Self { cloud, paged }
     }

@@ -21,7 +21,7 @@
 //! // A working set of at most one mebibyte over its pages.
 //! let cloud = Arc::new(Cloud::open(&path)?);
 //! let set = WorkingSet::new(Limits::total(1 << 20), read::backend(read::BackendKind::Auto)?);
-//! let mut paged = PagedClouds::new(set);
+//! let mut paged = PagedFiles::new(set);
 //! paged.open(&cloud, false)?;
 //!
 //! // The ball with a corner cut away, in a picture of 16 × 16 pixels.
@@ -43,6 +43,7 @@
 
 pub mod field;
 pub mod geometry;
+pub mod grid;
 pub mod image;
 pub mod octree;
 pub mod points;

@@ -11,7 +11,7 @@ use rayset::trace::ExecSettings;
 use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::working_set::read::{self, BackendKind, Delayed};
-use rayset::working_set::{Limits, PagedClouds, WorkingSet};
+use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
 use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
@@ -67,7 +67,7 @@ pub(crate) enum IoArg {
 /// The means of a render: settings that change no pixel, and pages.
 pub(crate) struct Work {
     pub(crate) exec: ExecSettings,
-    pub(crate) paged: PagedClouds,
+    pub(crate) paged: PagedFiles,
     pub(crate) memory: u64,
     pub(crate) io: String,
 }
@@ -103,10 +103,14 @@ impl Work {
             backend = Arc::new(Delayed::new(backend, Duration::from_secs_f64(milliseconds / 1e3))?);
         }
         let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
-        let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(plan.page_bytes), backend));
+        let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(plan.page_bytes), backend));
         for cloud in needs.clouds() {
             let opened = paged.open(cloud, args.direct);
             opened.with_context(|| format!("cannot open {}", cloud.path().display()))?;
+        }
+        for grid in needs.grids() {
+            let opened = paged.open_grid(grid, args.direct);
+            opened.with_context(|| format!("cannot open {}", grid.path().display()))?;
         }
         let predictor: Arc<dyn Predictor> = match args.predictor {
             PredictorArg::None => Arc::new(NoPredictor),

@@ -14,7 +14,7 @@ use rayset::scene::{
 };
 use rayset::trace::{ExecSettings, RenderError, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind, ReadBackend};
-use rayset::working_set::{Limits, PagedClouds, WorkingSet};
+use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
 /// A folder that goes with the test.
 pub(crate) fn folder() -> tempfile::TempDir {
@@ -115,7 +115,7 @@ pub(crate) fn camera() -> Camera {
 }
 
 /// A working set over the files of all clouds of a scene.
-pub(crate) fn paged(scene: &Scene, budget: u64) -> PagedClouds {
+pub(crate) fn paged(scene: &Scene, budget: u64) -> PagedFiles {
     paged_with(scene, budget, read::backend(BackendKind::Pool).expect("a pool"), false)
 }
 
@@ -124,11 +124,16 @@ pub(crate) fn paged_with(
     budget: u64,
     backend: Arc<dyn ReadBackend>,
     direct: bool,
-) -> PagedClouds {
-    let mut paged = PagedClouds::new(WorkingSet::new(Limits::total(budget), backend));
+) -> PagedFiles {
+    let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(budget), backend));
     for cloud in clouds_of(scene) {
         paged.open(&cloud, direct).expect("the file opens");
     }
+    scene.root.for_each(&mut |node: &Node| {
+        if let Shape::Grid(object) = &node.shape {
+            paged.open_grid(&object.grid, direct).expect("the file opens");
+        }
+    });
     paged
 }
 
@@ -137,7 +142,7 @@ pub(crate) fn picture(
     camera: &Camera,
     settings: &RenderSettings,
     exec: &ExecSettings,
-    paged: &PagedClouds,
+    paged: &PagedFiles,
 ) -> Result<Vec<[f32; 4]>, RenderError> {
     let mut sink = WholePicture::default();
     render(scene, camera, settings, exec, paged, &mut sink)?;

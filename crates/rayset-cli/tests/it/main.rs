@@ -9,6 +9,7 @@ mod common;
 mod edges;
 mod golden;
 mod graph;
+mod grids;
 mod house;
 mod interrupted;
 mod memory;

@@ -108,9 +108,10 @@ impl Cloud {
     /// # Errors
     /// [`PageError`] that says what is wrong.
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
-        match self.page_kind(page) {
-            PageKind::Points => PointPage::check(bytes, page, &self.header).map(|_| ()),
-            PageKind::Octree => NodePage::check(bytes, page, &self.header).map(|_| ()),
+        if self.page_kind(page) == PageKind::Points {
+            PointPage::check(bytes, page, &self.header).map(|_| ())
+        } else {
+            NodePage::check(bytes, page, &self.header).map(|_| ())
         }
     }
 }

@@ -156,64 +156,64 @@ pub enum HeaderError {
     },
 }
 
-const VERSION_AT: usize = MAGIC.len();
-const CHECKSUM_AT: usize = VERSION_AT + 4;
-const FIELDS_AT: usize = CHECKSUM_AT + 4;
+pub(crate) const VERSION_AT: usize = MAGIC.len();
+pub(crate) const CHECKSUM_AT: usize = VERSION_AT + 4;
+pub(crate) const FIELDS_AT: usize = CHECKSUM_AT + 4;
 
 /// Writes fields one after another.
-struct Writer<'a> {
-    bytes: &'a mut [u8],
-    at: usize,
+pub(crate) struct Writer<'a> {
+    pub(crate) bytes: &'a mut [u8],
+    pub(crate) at: usize,
 }
 
 impl Writer<'_> {
-    fn put(&mut self, bytes: &[u8]) {
+    pub(crate) fn put(&mut self, bytes: &[u8]) {
         self.bytes[self.at..self.at + bytes.len()].copy_from_slice(bytes);
         self.at += bytes.len();
     }
-    fn u32(&mut self, v: u32) {
+    pub(crate) fn u32(&mut self, v: u32) {
         self.put(&v.to_le_bytes());
     }
-    fn u64(&mut self, v: u64) {
+    pub(crate) fn u64(&mut self, v: u64) {
         self.put(&v.to_le_bytes());
     }
-    fn f32(&mut self, v: f32) {
+    pub(crate) fn f32(&mut self, v: f32) {
         self.put(&v.to_le_bytes());
     }
-    fn f64(&mut self, v: f64) {
+    pub(crate) fn f64(&mut self, v: f64) {
         self.put(&v.to_le_bytes());
     }
-    fn vec(&mut self, v: DVec3) {
+    pub(crate) fn vec(&mut self, v: DVec3) {
         v.to_array().into_iter().for_each(|x| self.f64(x));
     }
 }
 
 /// Reads fields one after another; the caller hands it a whole block, so it cannot run out.
-struct Reader<'a> {
-    bytes: &'a [u8],
-    at: usize,
+pub(crate) struct Reader<'a> {
+    pub(crate) bytes: &'a [u8],
+    pub(crate) at: usize,
 }
 
 impl Reader<'_> {
-    fn take<const N: usize>(&mut self) -> [u8; N] {
+    pub(crate) fn take<const N: usize>(&mut self) -> [u8; N] {
         let mut out = [0; N];
         out.copy_from_slice(&self.bytes[self.at..self.at + N]);
         self.at += N;
         out
     }
-    fn u32(&mut self) -> u32 {
+    pub(crate) fn u32(&mut self) -> u32 {
         u32::from_le_bytes(self.take())
     }
-    fn u64(&mut self) -> u64 {
+    pub(crate) fn u64(&mut self) -> u64 {
         u64::from_le_bytes(self.take())
     }
-    fn f32(&mut self) -> f32 {
+    pub(crate) fn f32(&mut self) -> f32 {
         f32::from_le_bytes(self.take())
     }
-    fn f64(&mut self) -> f64 {
+    pub(crate) fn f64(&mut self) -> f64 {
         f64::from_le_bytes(self.take())
     }
-    fn vec(&mut self) -> DVec3 {
+    pub(crate) fn vec(&mut self) -> DVec3 {
         DVec3::new(self.f64(), self.f64(), self.f64())
     }
 }
@@ -411,6 +411,10 @@ pub enum PageKind {
     Octree,
     /// Runs of points.
     Points,
+    /// A brick of a grid.
+    Voxels,
+    /// Value ranges of bricks.
+    Ranges,
 }
 
 impl PageKind {
@@ -420,6 +424,8 @@ impl PageKind {
         match self {
             Self::Octree => 0x4e4f_4445,
             Self::Points => 0x5054_5330,
+            Self::Voxels => 0x564f_5845,
+            Self::Ranges => 0x5241_4e47,
         }
     }
 }

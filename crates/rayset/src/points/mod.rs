@@ -6,6 +6,7 @@
 
 mod array;
 mod las;
+mod mesh;
 mod ply;
 mod ply_header;
 mod ply_write;
@@ -17,6 +18,7 @@ use std::{fmt, io};
 
 pub use self::array::ArraySource;
 pub use self::las::LasSource;
+pub use self::mesh::MeshSource;
 pub use self::ply::PlySource;
 pub use self::ply_write::PlyWriter;
 pub use self::synthetic::{UnknownWorkload, View, Workload};

@@ -17,6 +17,7 @@ enum Shape {
     Cube,
     Knot,
     Galaxy,
+    Vase,
 }
 
 /// A generated cloud: `sphere-100k`, `cube-1m`, `knot-2m`, `galaxy-500k`, with any number of points.
@@ -57,7 +58,7 @@ impl Workload {
             // About 40 supports overlap at the surface.
             Shape::Sphere => Some((160.0 / n).sqrt()),
             Shape::Cube => Some((30.0 * 3.0 / (4.0 * PI * n)).cbrt()),
-            Shape::Knot | Shape::Galaxy => None,
+            Shape::Knot | Shape::Galaxy | Shape::Vase => None,
         }
     }
 
@@ -68,8 +69,10 @@ impl Workload {
             Shape::Sphere | Shape::Cube => (DVec3::new(0.0, 0.0, 3.0), DVec3::Y),
             Shape::Knot => (DVec3::new(-1.5, -6.2, 4.4), DVec3::Z),
             Shape::Galaxy => (DVec3::new(0.0, -2.1, 1.5), DVec3::Z),
+            Shape::Vase => (DVec3::new(0.3, 1.1, 1.7), DVec3::Y),
         };
-        View { position, look_at: DVec3::ZERO, up, fovy_degrees: 45.0 }
+        let look_at = if self.shape == Shape::Vase { DVec3::Y * 0.5 } else { DVec3::ZERO };
+        View { position, look_at, up, fovy_degrees: 45.0 }
     }
 
     /// The stream of points.
@@ -77,7 +80,7 @@ impl Workload {
     pub fn source(&self) -> Box<dyn PointSource> {
         let attributes: &[&str] = match self.shape {
             Shape::Sphere | Shape::Cube => &[],
-            Shape::Knot | Shape::Galaxy => &["radius", "weight", "red", "green", "blue"],
+            Shape::Knot | Shape::Galaxy | Shape::Vase => &["radius", "weight", "red", "green", "blue"],
         };
         Box::new(SyntheticSource {
             workload: *self,
@@ -99,6 +102,7 @@ impl fmt::Display for Workload {
             Shape::Cube => "cube",
             Shape::Knot => "knot",
             Shape::Galaxy => "galaxy",
+            Shape::Vase => "vase",
         };
         match self.points {
             n if n >= 1_000_000 && n % 1_000_000 == 0 => write!(f, "{shape}-{}m", n / 1_000_000),
@@ -110,7 +114,9 @@ impl fmt::Display for Workload {
 
 /// A name that is no workload.
 #[derive(Debug, thiserror::Error)]
-#[error("unknown workload `{0}`; expected sphere-N, cube-N, knot-N or galaxy-N, N as 5000, 100k or 1m")]
+#[error(
+    "unknown workload `{0}`; expected sphere-N, cube-N, knot-N, galaxy-N or vase-N, N as 5000, 100k or 1m"
+)]
 pub struct UnknownWorkload(String);
 
 impl FromStr for Workload {
@@ -124,6 +130,7 @@ impl FromStr for Workload {
             "cube" => Shape::Cube,
             "knot" => Shape::Knot,
             "galaxy" => Shape::Galaxy,
+            "vase" => Shape::Vase,
             _ => return Err(unknown()),
         };
         let (digits, unit) = match count.strip_suffix('k') {
@@ -136,11 +143,11 @@ impl FromStr for Workload {
 }
 
 #[derive(Debug)]
-struct SplitMix(u64);
+pub(super) struct SplitMix(pub(super) u64);
 
 impl SplitMix {
     /// Uniform in [0, 1), 24 bits.
-    fn unit(&mut self) -> f64 {
+    pub(super) fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -178,6 +185,7 @@ impl SyntheticSource {
             Shape::Cube => ([random.unit() - 0.5, random.unit() - 0.5, random.unit() - 0.5], [0.0; 5]),
             Shape::Knot => knot(random, self.workload.points),
             Shape::Galaxy => galaxy(random, self.workload.points),
+            Shape::Vase => vase(random, self.workload.points),
         }
     }
 }
@@ -221,6 +229,18 @@ fn galaxy(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     let radius = scale * (0.004 + 0.06 * along * young.powi(4));
     let p = [along * angle.cos(), along * angle.sin(), z];
     (p, [radius, 0.7, 0.45 + 0.5 * young, 0.6 + 0.2 * young, 1.0 - 0.2 * young])
+}
+
+/// A lobed vase of height 1 on the ground: as solid things as a scan of a statue.
+fn vase(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
+    let (h, angle) = (random.unit(), TAU * random.unit());
+    let profile = 0.2 + 0.11 * (TAU * (0.85 * h - 0.12)).sin() + 0.03 * (TAU * 2.5 * h).cos() * h;
+    let lobes = 1.0 + 0.07 * (7.0 * angle + 5.0 * h).sin();
+    let p = [profile * lobes * angle.cos(), h, profile * lobes * angle.sin()];
+    // As of the knot; the surface is about 1.4.
+    let radius = 5.0 * (1.4 / points.max(1) as f64).sqrt();
+    let glaze = 0.5 + 0.5 * (7.0 * angle + 5.0 * h).sin();
+    (p, [radius, 0.4, 0.75 + 0.1 * glaze, 0.62 + 0.1 * h, 0.45 + 0.15 * glaze])
 }
 
 /// A saturated colour of the wheel, `turn` in turns.

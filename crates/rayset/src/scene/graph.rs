@@ -21,6 +21,7 @@ use super::transfer::{ColorMap, ColorRule, OpacityRule, TransferError, TransferF
 use super::{Material, Procedural};
 use crate::field::{AttributeSource, Kernel};
 use crate::geometry::{Aabb, DAffine3, DVec3};
+use crate::grid::Grid;
 use crate::octree::Cloud;
 
 /// A node of the scene graph.
@@ -42,6 +43,8 @@ pub struct Node {
 pub enum Shape {
     /// A point cloud.
     Cloud(CloudObject),
+    /// A grid.
+    Grid(GridObject),
     /// A field in closed form.
     Procedural(Arc<dyn Procedural>),
     /// One or more children.
@@ -136,6 +139,45 @@ impl CloudObject {
                 Err(TransferError::Missing("such attribute").into())
             }
             _ => Ok(()),
+        }
+    }
+}
+
+/// A grid seen as a volume object; its values take the place of densities.
+#[derive(Clone, Debug)]
+pub struct GridObject {
+    /// The grid. Objects that share it share its pages.
+    pub grid: Arc<Grid>,
+    /// Opacity and colour from values.
+    pub transfer: TransferFunction,
+}
+
+impl GridObject {
+    /// Opacity from 0 at the smallest value to 1 at the largest, in shades of grey.
+    #[must_use]
+    pub fn plain(grid: Arc<Grid>) -> Self {
+        let (low, high) = grid.header().value_range();
+        let high = if high > low { high } else { low + 1.0 };
+        let transfer = TransferFunction {
+            opacity: OpacityRule::Curve(vec![(low, 0.0), (high, 1.0)]),
+            color: ColorRule::Uniform([1.0; 3]),
+        };
+        Self { grid, transfer }
+    }
+
+    /// The value at which the boundary is said to lie: where the opacity first has half its greatest.
+    #[must_use]
+    pub fn boundary_value(&self, unit_distance: f64) -> f64 {
+        self.transfer.opacity.boundary_density(unit_distance)
+    }
+
+    /// −1 where the object lies toward larger values, 1 where toward smaller: times the gradient of the values, the
+    /// shading vector's direction.
+    #[must_use]
+    pub fn outward(&self) -> f64 {
+        match &self.transfer.opacity {
+            OpacityRule::Curve(points) if points.first().map(|p| p.1) > points.last().map(|p| p.1) => 1.0,
+            _ => -1.0,
         }
     }
 }
@@ -284,6 +326,7 @@ impl Node {
         self.material.as_ref().map_or(Ok(()), Material::check)?;
         match &self.shape {
             Shape::Cloud(object) => object.check(),
+            Shape::Grid(object) => Ok(object.transfer.check()?),
             Shape::Procedural(_) => Ok(()),
             Shape::Operator(operator, children) => {
                 let least = if matches!(operator, Operator::Difference) { 2 } else { 1 };
@@ -301,6 +344,10 @@ impl Node {
     pub fn bounds(&self) -> Aabb {
         let local = match &self.shape {
             Shape::Cloud(object) => object.bounds(),
+            Shape::Grid(object) => {
+                let header = object.grid.header();
+                Aabb::new(DVec3::ZERO, header.last_voxel()).transformed(&header.space_from_voxel)
+            }
             Shape::Procedural(field) => field.bounds(),
             Shape::Operator(operator, children) => {
                 let mut boxes = children.iter().map(|child| child.bounds());

@@ -18,7 +18,9 @@ use std::sync::Arc;
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
 pub use colormap::{Colormap, UnknownColormap};
-pub use graph::{Channel, CloudObject, Node, Operator, SceneError, Shape, Transfer, largest_stretch};
+pub use graph::{
+    Channel, CloudObject, GridObject, Node, Operator, SceneError, Shape, Transfer, largest_stretch,
+};
 pub use light::{Light, LightKind, Lighting};
 pub use material::Material;
 pub use noise::NoiseCloud;

@@ -189,6 +189,28 @@ impl OpacityRule {
         opacity.min(MAX_OPACITY)
     }
 
+    /// Opacity at a value of a grid: as at a density, but curves also know values that are not positive.
+    #[must_use]
+    pub fn opacity_of_value(&self, value: f64, unit_distance: f64) -> f64 {
+        match self {
+            Self::Curve(points) => curve_at(points, value).min(MAX_OPACITY),
+            Self::Clamp | Self::Extinction(_) => self.opacity(value, unit_distance),
+        }
+    }
+
+    /// Whether anything shows at any value of a range.
+    #[must_use]
+    pub fn shows_between(&self, low: f64, high: f64) -> bool {
+        match self {
+            Self::Clamp => high > 0.0,
+            Self::Extinction(kappa) => high > 0.0 && *kappa > 0.0,
+            Self::Curve(points) => {
+                let within = points.iter().any(|&(d, o)| o > 0.0 && d >= low && d <= high);
+                within || curve_at(points, low) > 0.0 || curve_at(points, high) > 0.0
+            }
+        }
+    }
+
     /// Extinction σ at a density, per world unit of length.
     #[must_use]
     pub fn extinction(&self, density: f64, unit_distance: f64) -> f64 {

@@ -9,10 +9,11 @@ use super::preset::Preset;
 use super::reader::{Cursor, Object};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
+use crate::grid::Grid;
 use crate::octree::Cloud;
 use crate::scene::{
-    Channel, CloudObject, ColorMap, ColorRule, Form, MapInput, Material, Node, NoiseCloud, OpacityRule,
-    Operator, Palette, Pattern, Procedural, Shape, Solid, Transfer,
+    Channel, CloudObject, ColorMap, ColorRule, Form, GridObject, MapInput, Material, Node, NoiseCloud,
+    OpacityRule, Operator, Palette, Pattern, Procedural, Shape, Solid, Transfer,
 };
 
 /// Keys that every node may have.
@@ -26,6 +27,7 @@ const SOLIDS: [&str; 7] = ["sphere", "box", "cylinder", "cone", "torus", "halfSp
 #[derive(Clone, Copy)]
 enum Type {
     Cloud,
+    Grid,
     Operator(Operator),
     Solid(&'static str),
     Noise,
@@ -39,13 +41,19 @@ pub(super) struct GraphReader<'a> {
     /// Names of the nodes that are being made, outermost first.
     making: Vec<&'a str>,
     clouds: HashMap<PathBuf, Arc<Cloud>>,
+    grids: HashMap<PathBuf, Arc<Grid>>,
 }
 
 impl<'a> GraphReader<'a> {
     /// Finds all names of a file.
     pub(super) fn new(file: &Object<'a>) -> Result<Self, SceneFileError> {
-        let mut reader =
-            Self { named: HashMap::new(), made: HashMap::new(), making: Vec::new(), clouds: HashMap::new() };
+        let mut reader = Self {
+            named: HashMap::new(),
+            made: HashMap::new(),
+            making: Vec::new(),
+            clouds: HashMap::new(),
+            grids: HashMap::new(),
+        };
         if let Some(define) = file.get("define") {
             for (name, node) in define.any_object()?.entries() {
                 reader.name(name, &node)?;
@@ -136,7 +144,7 @@ impl<'a> GraphReader<'a> {
 
     fn new_node(&mut self, at: &Cursor<'a>) -> Result<Node, SceneFileError> {
         let any = at.any_object()?;
-        let mut types = vec![("cloud", Type::Cloud), ("noise", Type::Noise)];
+        let mut types = vec![("cloud", Type::Cloud), ("grid", Type::Grid), ("noise", Type::Noise)];
         types.extend(OPERATORS.map(|o| (o.name(), Type::Operator(o))));
         types.extend(SOLIDS.map(|s| (s, Type::Solid(s))));
         let with = |more: &[&str]| at.object(&[&COMMON[..], more].concat());
@@ -145,6 +153,14 @@ impl<'a> GraphReader<'a> {
                 let object = with(&["file", "kernel", "normalised", "transferFunction"])?;
                 let cloud = self.cloud(&object)?;
                 (object, Shape::Cloud(cloud))
+            }
+            Type::Grid => {
+                let object = with(&["file", "transferFunction"])?;
+                let mut made = GridObject::plain(self.open_grid(&object.require("file")?)?);
+                if let Some(at) = object.get("transferFunction") {
+                    read_value_transfer(&at, &mut made)?;
+                }
+                (object, Shape::Grid(made))
             }
             Type::Operator(operator) => {
                 let object = with(&["children"])?;
@@ -199,6 +215,19 @@ impl<'a> GraphReader<'a> {
         Ok(made)
     }
 
+    /// Opens a grid file, once for all nodes that name it.
+    fn open_grid(&mut self, at: &Cursor<'a>) -> Result<Arc<Grid>, SceneFileError> {
+        let path = beside(at.document.file, at.text()?);
+        let key =
+            path.canonicalize().map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))?;
+        if let Some(grid) = self.grids.get(&key) {
+            return Ok(grid.clone());
+        }
+        let grid = Arc::new(Grid::open(&path).map_err(|e| at.error(e.to_string()))?);
+        self.grids.insert(key, grid.clone());
+        Ok(grid)
+    }
+
     /// Opens a cloud file, once for all nodes that name it.
     fn open(&mut self, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
         let path = beside(at.document.file, at.text()?);
@@ -211,6 +240,35 @@ impl<'a> GraphReader<'a> {
         self.clouds.insert(key, cloud.clone());
         Ok(cloud)
     }
+}
+
+/// The transfer function of a grid, over its values.
+fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), SceneFileError> {
+    let object = at.object(&["opacity", "color", "valueRange", "preset"])?;
+    let preset = object.get("preset").map(|at| Preset::load(&at)).transpose()?;
+    let known = preset.as_ref().and_then(|p| p.map.as_ref()).map(|map| map.range);
+    let range =
+        object.read_or("valueRange", known.unwrap_or(made.grid.header().value_range()), value_range)?;
+    if let Some(preset) = preset {
+        if let Some(curve) = preset.opacity {
+            made.transfer.opacity = OpacityRule::Curve(curve);
+        }
+        if let Some(map) = preset.map {
+            made.transfer.color = ColorRule::Map { map: ColorMap { range, ..map }, input: MapInput::Density };
+        }
+    }
+    if let Some(at) = object.get("opacity") {
+        made.transfer.opacity = opacity(&at)?;
+    }
+    if let Some(at) = object.get("color") {
+        let named = at.value.as_str().is_some_and(|text| !text.starts_with('#'));
+        made.transfer.color = if named || is_stops(&at) {
+            ColorRule::Map { map: ColorMap { palette: palette(&at)?, range }, input: MapInput::Density }
+        } else {
+            ColorRule::Uniform(at.color()?.map(|v| v as f32))
+        };
+    }
+    Ok(())
 }
 
 /// A path that a scene file names.

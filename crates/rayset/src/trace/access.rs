@@ -44,7 +44,15 @@ pub(super) struct Access<'a> {
 
 impl Access<'_> {
     pub(super) fn retain(&self, volume: &CloudVolume, page: u32, priority: u8) -> Result<PageGuard, Halt> {
-        let object = &volume.pages;
+        self.retain_page(&volume.pages, page, priority)
+    }
+
+    pub(super) fn retain_page(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        priority: u8,
+    ) -> Result<PageGuard, Halt> {
         if self.waits {
             return Ok(self.pages.retain(object, page, priority)?);
         }

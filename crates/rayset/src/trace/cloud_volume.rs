@@ -22,7 +22,7 @@ use crate::octree::format::Header;
 use crate::octree::node::{Node, nodes_per_page};
 use crate::octree::page::{PointPage, RUN_POINTS, RootCell};
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule, largest_stretch};
-use crate::working_set::{Object, PageFault, PagedClouds};
+use crate::working_set::{Object, PageFault, PagedFiles};
 
 /// Attributes are 0 where their weights sum to less than this times the largest weight.
 const LEAST_WEIGHT: f32 = 1e-12;
@@ -63,7 +63,7 @@ impl CloudVolume {
         world_from_local: &DAffine3,
         unit_distance: f64,
         material: [f32; MATERIAL],
-        paged: &PagedClouds,
+        paged: &PagedFiles,
     ) -> Option<Self> {
         let (file, pages) = paged.find(&object.cloud)?;
         let header = object.cloud.header();

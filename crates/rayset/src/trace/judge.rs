@@ -8,8 +8,8 @@ use crate::field::judge::JudgeField;
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
 use crate::octree::file::ScanError;
 use crate::scene::{
-    Camera, CameraError, Channel, CloudObject, ColorRule, LightKind, Lighting, MAX_OPACITY, MapInput,
-    Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer, curve_at,
+    Camera, CameraError, Channel, CloudObject, ColorRule, GridObject, LightKind, Lighting, MAX_OPACITY,
+    MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer, curve_at,
 };
 
 /// A pixel in linear light, premultiplied, and its opacity.
@@ -19,6 +19,19 @@ pub type JudgePixel = [f64; 4];
 pub struct Judge<'a> {
     scene: &'a Scene,
     clouds: Vec<(*const Node, JudgeField)>,
+    grids: Vec<(*const Node, Vec<f32>)>,
+}
+
+/// Why the judge has no scene.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum JudgeError {
+    /// A cloud.
+    #[error(transparent)]
+    Cloud(#[from] ScanError),
+    /// A grid.
+    #[error("{0}")]
+    Grid(String),
 }
 
 /// A node at one place.
@@ -44,6 +57,7 @@ const NOTHING: Sample = Sample {
 /// What of a graph one ray can meet: fields with far points left out, and maps to them.
 enum Seen<'a> {
     Cloud { object: &'a CloudObject, field: JudgeField },
+    Grid { object: &'a GridObject, voxels: &'a [f32] },
     Procedural(&'a dyn Procedural),
     Operator(Operator, Vec<SeenNode<'a>>),
 }
@@ -59,20 +73,24 @@ impl<'a> Judge<'a> {
     /// Reads all clouds of a scene.
     ///
     /// # Errors
-    /// [`ScanError`] where a file cannot be read or is damaged.
-    pub fn load(scene: &'a Scene) -> Result<Self, ScanError> {
-        let mut judge = Self { scene, clouds: Vec::new() };
+    /// [`JudgeError`] where a file cannot be read or is damaged.
+    pub fn load(scene: &'a Scene) -> Result<Self, JudgeError> {
+        let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new() };
         judge.load_node(&scene.root)?;
         Ok(judge)
     }
 
-    fn load_node(&mut self, node: &Arc<Node>) -> Result<(), ScanError> {
+    fn load_node(&mut self, node: &Arc<Node>) -> Result<(), JudgeError> {
         let known = |(at, _): &(*const Node, JudgeField)| *at == Arc::as_ptr(node);
         match &node.shape {
             Shape::Cloud(object) if !self.clouds.iter().any(known) => {
                 let (kernel, normalised) = (object.kernel, object.normalised);
                 let field = JudgeField::load(&object.cloud, kernel, normalised, object.attribute_source())?;
                 self.clouds.push((Arc::as_ptr(node), field));
+                Ok(())
+            }
+            Shape::Grid(object) => {
+                self.grids.push((Arc::as_ptr(node), object.grid.load().map_err(JudgeError::Grid)?));
                 Ok(())
             }
             Shape::Cloud(_) | Shape::Procedural(_) => Ok(()),
@@ -193,6 +211,10 @@ impl<'a> Judge<'a> {
                 };
                 Seen::Cloud { object, field: field.unwrap_or_else(nothing) }
             }
+            Shape::Grid(object) => {
+                let known = self.grids.iter().find(|(at, _)| *at == Arc::as_ptr(node));
+                Seen::Grid { object, voxels: known.map_or(&[], |(_, voxels)| voxels) }
+            }
             Shape::Procedural(field) => Seen::Procedural(&**field),
             Shape::Operator(operator, children) => {
                 let seen = children.iter().map(|child| self.seen(child, &world_from_local, material, ray));
@@ -205,6 +227,7 @@ impl<'a> Judge<'a> {
     fn sample(&self, node: &SeenNode<'_>, q: DVec3) -> Sample {
         let mut sample = match &node.seen {
             Seen::Cloud { object, field } => self.sample_cloud(node, object, field, q),
+            Seen::Grid { object, voxels } => self.sample_grid(node, object, voxels, q),
             Seen::Procedural(field) => {
                 let s = field.sample(node.local_from_world.transform_point3(q));
                 let (normal, boundary) = surface(node, s.implicit, s.gradient);
@@ -258,6 +281,46 @@ impl<'a> Judge<'a> {
         let level = object.transfer.opacity.boundary_density(unit);
         let (normal, boundary) = surface(node, level - s.density, -s.gradient);
         let opacity = object.transfer.opacity.opacity(s.density, unit);
+        Sample { opacity, color, normal, boundary, material: node.material.to_array() }
+    }
+
+    fn sample_grid(&self, node: &SeenNode<'_>, object: &GridObject, voxels: &[f32], q: DVec3) -> Sample {
+        let header = object.grid.header();
+        let voxel_from_local = header.space_from_voxel.inverse();
+        let p = voxel_from_local.transform_point3(node.local_from_world.transform_point3(q));
+        let last = header.last_voxel();
+        if p.cmplt(DVec3::ZERO).any() || p.cmpgt(last).any() {
+            return Sample { material: node.material.to_array(), ..NOTHING };
+        }
+        let voxel = |i: DVec3| {
+            let i = i.clamp(DVec3::ZERO, last);
+            let at = (i.z as u64 * header.size[1] + i.y as u64) * header.size[0] + i.x as u64;
+            header.value(f64::from(voxels[at as usize]))
+        };
+        let cell = p.floor().min(last - 1.0);
+        let value = |shift: DVec3| {
+            let mut sum = 0.0;
+            for corner in 0..8 {
+                let c =
+                    DVec3::new(f64::from(corner & 1), f64::from(corner >> 1 & 1), f64::from(corner >> 2 & 1));
+                let w = c * (p - cell) + (1.0 - c) * (1.0 - (p - cell));
+                sum += w.x * w.y * w.z * voxel(cell + c + shift);
+            }
+            sum
+        };
+        let difference = |axis: DVec3| 0.5 * (value(axis) - value(-axis));
+        let gradient = DVec3::new(difference(DVec3::X), difference(DVec3::Y), difference(DVec3::Z));
+        let unit = self.scene.unit_distance;
+        let v = value(DVec3::ZERO);
+        let to_local = voxel_from_local.matrix3.transpose();
+        let implicit = (v - object.boundary_value(unit)) * object.outward();
+        let (normal, boundary) = surface(node, implicit, to_local * gradient * object.outward());
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(c) => c.map(f64::from),
+            ColorRule::Points => [1.0; 3],
+            ColorRule::Map { map, .. } => map.color(v),
+        };
+        let opacity = object.transfer.opacity.opacity_of_value(v, unit);
         Sample { opacity, color, normal, boundary, material: node.material.to_array() }
     }
 

@@ -83,7 +83,7 @@ impl<'p> March<'p> {
             return None;
         }
         match &self.program.instructions[at].action {
-            Action::Procedural(_) => Some(from),
+            Action::Procedural(_) | Action::Grid(_) => Some(from),
             Action::Cloud(_) => match &self.clouds[at] {
                 (Some(march), true) => march.next_sample(from),
                 _ => Some(from),
@@ -176,6 +176,10 @@ impl<'p> March<'p> {
                 let request =
                     Request { access, slab, live, going, measure: measures.0, wants, simd: program.simd };
                 march.sample(volume, request, &mut self.scratch, counts, out)?;
+            }
+            Action::Grid(volume) => {
+                let Asked { access, packet, slab, live, .. } = asked;
+                volume.sample(access, packet, slab, live, measures.0, wants, out)?;
             }
             Action::Procedural(volume) => {
                 volume.sample(asked.packet, asked.slab, asked.live, measures.0, wants, out);
@@ -281,6 +285,7 @@ impl<'p> March<'p> {
     fn cost(&self, at: usize) -> usize {
         match &self.program.instructions[at].action {
             Action::Procedural(_) => 1,
+            Action::Grid(_) => 100,
             Action::Cloud(_) => 1000,
             Action::Operator(_, children) => children.iter().map(|&child| self.cost(child)).sum(),
         }

@@ -3,6 +3,8 @@
 use std::sync::Arc;
 
 use super::block::{Block, Wants};
+use crate::grid::Grid;
+use crate::grid::format::PAGE_BYTES;
 use crate::octree::Cloud;
 use crate::scene::{Lighting, Node, Operator, Scene, Shape};
 use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
@@ -24,6 +26,7 @@ const READING_BYTES: u64 = 1 << 20;
 #[derive(Clone, Debug)]
 pub struct SceneNeeds {
     clouds: Vec<Arc<Cloud>>,
+    grids: Vec<Arc<Grid>>,
     thread_bytes: u64,
 }
 
@@ -31,15 +34,19 @@ impl SceneNeeds {
     /// Of a scene that has been checked.
     #[must_use]
     pub fn of(scene: &Scene) -> Self {
-        let mut clouds = Vec::new();
+        let (mut clouds, mut grids) = (Vec::new(), Vec::new());
         let mut leaves = 0;
-        scene.root.for_each(&mut |node| {
-            if let Shape::Cloud(object) = &node.shape {
+        scene.root.for_each(&mut |node| match &node.shape {
+            Shape::Cloud(object) => {
                 leaves += 1;
                 if !clouds.iter().any(|known| Arc::ptr_eq(known, &object.cloud)) {
                     clouds.push(object.cloud.clone());
                 }
             }
+            Shape::Grid(object) if !grids.iter().any(|known| Arc::ptr_eq(known, &object.grid)) => {
+                grids.push(object.grid.clone());
+            }
+            Shape::Grid(_) | Shape::Procedural(_) | Shape::Operator(..) => {}
         });
         let lit = scene.lighting != Lighting::Unlit;
         let has = |wanted: fn(&Node) -> bool| {
@@ -64,7 +71,20 @@ impl SceneNeeds {
         };
         let passes = if shadow > 0 { 2 } else { 1 };
         let thread_bytes = THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES;
-        Self { clouds, thread_bytes }
+        Self { clouds, grids, thread_bytes }
+    }
+
+    /// Every grid of the scene, each once.
+    #[must_use]
+    pub fn grids(&self) -> &[Arc<Grid>] {
+        &self.grids
+    }
+
+    /// Pages of every file and the bytes of each.
+    fn files(&self) -> impl Iterator<Item = (u64, u64)> {
+        let clouds =
+            self.clouds.iter().map(|c| (u64::from(c.header().pages()), u64::from(c.header().page_bytes)));
+        clouds.chain(self.grids.iter().map(|grid| (grid.header().pages(), PAGE_BYTES as u64)))
     }
 
     /// Every cloud of the scene, each once.
@@ -112,11 +132,11 @@ pub fn plan(
     process_bytes: u64,
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
-    let page = needs.clouds.iter().map(|c| u64::from(c.header().page_bytes)).max().unwrap_or(4096);
+    let page = needs.files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
     // Tiles are listed, 24 bytes each.
     let row = u64::from(width) * PIXEL_BYTES + u64::from(width) / 2;
-    let pages: u64 = needs.clouds.iter().map(|c| u64::from(c.header().pages())).sum();
-    let overhead: u64 = needs.clouds.iter().map(|c| WorkingSet::overhead_bytes(c.header().pages())).sum();
+    let pages: u64 = needs.files().map(|(pages, _)| pages).sum();
+    let overhead = WorkingSet::overhead_bytes(u32::try_from(pages).unwrap_or(u32::MAX));
     let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
     let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
@@ -132,7 +152,10 @@ pub fn plan(
     let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
     let band_rows = (rows as u32).min(height).max(1);
     let picture = u64::from(band_rows) * row;
-    let comfortable_pages: u64 = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page).sum();
+    // Of a grid, a layer of bricks.
+    let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
+    let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
+    let comfortable_pages: u64 = columns.chain(layers).sum();
     Ok(MemoryPlan {
         largest_page_bytes: page,
         page_bytes: (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page,

@@ -8,6 +8,7 @@ mod block;
 mod cloud_volume;
 mod composite;
 mod frontier;
+mod grid_volume;
 pub mod judge;
 mod march;
 mod math;
@@ -38,7 +39,7 @@ use self::world::World;
 use crate::field::{LANES, SLAB_SAMPLES, SimdLevel};
 use crate::image::Band;
 use crate::scene::{Camera, CameraError, RenderSettings, Scene, SceneError};
-use crate::working_set::{PageFault, PagedClouds};
+use crate::working_set::{PageFault, PagedFiles};
 
 /// How the work is done. Nothing here can change a pixel.
 #[derive(Clone)]
@@ -145,7 +146,7 @@ pub fn render(
     camera: &Camera,
     settings: &RenderSettings,
     exec: &ExecSettings,
-    paged: &PagedClouds,
+    paged: &PagedFiles,
     sink: &mut dyn Sink,
 ) -> Result<RenderCounts, RenderError> {
     let whole = Region { columns: 0..settings.width, rows: 0..settings.height };
@@ -162,7 +163,7 @@ pub fn render_region(
     settings: &RenderSettings,
     region: &Region,
     exec: &ExecSettings,
-    paged: &PagedClouds,
+    paged: &PagedFiles,
     sink: &mut dyn Sink,
 ) -> Result<RenderCounts, RenderError> {
     check(scene, settings, region, exec)?;

@@ -10,16 +10,18 @@ use std::sync::Arc;
 use super::RenderError;
 use super::block::{MATERIAL, Measure, Wants};
 use super::cloud_volume::CloudVolume;
+use super::grid_volume::GridVolume;
 use super::procedural_volume::ProceduralVolume;
 use super::transfer::CompiledTransfer;
 use crate::field::SimdLevel;
 use crate::geometry::{Aabb, DAffine3};
 use crate::scene::{Channel, LightKind, Lighting, Material, Node, Operator, Scene, Shape};
-use crate::working_set::PagedClouds;
+use crate::working_set::PagedFiles;
 
 /// What an instruction does.
 pub(super) enum Action {
     Cloud(Box<CloudVolume>),
+    Grid(Box<GridVolume>),
     Procedural(Box<ProceduralVolume>),
     Operator(Operator, Vec<usize>),
 }
@@ -69,7 +71,7 @@ type Key = (*const Node, [u64; 12], usize);
 struct Compiler<'s> {
     scene: &'s Scene,
     simd: SimdLevel,
-    paged: &'s PagedClouds,
+    paged: &'s PagedFiles,
     instructions: Vec<Instruction>,
     known: HashMap<Key, usize>,
     /// Every material that is used, each once.
@@ -85,7 +87,7 @@ impl Program {
         scene: &Scene,
         purpose: Purpose,
         simd: SimdLevel,
-        paged: &PagedClouds,
+        paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
         let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
         let mut compiler = Compiler { scene, simd, paged, instructions, known, materials };
@@ -105,6 +107,11 @@ impl Program {
             _ => None,
         })
     }
+}
+
+/// A file of the scene was not opened.
+fn not_paged(path: &std::path::Path) -> RenderError {
+    RenderError::Setting { setting: "scene", what: format!("{} is in no working set", path.display()) }
 }
 
 impl Compiler<'_> {
@@ -141,13 +148,19 @@ impl Compiler<'_> {
                     self.materials[material],
                     self.paged,
                 )
-                .ok_or_else(|| RenderError::Setting {
-                    setting: "scene",
-                    what: format!("{} is in no working set", object.cloud.path().display()),
-                })?;
+                .ok_or_else(|| not_paged(object.cloud.path()))?;
                 let (bounds, color) =
                     (object.bounds().transformed(&world_from_local), volume.uniform_color());
                 (Action::Cloud(Box::new(volume)), bounds, color)
+            }
+            Shape::Grid(object) => {
+                let unit = self.scene.unit_distance;
+                let volume =
+                    GridVolume::new(object, &world_from_local, unit, self.materials[material], self.paged)
+                        .ok_or_else(|| not_paged(object.grid.path()))?;
+                let bounds = Node::new(node.shape.clone()).bounds().transformed(&world_from_local);
+                let color = volume.uniform_color();
+                (Action::Grid(Box::new(volume)), bounds, color)
             }
             Shape::Procedural(field) => {
                 let reach = self.scene.unit_distance;
@@ -207,7 +220,8 @@ impl Compiler<'_> {
         let mut wants = Wants::default();
         for instruction in &mut self.instructions {
             wants = wants.and(instruction.wants);
-            if instruction.wants.outside && !matches!(instruction.action, Action::Cloud(_)) {
+            if instruction.wants.outside && !matches!(instruction.action, Action::Cloud(_) | Action::Grid(_))
+            {
                 instruction.bounds = instruction.bounds.inflated(reach);
             }
         }
@@ -242,6 +256,7 @@ impl Compiler<'_> {
         for instruction in &self.instructions {
             let material = match &instruction.action {
                 Action::Cloud(volume) => volume.material,
+                Action::Grid(volume) => volume.material,
                 Action::Procedural(volume) => volume.material,
                 Action::Operator(..) => continue,
             };

@@ -16,6 +16,8 @@ use crate::scene::{RenderSettings, Step};
 /// Finest automatic step: the coarsest times 2 to the minus this.
 const FINEST: i32 = 60;
 
+/// In a grid a step is a fraction of so many distances between voxels: half of one, where it is a quarter.
+const GRID_DETAIL: f64 = 2.0;
 /// Most steps across a scene: more than anyone could wait for, few enough to be counted exactly.
 const MOST_STEPS: f64 = (1_u64 << 40) as f64;
 
@@ -100,6 +102,7 @@ fn largest_detail(action: &Action) -> Option<f64> {
     match action {
         Action::Cloud(volume) => Some(volume.largest_radius_world()),
         Action::Procedural(volume) => Some(volume.largest_detail_world()),
+        Action::Grid(volume) => Some(GRID_DETAIL * volume.largest_spacing_world()),
         Action::Operator(..) => None,
     }
 }
@@ -128,6 +131,11 @@ impl Exponents {
             match &instruction.action {
                 Action::Procedural(volume) => {
                     self.lower_within(rays, &instruction.bounds, |ray| volume.detail_world(ray));
+                }
+                Action::Grid(volume) => {
+                    self.lower_within(rays, &instruction.bounds, |ray| {
+                        GRID_DETAIL * volume.spacing_world(ray)
+                    });
                 }
                 Action::Cloud(volume) if volume.header().radius.min() == volume.header().radius.max() => {
                     let radius = f64::from(volume.header().radius.max());

@@ -7,7 +7,7 @@ use super::shadow::LightTable;
 use super::steps::StepRule;
 use super::{ExecSettings, RenderError};
 use crate::scene::{RenderSettings, Scene, Shadows};
-use crate::working_set::{PagedClouds, WorkingSet};
+use crate::working_set::{PagedFiles, WorkingSet};
 
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World {
@@ -31,7 +31,7 @@ impl World {
         scene: &Scene,
         settings: &RenderSettings,
         exec: &ExecSettings,
-        paged: &PagedClouds,
+        paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
         let program = Program::compile(scene, Purpose::Picture, exec.simd, paged)?;
         let shader = Shader::new(&scene.lighting, program.color, program.material);

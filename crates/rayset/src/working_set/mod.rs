@@ -14,6 +14,8 @@
 
 mod buffer;
 mod cloud;
+mod files;
+mod grid;
 mod ledger;
 pub mod read;
 mod stats;
@@ -26,7 +28,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
-pub use self::cloud::{CloudPages, PagedClouds};
+pub use self::cloud::CloudPages;
+pub use self::files::PagedFiles;
+pub use self::grid::GridPages;
 pub use self::ledger::Limits;
 use self::ledger::{Evicted, Ledger};
 use self::read::{Read, ReadBackend, Storage};

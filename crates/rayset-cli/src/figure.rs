@@ -1,0 +1,339 @@
+//! `rayset figure`: the figures of the paper, from scene files under `examples/`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use rayset::geometry::{Aabb, DAffine3, DVec3};
+use rayset::grid::build::build as build_grid;
+use rayset::grid::read::{RawLayout, VolumeSource};
+use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
+use rayset::scene::{NoiseCloud, Pattern, Procedural};
+
+use crate::memory::PROCESS_BYTES;
+use crate::render;
+use crate::{generate, report, values};
+
+/// A figure: its number, its scene and what it shows.
+struct Figure {
+    number: u32,
+    scene: &'static str,
+    title: &'static str,
+}
+
+const FIGURES: [Figure; 7] = [
+    Figure {
+        number: 1,
+        scene: include_str!("../../../examples/fig1.json"),
+        title: "a translucent scan with a grid volume inside, cut open by a cylinder",
+    },
+    Figure {
+        number: 2,
+        scene: include_str!("../../../examples/fig2.json"),
+        title: "four scans in clouds, sharing one cloud file",
+    },
+    Figure {
+        number: 3,
+        scene: include_str!("../../../examples/fig3.json"),
+        title: "a statue of 14 027 872 points",
+    },
+    Figure {
+        number: 4,
+        scene: include_str!("../../../examples/fig4.json"),
+        title: "union, intersection and difference of a scan and a cylinder",
+    },
+    Figure {
+        number: 5,
+        scene: include_str!("../../../examples/fig5.json"),
+        title: "a close-up at growing radius",
+    },
+    Figure {
+        number: 10,
+        scene: include_str!("../../../examples/fig10.json"),
+        title: "six objects of two clouds in a grid of cloud over a floor, three lights",
+    },
+    Figure {
+        number: 11,
+        scene: include_str!("../../../examples/fig11.json"),
+        title: "twenty objects, three lights",
+    },
+];
+
+/// Points of the statue in the paper.
+const STATUE_POINTS: u64 = 14_027_872;
+/// Height of the statue in the units that its radii are given in.
+const STATUE_HEIGHT: f64 = 1597.0;
+/// Radii of figure 5, in those units; figure 3 has 2.
+const STATUE_RADII: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0];
+
+/// Make a figure of the paper: prepare its data, render its scene.
+///
+/// Without --scan and --volume it makes data of its own. The data and the scene stay in the folder given with --data.
+#[derive(Args)]
+pub(crate) struct FigureArgs {
+    /// 1, 2, 3, 4, 5, 10 or 11
+    number: u32,
+    /// Picture to write; figN.png by default
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Scan to show: points (PLY, LAS, text …), y up; figures 3 and 5 take a mesh in PLY
+    #[arg(long)]
+    scan: Option<PathBuf>,
+    /// Second scan, of figures 10 and 11
+    #[arg(long)]
+    other: Option<PathBuf>,
+    /// Volume to show, of figures 1, 2 and 10
+    #[arg(long)]
+    volume: Option<PathBuf>,
+    /// Folder for data and scene; what is there already is used again
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// Picture size
+    #[arg(long, value_parser = values::dimensions)]
+    size: Option<(u32, u32)>,
+    /// Memory for the whole process
+    #[arg(long, value_parser = values::size, default_value = "64MiB")]
+    memory: u64,
+}
+
+pub(crate) fn run(args: &FigureArgs) -> Result<()> {
+    let Some(figure) = FIGURES.iter().find(|figure| figure.number == args.number) else {
+        bail!("there is no figure {}; there are 1, 2, 3, 4, 5, 10 and 11", args.number);
+    };
+    report::say(format_args!("figure {}: {}", figure.number, figure.title));
+    let temporary = std::env::temp_dir().join(format!("rayset-figure-{}", std::process::id()));
+    let folder = args.data.as_ref().unwrap_or(&temporary);
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let outcome = make(figure, args, folder);
+    if args.data.is_none() {
+        std::fs::remove_dir_all(&temporary)
+            .with_context(|| format!("cannot remove {}", temporary.display()))?;
+    }
+    outcome
+}
+
+fn make(figure: &Figure, args: &FigureArgs, folder: &Path) -> Result<()> {
+    let scene = folder.join(format!("fig{}.json", figure.number));
+    std::fs::write(&scene, figure.scene).with_context(|| format!("cannot write {}", scene.display()))?;
+    let output = args.output.clone().unwrap_or_else(|| format!("fig{}.png", figure.number).into());
+    let preparation = Preparation { args, folder };
+    let radius = |radius: f64| radius / STATUE_HEIGHT;
+    match figure.number {
+        3 => preparation.statue(radius(2.0))?,
+        5 => {
+            for (frame, r) in STATUE_RADII.into_iter().enumerate() {
+                report::say(format_args!("r = {r}"));
+                preparation.statue(radius(r))?;
+                render(args, &scene, &output.with_extension(format!("{frame}.png")))?;
+            }
+            return Ok(());
+        }
+        _ => {
+            preparation.cloud("scan.rset", args.scan.as_deref(), "vase-300k")?;
+            if matches!(figure.number, 10 | 11) {
+                preparation.cloud("other.rset", args.other.as_deref(), "knot-200k")?;
+            }
+            if matches!(figure.number, 1 | 2 | 10) {
+                preparation.volume()?;
+            }
+        }
+    }
+    render(args, &scene, &output)
+}
+
+fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
+    let mut options = render::defaults(scene, output)?.with_memory(args.memory);
+    if let Some((width, height)) = args.size {
+        options = options.with_size(width, height);
+    }
+    render::run(&options)
+}
+
+/// Data of a figure, in a folder.
+struct Preparation<'a> {
+    args: &'a FigureArgs,
+    folder: &'a Path,
+}
+
+impl Preparation<'_> {
+    fn build_options(&self) -> BuildOptions {
+        let memory_bytes = self.args.memory.saturating_sub(PROCESS_BYTES);
+        BuildOptions { memory_bytes, ..BuildOptions::default() }
+    }
+
+    /// A cloud of height 1 that stands on the ground, from a scan or a workload.
+    fn cloud(&self, name: &str, scan: Option<&Path>, workload: &str) -> Result<()> {
+        let path = self.folder.join(name);
+        if path.exists() {
+            return Ok(());
+        }
+        let open = || -> Result<Box<dyn PointSource>> {
+            match scan {
+                Some(scan) => Ok(points::open(scan, &ReadOptions::default())?),
+                None => Ok(workload.parse::<Workload>()?.source()),
+            }
+        };
+        let standing = standing(&mut *open()?)?;
+        let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
+        build::run(vec![Box::new(moved)], &path, &self.build_options(), &NoProgress)?;
+        Ok(())
+    }
+
+    /// The statue: a mesh taken for as many points as the paper's has, or a vase of as many.
+    fn statue(&self, radius: f64) -> Result<()> {
+        let ply = self.folder.join("statue.ply");
+        if !ply.exists() {
+            match &self.args.scan {
+                None => drop(generate::write(&format!("vase-{STATUE_POINTS}").parse()?, &ply)?),
+                Some(mesh) => {
+                    let by = standing(&mut MeshSource::open(mesh, 100_000)?)?;
+                    let source = Box::new(MeshSource::open(mesh, STATUE_POINTS)?);
+                    generate::write_source(&mut Moved { source, by, selected: Vec::new() }, &ply)?;
+                }
+            }
+        }
+        let options = BuildOptions {
+            radius: Some(Rule::Number(radius)),
+            weight: Some(Rule::Number(0.4)),
+            keep_color: false,
+            ..self.build_options()
+        };
+        let source = points::open(&ply, &ReadOptions::default())?;
+        let started = std::time::Instant::now();
+        let built = build::run(vec![source], &self.folder.join("statue.rset"), &options, &NoProgress)?;
+        report::say(format_args!(
+            "{} points, {} on disk, {:.1} s",
+            report::count(built.points),
+            report::bytes(built.header.file_bytes),
+            started.elapsed().as_secs_f64()
+        ));
+        Ok(())
+    }
+
+    /// A volume of size 1 about the origin.
+    fn volume(&self) -> Result<()> {
+        let path = self.folder.join("volume.rset");
+        if path.exists() {
+            return Ok(());
+        }
+        let mut source = match &self.args.volume {
+            Some(volume) => VolumeSource::open(volume)?,
+            None => self.noise()?,
+        };
+        let last = DVec3::from_array(source.size.map(|n| n.max(2) as f64 - 1.0));
+        let bounds = Aabb::new(DVec3::ZERO, last).transformed(&source.space_from_voxel);
+        let scale = 1.0 / bounds.size().max_element();
+        source.space_from_voxel = DAffine3::from_scale(DVec3::splat(scale))
+            * DAffine3::from_translation(-bounds.center())
+            * source.space_from_voxel;
+        // Values from 0 to 1, whatever they were.
+        let header =
+            build_grid(source, &path, self.args.memory.saturating_sub(PROCESS_BYTES), &mut |_, _| {})?;
+        let (low, high) = header.value_range();
+        if self.args.volume.is_some() && high > low {
+            self.rescale(&path, low, high)?;
+        }
+        Ok(())
+    }
+
+    /// Builds a volume once more, with its values scaled to 0 to 1.
+    fn rescale(&self, path: &Path, low: f64, high: f64) -> Result<()> {
+        let Some(volume) = &self.args.volume else { return Ok(()) };
+        let mut source = VolumeSource::open(volume)?;
+        let header = Arc::new(rayset::grid::Grid::open(path)?);
+        source.space_from_voxel = header.header().space_from_voxel;
+        source.offset = (source.offset - low) / (high - low);
+        source.scale /= high - low;
+        build_grid(source, path, self.args.memory.saturating_sub(PROCESS_BYTES), &mut |_, _| {})?;
+        Ok(())
+    }
+
+    /// Fractal noise as a volume of bytes.
+    fn noise(&self) -> Result<VolumeSource> {
+        const SIDE: u32 = 112;
+        let noise = NoiseCloud {
+            radii: DVec3::ONE,
+            scale: 0.55,
+            octaves: 5,
+            roughness: 0.55,
+            opacity: 1.0,
+            cover: 0.75,
+            seed: 7,
+            pattern: Pattern::Uniform([1.0; 3]),
+        };
+        let mut voxels = Vec::with_capacity(SIDE.pow(3) as usize);
+        for k in 0..SIDE {
+            for j in 0..SIDE {
+                for i in 0..SIDE {
+                    let place = |n: u32| 2.0 * f64::from(n) / f64::from(SIDE - 1) - 1.0;
+                    let sample = noise.sample(DVec3::new(place(i), place(j), place(k)));
+                    voxels.push((255.0 * sample.opacity).round() as u8);
+                }
+            }
+        }
+        let raw = self.folder.join("volume.raw");
+        std::fs::write(&raw, voxels).with_context(|| format!("cannot write {}", raw.display()))?;
+        let layout: RawLayout = format!("{SIDE}x{SIDE}x{SIDE},u8").parse()?;
+        let mut source = VolumeSource::open_raw(&raw, &layout)?;
+        source.scale = 1.0 / 255.0;
+        Ok(source)
+    }
+}
+
+/// The map that makes points of height 1 stand on the ground about the y axis.
+fn standing(source: &mut dyn PointSource) -> Result<DAffine3> {
+    let (mut bounds, mut batch) = (Aabb::EMPTY, PointBatch::default());
+    source.select(&[]);
+    loop {
+        source.fill(&mut batch, 1 << 14)?;
+        if batch.is_empty() {
+            break;
+        }
+        batch.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
+    }
+    let size = bounds.size();
+    // What is wider than high is made 1 wide.
+    let scale = 1.0 / size.max_element().max(f64::MIN_POSITIVE);
+    let center = bounds.center();
+    let foot = DVec3::new(center.x, bounds.min.y, center.z);
+    Ok(DAffine3::from_scale(DVec3::splat(scale)) * DAffine3::from_translation(-foot))
+}
+
+/// Points that are moved as they pass; radii with them.
+struct Moved {
+    source: Box<dyn PointSource>,
+    by: DAffine3,
+    selected: Vec<usize>,
+}
+
+impl PointSource for Moved {
+    fn schema(&self) -> &Schema {
+        self.source.schema()
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        self.source.count_hint()
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+        self.source.select(columns);
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        self.source.fill(batch, limit)?;
+        for p in &mut batch.position {
+            *p = self.by.transform_point3(DVec3::from_array(*p)).to_array();
+        }
+        let scale = self.by.matrix3.x_axis.length() as f32;
+        let names = &self.source.schema().attributes;
+        for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
+            if names.get(index).is_some_and(|name| name == "radius") {
+                column.iter_mut().for_each(|radius| *radius *= scale);
+            }
+        }
+        Ok(())
+    }
+}

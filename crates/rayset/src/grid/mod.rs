@@ -1,0 +1,10 @@
+//! Grid volumes on disk: voxels in bricks, a brick a page, with the range of values of each; `docs/format.md` has the
+//! bytes.
+
+pub mod build;
+pub mod file;
+pub mod format;
+pub mod read;
+
+pub use self::file::Grid;
+pub use self::format::{GridHeader, VoxelKind};

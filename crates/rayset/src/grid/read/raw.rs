@@ -1,0 +1,73 @@
+//! Files of nothing but voxels.
+
+use std::path::Path;
+use std::str::FromStr;
+
+use super::{Described, ReadError, Stored, VolumeSource, data_at};
+use crate::geometry::{DAffine3, DVec3};
+
+/// How a raw file is laid out: `256x256x128,u16`, then optionally `be` or `le`, `skip=512`, `spacing=1x1x2.5`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawLayout {
+    size: [u64; 3],
+    stored: Stored,
+    big_endian: bool,
+    skip: u64,
+    spacing: [f64; 3],
+}
+
+/// A text that is no layout.
+#[derive(Debug, thiserror::Error)]
+#[error("`{0}` is not a layout; write it as 256x256x128,u16 or 256x256x128,f32,be,skip=512,spacing=1x1x2.5")]
+pub struct UnknownLayout(String);
+
+impl FromStr for RawLayout {
+    type Err = UnknownLayout;
+
+    fn from_str(text: &str) -> Result<Self, UnknownLayout> {
+        parse(text).ok_or_else(|| UnknownLayout(text.to_owned()))
+    }
+}
+
+fn parse(text: &str) -> Option<RawLayout> {
+    let mut words = text.split(',').map(str::trim);
+    let size: Vec<u64> = words.next()?.split('x').map(|n| n.parse().ok()).collect::<Option<_>>()?;
+    let stored = match words.next()? {
+        "i8" => Stored::I8,
+        "u8" => Stored::U8,
+        "i16" => Stored::I16,
+        "u16" => Stored::U16,
+        "i32" => Stored::I32,
+        "u32" => Stored::U32,
+        "f32" => Stored::F32,
+        "f64" => Stored::F64,
+        _ => return None,
+    };
+    let mut layout =
+        RawLayout { size: size.try_into().ok()?, stored, big_endian: false, skip: 0, spacing: [1.0; 3] };
+    for word in words {
+        match word.split_once('=') {
+            None if word == "be" => layout.big_endian = true,
+            None if word == "le" => layout.big_endian = false,
+            Some(("skip", bytes)) => layout.skip = bytes.parse().ok()?,
+            Some(("spacing", lengths)) => {
+                let all: Vec<f64> = lengths.split('x').map(|n| n.parse().ok()).collect::<Option<_>>()?;
+                layout.spacing = all.try_into().ok()?;
+            }
+            _ => return None,
+        }
+    }
+    Some(layout)
+}
+
+pub(super) fn open(path: &Path, layout: &RawLayout) -> Result<VolumeSource, ReadError> {
+    let described = Described {
+        size: layout.size,
+        stored: layout.stored,
+        big_endian: layout.big_endian,
+        scale: 1.0,
+        offset: 0.0,
+        space_from_voxel: DAffine3::from_scale(DVec3::from_array(layout.spacing)),
+    };
+    Ok(VolumeSource::new(path, described, Box::new(data_at(path, layout.skip)?)))
+}

@@ -1,0 +1,333 @@
+//! Grids as volume objects in the world: trilinear samples from bricks that are brought in as rays come to them.
+
+use std::sync::Arc;
+
+use super::access::{Access, Halt};
+use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane};
+use super::math::ln;
+use super::transfer::ColorTable;
+use crate::field::{Packet, SLAB_SAMPLES, Slab};
+use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
+use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
+use crate::octree::format::PAGE_HEAD_BYTES;
+use crate::scene::{ColorRule, GridObject, MAX_OPACITY, largest_stretch};
+use crate::working_set::{Object, PageGuard, PagedFiles};
+
+/// Priority of bricks that samples wait for, and of their ranges.
+const BRICK_PRIORITY: u8 = 200;
+const RANGE_PRIORITY: u8 = 250;
+
+enum Color {
+    Uniform([f32; 3]),
+    Map(ColorTable),
+}
+
+/// A grid where the graph puts it.
+pub(super) struct GridVolume {
+    object: GridObject,
+    pages: Arc<Object>,
+    voxel_from_world: DAffine3,
+    world_from_voxel: DAffine3,
+    /// Takes gradients over voxels to the world.
+    world_gradient: DMat3,
+    bounds_voxel: Aabb,
+    color: Color,
+    unit_distance: f64,
+    boundary_value: f64,
+    /// What a gradient points to where the object is: the opacity rises with the value, or falls.
+    outward: f64,
+    pub(super) material: [f32; MATERIAL],
+}
+
+/// A brick that samples are taken from, and where its first voxel is.
+struct Held {
+    number: u64,
+    /// Nothing where no value in it shows.
+    brick: Option<PageGuard>,
+    first: [i64; 3],
+}
+
+impl GridVolume {
+    /// Nothing where the grid's pages are in no working set.
+    pub(super) fn new(
+        object: &GridObject,
+        world_from_local: &DAffine3,
+        unit_distance: f64,
+        material: [f32; MATERIAL],
+        paged: &PagedFiles,
+    ) -> Option<Self> {
+        let pages = paged.find_grid(&object.grid)?.clone();
+        let world_from_voxel = *world_from_local * object.grid.header().space_from_voxel;
+        let voxel_from_world = world_from_voxel.inverse();
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(color) => Color::Uniform(*color),
+            ColorRule::Points => Color::Uniform([1.0; 3]),
+            ColorRule::Map { map, .. } => Color::Map(ColorTable::new(map)),
+        };
+        Some(Self {
+            pages,
+            voxel_from_world,
+            world_from_voxel,
+            world_gradient: voxel_from_world.matrix3.transpose(),
+            bounds_voxel: Aabb::new(DVec3::ZERO, object.grid.header().last_voxel()),
+            color,
+            unit_distance,
+            boundary_value: object.boundary_value(unit_distance),
+            outward: object.outward(),
+            material,
+            object: object.clone(),
+        })
+    }
+
+    pub(super) fn uniform_color(&self) -> Option<[f32; 3]> {
+        if let Color::Uniform(color) = self.color { Some(color) } else { None }
+    }
+
+    /// The distance between voxels along a ray, world space.
+    pub(super) fn spacing_world(&self, ray: &Ray) -> f64 {
+        1.0 / self.voxel_from_world.transform_vector3(ray.direction).length()
+    }
+
+    /// The longest of those along any ray.
+    pub(super) fn largest_spacing_world(&self) -> f64 {
+        largest_stretch(&self.world_from_voxel)
+    }
+
+    /// Fills the lanes that meet anything that shows.
+    #[expect(clippy::too_many_arguments, reason = "one slab of one grid")]
+    pub(super) fn sample(
+        &self,
+        access: Access<'_>,
+        packet: &Packet,
+        slab: Slab,
+        live: &Live,
+        measure: Measure,
+        wants: Wants,
+        out: &mut Block,
+    ) -> Result<(), Halt> {
+        out.touched = 0;
+        let lanes = self.lanes_within(packet, slab, live);
+        self.fetch(access, packet, slab, live, &lanes)?;
+        let mut held = None;
+        for (lane, first, end) in lanes {
+            for j in first..end {
+                if live.0[lane] >> j & 1 == 0 {
+                    continue;
+                }
+                let place = self.place(packet, lane, slab.first + j as u64);
+                let brick = self.hold(access, place, &mut held)?;
+                let Some(page) = &brick.brick else { continue };
+                self.fill(page, brick.first, place, lane, j, (measure, wants), out);
+            }
+        }
+        Ok(())
+    }
+
+    fn place(&self, packet: &Packet, lane: usize, sample: u64) -> DVec3 {
+        self.voxel_from_world.transform_point3(packet.ray(lane).at(packet.sample_t_world(lane, sample)))
+    }
+
+    /// Lanes that pass through the grid in the slab, and between which samples.
+    fn lanes_within(&self, packet: &Packet, slab: Slab, live: &Live) -> Vec<(usize, usize, usize)> {
+        let mut lanes = Vec::new();
+        each_lane(live.lanes(), |lane| {
+            let world = packet.ray(lane);
+            let ray = Ray {
+                origin: self.voxel_from_world.transform_point3(world.origin),
+                direction: self.voxel_from_world.transform_vector3(world.direction),
+            };
+            let Some((enter, exit)) = self.bounds_voxel.clip(&ray) else { return };
+            let (step, first_t) = (packet.step_world(), packet.sample_t_world(lane, slab.first));
+            let number = |t: f64| ((t - first_t) / step).clamp(-1.0, SLAB_SAMPLES as f64);
+            // Which samples are within is asked of each place by itself; these are at most one too many on either side.
+            let inside =
+                |j: &usize| self.bounds_voxel.contains(self.place(packet, lane, slab.first + *j as u64));
+            let range = number(enter).floor().max(0.0) as usize
+                ..((number(exit).ceil() + 1.0).max(0.0) as usize).min(slab.samples);
+            let (first, last) = (range.clone().find(inside), range.rev().find(inside));
+            if let (Some(first), Some(last)) = (first, last) {
+                lanes.push((lane, first, last + 1));
+            }
+        });
+        lanes
+    }
+
+    /// The brick of a place and its corner.
+    fn brick_of(&self, place: DVec3) -> (u64, [i64; 3]) {
+        let header = self.object.grid.header();
+        let (bricks, cells) = (header.bricks(), header.kind.brick_cells());
+        let brick: [u64; 3] = std::array::from_fn(|axis| {
+            let cell = (place[axis].max(0.0) as u64).min(header.size[axis] - 2);
+            cell / cells
+        });
+        let number = (brick[2] * bricks[1] + brick[1]) * bricks[0] + brick[0];
+        (number, brick.map(|b| (b * cells) as i64 - 1))
+    }
+
+    /// Asks for all bricks of a slab at once, where tiles do not wait for each.
+    fn fetch(
+        &self,
+        access: Access<'_>,
+        packet: &Packet,
+        slab: Slab,
+        live: &Live,
+        lanes: &[(usize, usize, usize)],
+    ) -> Result<(), Halt> {
+        if access.waits {
+            return Ok(());
+        }
+        let (mut absent, mut last) = (Vec::new(), None);
+        for &(lane, first, end) in lanes {
+            for j in (first..end).filter(|j| live.0[lane] >> j & 1 == 1) {
+                let (number, _) = self.brick_of(self.place(packet, lane, slab.first + j as u64));
+                if last == Some(number) {
+                    continue;
+                }
+                last = Some(number);
+                let page = number as u32;
+                if self.shows(access, number)?
+                    && !access.pages.is_resident(&self.pages, page)
+                    && !absent.contains(&page)
+                {
+                    absent.push(page);
+                }
+            }
+        }
+        if absent.len() > 1 {
+            access.pages.hint(&self.pages, &absent, BRICK_PRIORITY, u64::MAX);
+        }
+        Ok(())
+    }
+
+    /// Whether any value of a brick shows.
+    fn shows(&self, access: Access<'_>, brick: u64) -> Result<bool, Halt> {
+        let header = self.object.grid.header();
+        let page = header.brick_pages() + brick / RANGES_PER_PAGE;
+        let guard = access.retain_page(&self.pages, page as u32, RANGE_PRIORITY)?;
+        let at = PAGE_HEAD_BYTES + (brick % RANGES_PER_PAGE) as usize * 8;
+        let number = |at: usize| f32::from_le_bytes([guard[at], guard[at + 1], guard[at + 2], guard[at + 3]]);
+        let (a, b) = (header.value(f64::from(number(at))), header.value(f64::from(number(at + 4))));
+        Ok(self.object.transfer.opacity.shows_between(a.min(b), a.max(b)))
+    }
+
+    fn hold<'h>(
+        &self,
+        access: Access<'_>,
+        place: DVec3,
+        held: &'h mut Option<Held>,
+    ) -> Result<&'h Held, Halt> {
+        let (number, first) = self.brick_of(place);
+        let known = held.take().filter(|held| held.number == number);
+        let new = match known {
+            Some(known) => known,
+            None => {
+                let shows = self.shows(access, number)?;
+                let brick = if shows {
+                    Some(access.retain_page(&self.pages, number as u32, BRICK_PRIORITY)?)
+                } else {
+                    None
+                };
+                Held { number, brick, first }
+            }
+        };
+        Ok(held.insert(new))
+    }
+
+    /// One sample.
+    #[expect(clippy::too_many_arguments, reason = "one sample of one lane")]
+    fn fill(
+        &self,
+        page: &[u8],
+        first: [i64; 3],
+        place: DVec3,
+        lane: usize,
+        j: usize,
+        (measure, wants): (Measure, Wants),
+        out: &mut Block,
+    ) {
+        let header = self.object.grid.header();
+        let brick = Brick { bytes: &page[PAGE_HEAD_BYTES..PAGE_BYTES], kind: header.kind };
+        let local = place - DVec3::new(first[0] as f64, first[1] as f64, first[2] as f64);
+        let last = local.floor().min((header.last_voxel() - 1.0) - (place - local));
+        let cell = [last.x as usize, last.y as usize, last.z as usize];
+        let within = local - last;
+        let value = header.value(brick.trilinear(cell, within));
+        let opacity = self.object.transfer.opacity.opacity_of_value(value, self.unit_distance) as f32;
+        if !(opacity > 0.0) && !wants.outside {
+            return;
+        }
+        if out.touched >> lane & 1 == 0 {
+            out.clear_lane(lane, wants);
+            if wants.material {
+                for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                    rows[lane].0.fill(v);
+                }
+            }
+        }
+        out.opacity[lane].0[j] = match measure {
+            Measure::Opacity => opacity,
+            Measure::Thickness => (-ln(1.0 - opacity.min(MAX_OPACITY as f32))).min(MAX_THICKNESS),
+        };
+        if wants.color {
+            let color = match &self.color {
+                Color::Uniform(color) => *color,
+                Color::Map(table) => table.color(value as f32),
+            };
+            for (rows, v) in out.color.iter_mut().zip(color) {
+                rows[lane].0[j] = v;
+            }
+        }
+        if wants.normal || wants.boundary {
+            let over_voxels = brick.gradient(cell, within) * header.scale;
+            let gradient = self.world_gradient * over_voxels * self.outward;
+            let length = gradient.length();
+            if wants.normal && length > 0.0 {
+                for (rows, v) in out.normal.iter_mut().zip((gradient / length).to_array()) {
+                    rows[lane].0[j] = v as f32;
+                }
+            }
+            if wants.boundary {
+                out.boundary[lane].0[j] = ((value - self.boundary_value) * self.outward / length) as f32;
+            }
+        }
+    }
+}
+
+/// The voxels of a brick.
+struct Brick<'a> {
+    bytes: &'a [u8],
+    kind: VoxelKind,
+}
+
+impl Brick<'_> {
+    fn voxel(&self, [x, y, z]: [usize; 3]) -> f64 {
+        let n = self.kind.brick_voxels();
+        let at = ((z * n + y) * n + x) * self.kind.bytes();
+        f64::from(self.kind.value(&self.bytes[at..]))
+    }
+
+    /// Between the eight voxels of a cell.
+    fn trilinear(&self, [x, y, z]: [usize; 3], f: DVec3) -> f64 {
+        let along_x = |y: usize, z: usize| {
+            let (a, b) = (self.voxel([x, y, z]), self.voxel([x + 1, y, z]));
+            a + (b - a) * f.x
+        };
+        let along_y = |z: usize| {
+            let (a, b) = (along_x(y, z), along_x(y + 1, z));
+            a + (b - a) * f.y
+        };
+        let (a, b) = (along_y(z), along_y(z + 1));
+        a + (b - a) * f.z
+    }
+
+    /// Central differences over one voxel to either side. Cells have a voxel beside them in every brick.
+    fn gradient(&self, cell: [usize; 3], f: DVec3) -> DVec3 {
+        let difference = |axis: usize| {
+            let (mut before, mut behind) = (cell, cell);
+            before[axis] -= 1;
+            behind[axis] += 1;
+            0.5 * (self.trilinear(behind, f) - self.trilinear(before, f))
+        };
+        DVec3::new(difference(0), difference(1), difference(2))
+    }
+}

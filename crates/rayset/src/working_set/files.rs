@@ -1,0 +1,72 @@
+//! A working set together with the files whose pages it holds.
+
+use std::io;
+use std::sync::Arc;
+
+use super::read::{FileStorage, Storage};
+use super::{CloudPages, GridPages, Object, WorkingSet};
+use crate::grid::Grid;
+use crate::octree::Cloud;
+
+/// A working set, and which of its objects holds the pages of which file.
+#[derive(Clone)]
+pub struct PagedFiles {
+    /// The working set.
+    pub pages: WorkingSet,
+    clouds: Vec<(Arc<Cloud>, Arc<Object>)>,
+    grids: Vec<(Arc<Grid>, Arc<Object>)>,
+}
+
+impl PagedFiles {
+    /// Over a working set, without files.
+    #[must_use]
+    pub fn new(pages: WorkingSet) -> Self {
+        Self { pages, clouds: Vec::new(), grids: Vec::new() }
+    }
+
+    /// Adds a cloud whose pages are read from `storage`. One that is there already stays as it is.
+    pub fn add(&mut self, cloud: &Arc<Cloud>, storage: Arc<dyn Storage>) {
+        if self.find(cloud).is_none() {
+            let object = self.pages.add(Arc::new(CloudPages::new(cloud.clone(), storage)));
+            self.clouds.push((cloud.clone(), object));
+        }
+    }
+
+    /// Adds a cloud whose pages are read from its own file, past the system's page cache where `direct` says so.
+    ///
+    /// # Errors
+    /// The system's, where the file does not open.
+    pub fn open(&mut self, cloud: &Arc<Cloud>, direct: bool) -> io::Result<()> {
+        if self.find(cloud).is_none() {
+            let storage = FileStorage::open(cloud.path(), direct)?;
+            self.add(cloud, Arc::new(storage));
+        }
+        Ok(())
+    }
+
+    /// Adds a grid whose pages are read from its own file, past the system's page cache where `direct` says so.
+    ///
+    /// # Errors
+    /// The system's, where the file does not open.
+    pub fn open_grid(&mut self, grid: &Arc<Grid>, direct: bool) -> io::Result<()> {
+        if self.find_grid(grid).is_none() {
+            let storage = Arc::new(FileStorage::open(grid.path(), direct)?);
+            let object = self.pages.add(Arc::new(GridPages::new(grid.clone(), storage)));
+            self.grids.push((grid.clone(), object));
+        }
+        Ok(())
+    }
+
+    /// The object of a cloud and its number.
+    #[must_use]
+    pub fn find(&self, cloud: &Arc<Cloud>) -> Option<(usize, &Arc<Object>)> {
+        let at = self.clouds.iter().position(|(known, _)| Arc::ptr_eq(known, cloud))?;
+        Some((at, &self.clouds[at].1))
+    }
+
+    /// The object of a grid.
+    #[must_use]
+    pub fn find_grid(&self, grid: &Arc<Grid>) -> Option<&Arc<Object>> {
+        self.grids.iter().find(|(known, _)| Arc::ptr_eq(known, grid)).map(|(_, object)| object)
+    }
+}
