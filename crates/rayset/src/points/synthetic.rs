@@ -234,7 +234,8 @@ fn galaxy(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
 /// A lobed vase of height 1 on the ground: as solid things as a scan of a statue.
 fn vase(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     let (h, angle) = (random.unit(), TAU * random.unit());
-    let profile = 0.2 + 0.11 * (TAU * (0.85 * h - 0.12)).sin() + 0.03 * (TAU * 2.5 * h).cos() * h;
+    // A foot, a belly, a neck and a lip.
+    let profile = 0.17 + 0.12 * (1.25 * PI * h).sin() + 0.08 * h.powi(8);
     let lobes = 1.0 + 0.07 * (7.0 * angle + 5.0 * h).sin();
     let p = [profile * lobes * angle.cos(), h, profile * lobes * angle.sin()];
     // As of the knot; the surface is about 1.4.

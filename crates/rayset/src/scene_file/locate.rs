@@ -41,8 +41,8 @@ pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
             b'}' | b']' => drop(open.pop()),
             b'"' => {
                 let word = scanner.string();
-                scanner.skip_space();
-                if scanner.bytes.get(scanner.at) == Some(&b':')
+                let rest = &scanner.bytes[scanner.at.min(scanner.bytes.len())..];
+                if rest.trim_ascii_start().first() == Some(&b':')
                     && let Some(keys) = open.last_mut()
                 {
                     if keys.contains(&word) {
@@ -77,10 +77,10 @@ impl Scanner<'_> {
         }
     }
 
-    /// Passes a string and returns it as it is written, without its escapes resolved.
+    /// Passes a string and returns what it says.
     fn string(&mut self) -> String {
-        self.at += 1;
         let start = self.at;
+        self.at += 1;
         while let Some(&b) = self.bytes.get(self.at) {
             match b {
                 b'\\' => self.at += 1,
@@ -89,9 +89,8 @@ impl Scanner<'_> {
             }
             self.at += 1;
         }
-        let end = self.at.min(self.bytes.len());
-        self.at += 1;
-        String::from_utf8_lossy(&self.bytes[start..end]).into_owned()
+        self.at = (self.at + 1).min(self.bytes.len());
+        serde_json::from_slice(&self.bytes[start..self.at]).unwrap_or_default()
     }
 
     /// Passes a whole value.
@@ -163,10 +162,12 @@ mod tests {
         };
         assert_eq!(at(&[]), (1, 1));
         assert_eq!(at(&[key("a"), Step::Index(0)]), (2, 9));
-        assert_eq!(at(&[key("a"), Step::Index(1), key("c")]), (2, 34));
+        assert_eq!(at(&[key("a"), Step::Index(1), key("c")]), (2, 31));
         assert_eq!(at(&[key("d")]), (3, 8));
         assert_eq!(repeated_key("{\"a\": {\"b\": 1}, \"b\": [\"a\", \"a\"]}"), None);
         let (key, place) = repeated_key("{\"a\": 1,\n \"a\": 2}").expect("it stands twice");
         assert_eq!((key.as_str(), place), ("a", Place { line: 2, column: 2 }));
+        let (key, place) = repeated_key("{\"a\" : 1,\"\\u0061\" :2}").expect("it stands twice, once in disguise");
+        assert_eq!((key.as_str(), place), ("a", Place { line: 1, column: 10 }));
     }
 }
