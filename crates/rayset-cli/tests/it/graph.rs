@@ -19,15 +19,15 @@ const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 const SIDE: u32 = 40;
 const STEP: f64 = 0.03;
 
-fn solid(form: Form, color: [f64; 3]) -> Node {
+pub(crate) fn solid(form: Form, color: [f64; 3]) -> Node {
     Node::new(Shape::Procedural(Arc::new(Solid::new(form).colored(color))))
 }
 
-fn soft(form: Form, color: [f64; 3], edge: f64) -> Node {
+pub(crate) fn soft(form: Form, color: [f64; 3], edge: f64) -> Node {
     Node::new(Shape::Procedural(Arc::new(Solid { edge, opacity: 0.7, ..Solid::new(form).colored(color) })))
 }
 
-fn light(kind: LightKind, color: [f32; 3], shadow: bool) -> Light {
+pub(crate) fn light(kind: LightKind, color: [f32; 3], shadow: bool) -> Light {
     Light { kind, color, shadow }
 }
 
@@ -43,7 +43,7 @@ fn mirrored() -> DAffine3 {
     )
 }
 
-fn scene(root: Node, lights: Vec<Light>) -> Scene {
+pub(crate) fn scene(root: Node, lights: Vec<Light>) -> Scene {
     Scene {
         root: Arc::new(root),
         lighting: if lights.is_empty() { Lighting::headlight() } else { Lighting::Lit(lights) },
@@ -53,7 +53,7 @@ fn scene(root: Node, lights: Vec<Light>) -> Scene {
 }
 
 /// Every pixel of a small picture against the judge.
-fn check(what: &str, scene: &Scene, wrong_allowed: usize) {
+pub(crate) fn check(what: &str, scene: &Scene, wrong_allowed: usize) {
     let settings = RenderSettings { step: Step::Fixed(STEP), ..settings(SIDE, SIDE) };
     let found = plain_picture(scene, &settings);
     let judge = Judge::load(scene).expect("the clouds read");
@@ -71,13 +71,13 @@ fn check(what: &str, scene: &Scene, wrong_allowed: usize) {
     assert!(wrong <= wrong_allowed, "{what}: {wrong} pixels differ");
 }
 
-struct Parts {
-    _folder: tempfile::TempDir,
-    cloud: Node,
-    other: Node,
+pub(crate) struct Parts {
+    pub(crate) _folder: tempfile::TempDir,
+    pub(crate) cloud: Node,
+    pub(crate) other: Node,
 }
 
-fn parts() -> Parts {
+pub(crate) fn parts() -> Parts {
     let folder = folder();
     let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
     let first = build_at(&folder.path().join("a.rset"), Box::new(mixed_points(700, 1.0, 31)), &options);

@@ -114,6 +114,18 @@ impl std::ops::AddAssign for SplatCounts {
     }
 }
 
+impl std::ops::Sub for SplatCounts {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        Self {
+            pairs_tested: self.pairs_tested - other.pairs_tested,
+            pairs_added: self.pairs_added - other.pairs_added,
+            kernel_evaluations: self.kernel_evaluations - other.kernel_evaluations,
+        }
+    }
+}
+
 /// Adds runs to samples with one kernel, on one set of instructions.
 #[derive(Clone, Copy, Debug)]
 pub struct Splatter {

@@ -167,7 +167,8 @@ mod tests {
         assert_eq!(repeated_key("{\"a\": {\"b\": 1}, \"b\": [\"a\", \"a\"]}"), None);
         let (key, place) = repeated_key("{\"a\": 1,\n \"a\": 2}").expect("it stands twice");
         assert_eq!((key.as_str(), place), ("a", Place { line: 2, column: 2 }));
-        let (key, place) = repeated_key("{\"a\" : 1,\"\\u0061\" :2}").expect("it stands twice, once in disguise");
+        let (key, place) =
+            repeated_key("{\"a\" : 1,\"\\u0061\" :2}").expect("it stands twice, once in disguise");
         assert_eq!((key.as_str(), place), ("a", Place { line: 1, column: 10 }));
     }
 }

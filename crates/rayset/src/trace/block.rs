@@ -7,6 +7,7 @@ use fearless_simd::dispatch;
 
 use super::math::{exp_minus, ln};
 use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel};
+use crate::geometry::DVec3;
 use crate::scene::MAX_OPACITY;
 
 /// The largest optical thickness of a unit distance: −ln(1 − MAX_OPACITY).
@@ -119,6 +120,11 @@ impl Block {
         if wants.boundary {
             self.boundary[lane] = FAR;
         }
+    }
+
+    /// The shading vector of a sample.
+    pub(super) fn normal_at(&self, lane: usize, j: usize) -> DVec3 {
+        DVec3::from_array(self.normal.each_ref().map(|rows| f64::from(rows[lane].0[j])))
     }
 
     fn copy_lane(&mut self, from: &Self, lane: usize, wants: Wants) {

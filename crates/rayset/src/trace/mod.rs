@@ -5,6 +5,7 @@
 
 mod access;
 mod block;
+mod bounce;
 mod cloud_volume;
 mod composite;
 mod frontier;
@@ -304,14 +305,8 @@ impl Job<'_> {
                     rays.push((self.rays.ray(u, v), self.settings.phase_of(x * cells + i, y * cells + j)));
                 }
             }
-            for group in self.world.steps.groups(access, &self.world.program, &rays)? {
-                let mut pixels = [[0.0; 4]; LANES];
-                tracer.trace(access, &rays, &group, &mut pixels)?;
-                for &member in &group.members {
-                    for channel in 0..4 {
-                        sums[member][channel] += pixels[member][channel];
-                    }
-                }
+            for (sum, seen) in sums.iter_mut().zip(tracer.trace(access, &rays)?) {
+                (0..4).for_each(|channel| sum[channel] += seen[channel]);
             }
         }
         let share = 1.0 / (cells * cells) as f32;

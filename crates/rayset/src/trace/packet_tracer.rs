@@ -1,13 +1,14 @@
-//! One packet of rays, slab after slab: the loop that all time goes into.
+//! The rays under a tile of pixels, packet by packet, and each packet slab after slab: the loop that all time goes into.
 
 use super::access::{Access, Halt};
 use super::block::Block;
+use super::bounce::{Courses, TreeRay};
 use super::composite::{RayState, Shares};
 use super::march::March;
+use super::secondary::coherent_groups;
 use super::shadow::Shadows;
-use super::steps::StepGroup;
 use super::world::World;
-use crate::field::{LANES, Packet, SplatCounts};
+use crate::field::{LANES, Packet, Slab, SplatCounts};
 use crate::geometry::Ray;
 
 /// How much work a render was.
@@ -27,6 +28,12 @@ pub struct RenderCounts {
     pub packets: u64,
     /// Shadow rays traced.
     pub shadow_rays: u64,
+    /// Of the work on pairs, that for shadow rays.
+    pub shadow_splats: SplatCounts,
+    /// Rays traced that were reflected or refracted.
+    pub bounced_rays: u64,
+    /// Of the work on pairs, that for these and not for shadows.
+    pub bounced_splats: SplatCounts,
     /// Tiles that were put off because a page was absent. Work done on them until then is not counted.
     pub put_off: u64,
 }
@@ -40,6 +47,9 @@ impl std::ops::AddAssign for RenderCounts {
         self.runs += other.runs;
         self.packets += other.packets;
         self.shadow_rays += other.shadow_rays;
+        self.shadow_splats += other.shadow_splats;
+        self.bounced_rays += other.bounced_rays;
+        self.bounced_splats += other.bounced_splats;
         self.put_off += other.put_off;
     }
 }
@@ -52,6 +62,14 @@ pub(super) struct PacketTracer<'a> {
     shares: Shares,
     states: [RayState; LANES],
     counts: RenderCounts,
+}
+
+/// What a ray has come to.
+#[derive(Clone, Copy)]
+struct End {
+    color: [f32; 3],
+    /// What it sees of what lies behind everything.
+    open: f64,
 }
 
 impl<'a> PacketTracer<'a> {
@@ -75,77 +93,194 @@ impl<'a> PacketTracer<'a> {
         self.counts = RenderCounts { put_off: counts.put_off + 1, ..counts };
     }
 
-    /// Traces the rays of a group and writes their pixels.
+    /// Traces rays from the eye, at most 64, each with ξ of its samples, and what they become. Returns what they see,
+    /// place by place.
     pub(super) fn trace(
         &mut self,
         access: Access<'_>,
         rays: &[(Ray, f64)],
-        group: &StepGroup,
-        pixels: &mut [[f32; 4]; LANES],
+    ) -> Result<[[f32; 4]; LANES], Halt> {
+        let mut seen = [Seen::default(); LANES];
+        let mut rays: Vec<TreeRay> = (rays.iter().enumerate())
+            .map(|(pixel, &(ray, phase))| TreeRay::primary(ray, phase, pixel))
+            .collect();
+        // One generation after another, and each ray's light in its turn: sums do not depend on who travelled with whom.
+        while !rays.is_empty() {
+            let mut ends = vec![End { color: [0.0; 3], open: 0.0 }; rays.len()];
+            let mut next: Vec<(usize, TreeRay)> = Vec::new();
+            for (step, members) in self.packets(access, &rays)? {
+                self.packet(access, &rays, &members, step, &mut ends, &mut next)?;
+            }
+            for (ray, end) in rays.iter().zip(&ends) {
+                seen[ray.pixel].add(ray, end, self.world.background);
+            }
+            next.sort_by_key(|(parent, _)| *parent);
+            rays = next.into_iter().map(|(_, ray)| ray).collect();
+        }
+        Ok(seen.map(|seen| seen.pixel(self.world.background)))
+    }
+
+    /// Which rays travel together, and their step.
+    fn packets(&self, access: Access<'_>, rays: &[TreeRay]) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
+        let places: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.phase)).collect();
+        let steps = &self.world.steps;
+        if rays[0].is_primary() {
+            let groups = steps.groups(access, &self.world.program, &places)?;
+            return Ok(groups.into_iter().map(|group| (group.step, group.members)).collect());
+        }
+        let mut packets = Vec::new();
+        let mut order: Vec<usize> = (0..rays.len()).collect();
+        order.sort_by_key(|&i| rays[i].octant());
+        for some in
+            order.chunk_by(|&a, &b| rays[a].octant() == rays[b].octant()).flat_map(|same| same.chunks(LANES))
+        {
+            let some_places: Vec<(Ray, f64)> = some.iter().map(|&i| places[i]).collect();
+            for group in steps.groups(access, &self.world.program, &some_places)? {
+                let members: Vec<usize> = group.members.iter().map(|&i| some[i]).collect();
+                packets.extend(
+                    coherent_groups(&places, &members, group.step).into_iter().map(|m| (group.step, m)),
+                );
+            }
+        }
+        Ok(packets)
+    }
+
+    /// Traces one packet; says what its rays came to, and which follow.
+    fn packet(
+        &mut self,
+        access: Access<'_>,
+        rays: &[TreeRay],
+        members: &[usize],
+        step: f64,
+        ends: &mut [End],
+        next: &mut Vec<(usize, TreeRay)>,
     ) -> Result<(), Halt> {
-        let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
-        let packet = Packet::new(&members, group.step);
+        let lanes: Vec<(Ray, f64)> = members.iter().map(|&i| (rays[i].ray, rays[i].phase)).collect();
+        let packet = Packet::new(&lanes, step);
+        let mut courses = self.world.bounces.map(|b| Courses::begin(b, members.iter().map(|&i| rays[i])));
         self.states.fill(RayState::START);
         self.counts.packets += 1;
+        let before = self.counts;
         self.march.begin(&packet);
         let mut block = self.march.block();
-        let outcome = self.pass(access, &packet, &mut block);
+        let outcome = self.pass(access, &packet, &mut courses, &mut block);
         self.march.give_back(block);
-        outcome?;
-        for (lane, &pixel) in group.members.iter().enumerate() {
-            pixels[pixel] = self.pixel(&self.states[lane]);
+        let replaced = outcome?;
+        if !rays[members[0]].is_primary() {
+            self.counts.bounced_rays += members.len() as u64;
+            let shadows = self.counts.shadow_splats - before.shadow_splats;
+            self.counts.bounced_splats += self.counts.splats - before.splats - shadows;
+        }
+        for (lane, &i) in members.iter().enumerate() {
+            let RayState { color, transmittance } = self.states[lane];
+            let flat =
+                self.world.shader.flat_color().map(|flat| flat.map(|v| v * (1.0 - transmittance as f32)));
+            let open = if replaced >> lane & 1 == 1 { 0.0 } else { transmittance };
+            ends[i] = End { color: flat.unwrap_or(color), open };
+        }
+        if let Some(courses) = courses {
+            next.extend(courses.finish().into_iter().map(|(lane, ray)| (members[lane], ray)));
         }
         Ok(())
     }
 
-    /// Slab after slab, front to back, until all rays are opaque or nothing is left ahead.
-    fn pass(&mut self, access: Access<'_>, packet: &Packet, block: &mut Block) -> Result<(), Halt> {
+    /// Slab after slab, front to back, until all rays are opaque or nothing is left ahead. Returns the lanes of rays in
+    /// whose place others go on.
+    fn pass(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        courses: &mut Option<Courses>,
+        block: &mut Block,
+    ) -> Result<u64, Halt> {
         let world = self.world;
-        let flat = world.shader.flat_color().is_some();
         let mut going = packet.all();
         let mut from = 0;
         while going != 0
             && let Some(slab) = self.march.next_slab(from)
         {
+            if let Some(courses) = courses
+                && slab.first > from
+            {
+                going &= !courses.leave(packet, going, &self.states);
+            }
             from = slab.end();
             self.march.evaluate(access, packet, slab, going, &mut self.counts, block)?;
             self.counts.slabs += 1;
             self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
-            let lanes = going;
-            going = world.absorption.absorb(packet, slab, block, lanes, &mut self.states, &mut self.shares);
-            self.counts.nonzero_samples += self.shares.count();
-            if flat || self.shares.lanes() == 0 {
-                continue;
+            if let Some(courses) = courses {
+                courses.bend(packet, slab, block, going, &world.shader);
             }
-            let none = Vec::new();
-            let shadows = match &mut self.shadows {
-                Some(shadows) => shadows.find(
-                    access,
-                    &world.shader,
-                    packet,
-                    slab,
-                    block,
-                    &self.shares,
-                    &mut self.counts,
-                )?,
-                None => &none,
-            };
-            world.shader.shade(packet, slab, block, &self.shares, shadows, &mut self.states);
+            going = world.absorption.absorb(packet, slab, block, going, &mut self.states, &mut self.shares);
+            self.counts.nonzero_samples += self.shares.count();
+            if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
+                self.shade(access, packet, slab, block, courses)?;
+            }
+            if let Some(courses) = courses {
+                going &= !courses.follow(going, &self.states);
+            }
         }
-        Ok(())
+        let Some(courses) = courses else { return Ok(0) };
+        courses.leave(packet, going, &self.states);
+        courses.end_mirrors(packet, &mut self.states);
+        Ok(courses.replaced())
     }
 
-    /// The pixel of a ray that has ended.
-    fn pixel(&self, state: &RayState) -> [f32; 4] {
-        let (color, transmittance) = (state.color, state.transmittance as f32);
-        let color =
-            self.world.shader.flat_color().map_or(color, |flat| flat.map(|v| v * (1.0 - transmittance)));
-        match self.world.background {
+    /// Adds the light of the samples of a slab to their rays.
+    fn shade(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        slab: Slab,
+        block: &Block,
+        courses: &mut Option<Courses>,
+    ) -> Result<(), Halt> {
+        let (shader, none) = (&self.world.shader, Vec::new());
+        let shadows = match &mut self.shadows {
+            Some(shadows) => {
+                let before = self.counts.splats;
+                let rows =
+                    shadows.find(access, shader, packet, slab, block, &self.shares, &mut self.counts)?;
+                self.counts.shadow_splats += self.counts.splats - before;
+                rows
+            }
+            None => &none,
+        };
+        shader.shade(packet, slab, block, &self.shares, shadows, courses.as_mut(), &mut self.states);
+        Ok(())
+    }
+}
+
+/// What is seen through a place of the picture.
+#[derive(Clone, Copy, Default)]
+struct Seen {
+    color: [f32; 3],
+    /// What of the background is seen.
+    open: f64,
+}
+
+impl Seen {
+    fn add(&mut self, ray: &TreeRay, end: &End, background: Option<[f32; 3]>) {
+        let weight = ray.weight as f32;
+        for channel in 0..3 {
+            self.color[channel] += weight * end.color[channel];
+        }
+        if ray.covers {
+            self.open += ray.weight * end.open;
+        } else if let Some(background) = background {
+            let open = (ray.weight * end.open) as f32;
+            (0..3).for_each(|channel| self.color[channel] += open * background[channel]);
+        }
+    }
+
+    fn pixel(&self, background: Option<[f32; 3]>) -> [f32; 4] {
+        let (color, open) = (self.color, self.open as f32);
+        match background {
             Some(background) => {
-                let behind = |c: usize| color[c] + transmittance * background[c];
+                let behind = |c: usize| color[c] + open * background[c];
                 [behind(0), behind(1), behind(2), 1.0]
             }
-            None => [color[0], color[1], color[2], 1.0 - transmittance],
+            None => [color[0], color[1], color[2], 1.0 - open],
         }
     }
 }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use super::RenderError;
 use super::block::{MATERIAL, Measure, Wants};
+use super::bounce::Turns;
 use super::cloud_volume::CloudVolume;
 use super::grid_volume::GridVolume;
 use super::procedural_volume::ProceduralVolume;
@@ -98,6 +99,11 @@ impl Program {
 
     pub(super) fn root(&self) -> usize {
         self.instructions.len() - 1
+    }
+
+    /// What its materials do to the direction of rays.
+    pub(super) fn turns(&self) -> Turns {
+        Turns::of(&used_materials(&self.instructions))
     }
 
     /// Its clouds, each with the place of its instruction.
@@ -207,7 +213,7 @@ impl Compiler<'_> {
 
     /// Passes down, from the root, what is wanted of each instruction.
     fn finish(mut self, purpose: Purpose) -> Program {
-        let used: Vec<_> = self.used_materials();
+        let used = used_materials(&self.instructions);
         let material = if used.len() == 1 { used.first().copied() } else { None };
         let root = self.instructions.len() - 1;
         let color = self.instructions[root].color;
@@ -236,35 +242,14 @@ impl Compiler<'_> {
             Lighting::Unlit => return Wants { color: color.is_none(), ..Wants::default() },
             Lighting::Lit(lights) => lights,
         };
+        let turns_rays = Turns::of(&used_materials(&self.instructions)).any();
         Wants {
             color: color.is_none(),
-            normal: lights.iter().any(|l| l.kind != LightKind::Ambient) || self.bends_rays(),
-            boundary: self.scene.lighting.throws_shadows(),
+            normal: lights.iter().any(|l| l.kind != LightKind::Ambient) || turns_rays,
+            boundary: self.scene.lighting.throws_shadows() || turns_rays,
             outside: false,
             material: materials_differ,
         }
-    }
-
-    /// Whether any material reflects or refracts.
-    fn bends_rays(&self) -> bool {
-        self.used_materials().iter().any(|m| m[4] > 0.0 || m[5] != 1.0)
-    }
-
-    /// The materials of leaves.
-    fn used_materials(&self) -> Vec<[f32; MATERIAL]> {
-        let mut used: Vec<[f32; MATERIAL]> = Vec::new();
-        for instruction in &self.instructions {
-            let material = match &instruction.action {
-                Action::Cloud(volume) => volume.material,
-                Action::Grid(volume) => volume.material,
-                Action::Procedural(volume) => volume.material,
-                Action::Operator(..) => continue,
-            };
-            if !used.contains(&material) {
-                used.push(material);
-            }
-        }
-        used
     }
 
     fn pass_down(&mut self, at: usize) {
@@ -294,4 +279,21 @@ impl Compiler<'_> {
             child.measures.1 = measure;
         }
     }
+}
+
+/// The materials of leaves, each once.
+fn used_materials(instructions: &[Instruction]) -> Vec<[f32; MATERIAL]> {
+    let mut used: Vec<[f32; MATERIAL]> = Vec::new();
+    for instruction in instructions {
+        let material = match &instruction.action {
+            Action::Cloud(volume) => volume.material,
+            Action::Grid(volume) => volume.material,
+            Action::Procedural(volume) => volume.material,
+            Action::Operator(..) => continue,
+        };
+        if !used.contains(&material) {
+            used.push(material);
+        }
+    }
+    used
 }

@@ -1,6 +1,7 @@
 //! Light on samples: Blinn's local shading, two-sided, light by light.
 
 use super::block::{Block, MATERIAL, each_lane};
+use super::bounce::Courses;
 use super::composite::{RayState, Shares};
 use super::math::power;
 use crate::field::{LANES, Packet, SampleRow, Slab};
@@ -55,6 +56,7 @@ impl Shader {
     }
 
     /// Adds the light of the samples that count to their rays.
+    #[expect(clippy::too_many_arguments, reason = "one slab of one packet, its light, and where it goes")]
     pub(super) fn shade(
         &self,
         packet: &Packet,
@@ -62,6 +64,7 @@ impl Shader {
         block: &Block,
         shares: &Shares,
         shadows: &ShadowRows,
+        mut courses: Option<&mut Courses>,
         states: &mut [RayState; LANES],
     ) {
         each_lane(shares.lanes(), |lane| {
@@ -76,8 +79,17 @@ impl Shader {
                         lit(lights, &surface, shadows, packet, slab, lane, j)
                     }
                 };
+                let share = shares.share[lane].0[j];
+                let mut given = color.map(|v| share * v);
+                if let Some(courses) = &mut courses {
+                    let mirrored = courses.reflectance(lane, &self.material_at(block, lane, j));
+                    if mirrored > 0.0 {
+                        let before = courses.reflect(packet, slab, block, lane, j, share * mirrored, color);
+                        given = [0, 1, 2].map(|c| before[c] + (1.0 - mirrored) * given[c]);
+                    }
+                }
                 for channel in 0..3 {
-                    states[lane].color[channel] += shares.share[lane].0[j] * color[channel];
+                    states[lane].color[channel] += given[channel];
                 }
             }
         });

@@ -1,12 +1,13 @@
 //! A scene compiled for tracing: immutable, shared by all threads.
 
+use super::bounce::Bounces;
 use super::composite::Absorption;
 use super::program::{Program, Purpose};
 use super::shade::Shader;
 use super::shadow::LightTable;
 use super::steps::StepRule;
 use super::{ExecSettings, RenderError};
-use crate::scene::{RenderSettings, Scene, Shadows};
+use crate::scene::{Lighting, RenderSettings, Scene, Shadows};
 use crate::working_set::{PagedFiles, WorkingSet};
 
 /// Everything that a thread needs to trace a packet.
@@ -20,6 +21,8 @@ pub(super) struct World {
     pub(super) light_tables: Vec<Option<LightTable>>,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
+    /// Nothing where all rays go straight on.
+    pub(super) bounces: Option<Bounces>,
     pub(super) background: Option<[f32; 3]>,
     /// See [`Predictor::slabs_on_a_miss`](super::predict::Predictor::slabs_on_a_miss).
     pub(super) slabs_on_a_miss: u64,
@@ -51,7 +54,14 @@ impl World {
             stop_transmittance: f64::from(settings.stop_transmittance),
             simd: exec.simd,
         };
+        let bounces = Bounces {
+            turns: program.turns(),
+            max_depth: settings.max_depth,
+            reach_world: scene.unit_distance,
+        };
+        let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
         Ok(Self {
+            bounces: turn_rays.then_some(bounces),
             pages: paged.pages.clone(),
             steps: StepRule::new(&program, settings)?,
             program,

@@ -176,7 +176,7 @@ fn lifted(
     let place = super::lit_place(packet, block, lane, sample, j);
     let back = packet.phase(lane) * packet.step_world();
     let at_boundary = f64::from(block.boundary[lane].0[j]).abs() <= 2.0 * packet.step_world();
-    let normal = DVec3::from_array(block.normal.each_ref().map(|rows| f64::from(rows[lane].0[j])));
+    let normal = block.normal_at(lane, j);
     if !at_boundary || normal == DVec3::ZERO {
         return (place, back);
     }

@@ -20,7 +20,7 @@ use self::exact::ShadowRays;
 
 /// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
 /// and would else shadow itself more or less as the lattice happens to lie.
-const STEPS_TO_BOUNDARY: f64 = 2.0;
+pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 
 /// The place at which a sample is lit.
 fn lit_place(packet: &Packet, block: &Block, lane: usize, sample: u64, j: usize) -> DVec3 {
@@ -29,8 +29,7 @@ fn lit_place(packet: &Packet, block: &Block, lane: usize, sample: u64, j: usize)
     if !(depth > 0.0 && depth <= STEPS_TO_BOUNDARY * packet.step_world()) {
         return place;
     }
-    let normal = block.normal.each_ref().map(|rows| f64::from(rows[lane].0[j]));
-    place + DVec3::from_array(normal) * depth
+    place + block.normal_at(lane, j) * depth
 }
 
 /// The shadows of one thread.

@@ -2,6 +2,8 @@
 //! brute-force fields in `f64`. Slow by design; it shares no code with what it judges beyond the description of the
 //! scene and the closed forms of procedural fields.
 
+mod tree;
+
 use std::sync::Arc;
 
 use crate::field::judge::JudgeField;
@@ -112,7 +114,8 @@ impl<'a> Judge<'a> {
     ) -> Result<JudgePixel, CameraError> {
         let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
         let phase = settings.phase_of(x, y);
-        let (color, transmittance) = self.trace(settings, &ray, phase, step_world);
+        let eye = tree::Course::from_eye(ray);
+        let (color, transmittance) = self.follow(settings, &eye, phase, step_world);
         Ok(match self.scene.background {
             Some(b) => {
                 let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
@@ -142,18 +145,6 @@ impl<'a> Judge<'a> {
         Ok(sum)
     }
 
-    /// Light and transmittance of a ray.
-    fn trace(&self, settings: &RenderSettings, ray: &Ray, phase: f64, step: f64) -> ([f64; 3], f64) {
-        let mut color = [0.0; 3];
-        let transmittance = self.march(settings, ray, phase, step, f64::INFINITY, |q, sample, share| {
-            let lit = self.lit(settings, ray, q, sample, phase, step);
-            for channel in 0..3 {
-                color[channel] += share * lit[channel];
-            }
-        });
-        (color, transmittance)
-    }
-
     /// Every sample of a ray before `end` that is not transparent, front to back, and what is left of the light.
     fn march(
         &self,
@@ -165,15 +156,11 @@ impl<'a> Judge<'a> {
         mut visit: impl FnMut(DVec3, &Sample, f64),
     ) -> f64 {
         let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), ray);
-        let Some((enter, exit)) = self.scene.root.bounds().clip(ray) else { return 1.0 };
         let mut transmittance = 1.0;
-        let mut j = ((enter / step - phase).floor() - 1.0).max(0.0);
-        while (j + phase) * step <= exit + step && (j + phase) * step < end {
-            let q = ray.at((j + phase) * step);
-            j += 1.0;
+        for t in self.lattice(ray, phase, step).take_while(|t| *t < end) {
+            let q = ray.at(t);
             let sample = self.sample(&root, q);
-            let extinction = -(1.0 - sample.opacity.min(MAX_OPACITY)).ln() / self.scene.unit_distance;
-            let passed = (-extinction * step).exp();
+            let passed = self.passed(&sample, step);
             if passed >= 1.0 {
                 continue;
             }
@@ -184,6 +171,19 @@ impl<'a> Judge<'a> {
             }
         }
         transmittance
+    }
+
+    /// Where the samples of a ray lie that may meet anything.
+    fn lattice(&self, ray: &Ray, phase: f64, step: f64) -> impl Iterator<Item = f64> + use<> {
+        let (enter, exit) = self.scene.root.bounds().clip(ray).unwrap_or((0.0, -f64::INFINITY));
+        let first = ((enter / step - phase).floor() - 1.0).max(0.0);
+        (0_u64..).map(move |i| (first + i as f64 + phase) * step).take_while(move |t| *t <= exit + step)
+    }
+
+    /// What of the light passes a sample.
+    fn passed(&self, sample: &Sample, step: f64) -> f64 {
+        let extinction = -(1.0 - sample.opacity.min(MAX_OPACITY)).ln() / self.scene.unit_distance;
+        (-extinction * step).exp()
     }
 
     fn seen<'s>(

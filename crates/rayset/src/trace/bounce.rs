@@ -1,0 +1,407 @@
+//! Rays that go on in another direction: mirrored where a material reflects, bent where the refractive index changes.
+//!
+//! Under each pixel there is a tree of rays. A ray that comes to another refractive index ends there; one in the bent
+//! direction takes its place, and one in the mirrored direction sees what the boundary reflects. Elsewhere samples
+//! reflect, and as far as they follow each other along a ray they do so together: one ray from their mean place, with the
+//! weight of them all.
+
+use super::block::{Block, MATERIAL, each_lane};
+use super::composite::RayState;
+use super::shade::Shader;
+use super::shadow::STEPS_TO_BOUNDARY;
+use crate::field::{LANES, Packet, Slab};
+use crate::geometry::{DVec3, Ray};
+
+/// What reflects less than this part of the light of its pixel shows its own colour instead.
+const LEAST_WEIGHT: f64 = 1.0 / 256.0;
+/// A bent ray of less weight is not followed.
+const LEAST_PASSED: f64 = 1.0 / 4096.0;
+/// Places of reflectance and refractive index among the numbers of a material.
+const REFLECTANCE: usize = 4;
+const REFRACTIVE_INDEX: usize = 5;
+
+/// What the materials of a scene do to the direction of rays.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turns {
+    reflects: bool,
+    refracts: bool,
+}
+
+impl Turns {
+    pub(super) fn of(materials: &[[f32; MATERIAL]]) -> Self {
+        Self {
+            reflects: materials.iter().any(|m| m[REFLECTANCE] > 0.0),
+            refracts: materials.iter().any(|m| m[REFRACTIVE_INDEX] != 1.0),
+        }
+    }
+
+    pub(super) fn any(self) -> bool {
+        self.reflects || self.refracts
+    }
+}
+
+/// How far rays are followed that turn.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounces {
+    pub(super) turns: Turns,
+    pub(super) max_depth: u32,
+    /// Samples within this distance behind a boundary reflect there.
+    pub(super) reach_world: f64,
+}
+
+/// A ray of the tree under a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TreeRay {
+    pub(super) ray: Ray,
+    /// Where its samples lie, ξ.
+    pub(super) phase: f64,
+    /// Place of its pixel in the tile.
+    pub(super) pixel: usize,
+    /// What part of its light reaches the pixel.
+    pub(super) weight: f64,
+    /// Whether what it meets covers the pixel: it has been bent at most, never mirrored by a material.
+    pub(super) covers: bool,
+    depth: u32,
+    /// Refractive index of where it begins.
+    index: f32,
+    /// Normal of the boundary at which it begins.
+    normal: DVec3,
+}
+
+impl TreeRay {
+    /// A ray from the eye.
+    pub(super) fn primary(ray: Ray, phase: f64, pixel: usize) -> Self {
+        let (weight, covers, depth) = (1.0, true, 0);
+        Self { ray, phase, pixel, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
+    }
+
+    /// Whether it comes from the eye.
+    pub(super) fn is_primary(&self) -> bool {
+        self.depth == 0
+    }
+
+    /// Which eighth of all directions it goes to.
+    pub(super) fn octant(&self) -> u8 {
+        let d = self.ray.direction;
+        u8::from(d.x < 0.0) | u8::from(d.y < 0.0) << 1 | u8::from(d.z < 0.0) << 2
+    }
+}
+
+/// The samples of a ray that reflect together.
+#[derive(Clone, Copy, Debug)]
+struct Mirror {
+    /// Sums over the samples, each weighted by what it reflects.
+    weight: f64,
+    place: DVec3,
+    normal: DVec3,
+    /// Their own colour, in case nothing is seen in them.
+    color: [f32; 3],
+    last_sample: u64,
+}
+
+/// A sample inside an object.
+#[derive(Clone, Copy, Debug)]
+struct Inside {
+    /// Along the ray, world space.
+    t: f64,
+    normal: DVec3,
+    /// To the boundary, world space.
+    depth: f64,
+    reflectance: f32,
+}
+
+/// What takes the place of a ray: weights are still to come.
+#[derive(Clone, Copy, Debug)]
+struct Bent {
+    through: TreeRay,
+    /// What the boundary reflects, and what part of all light that is.
+    mirrored: Option<(TreeRay, f64)>,
+}
+
+/// A ray on its way.
+#[derive(Clone, Copy, Debug)]
+struct Course {
+    from: TreeRay,
+    index: f32,
+    inside: Inside,
+    mirror: Option<Mirror>,
+    bent: Option<Bent>,
+}
+
+/// The rays of a packet on their way, as far as they may turn.
+pub(super) struct Courses {
+    bounces: Bounces,
+    courses: Vec<Course>,
+    /// Lanes of rays that others may follow.
+    deepens: u64,
+    replaced: u64,
+    /// Rays that follow, each with the lane of the ray that they come from.
+    next: Vec<(usize, TreeRay)>,
+}
+
+impl Courses {
+    /// The rays of a packet, lane by lane.
+    pub(super) fn begin(bounces: Bounces, rays: impl Iterator<Item = TreeRay>) -> Self {
+        let courses: Vec<Course> = rays
+            .map(|from| Course {
+                from,
+                index: from.index,
+                inside: Inside { t: 0.0, normal: from.normal, depth: 0.0, reflectance: 0.0 },
+                mirror: None,
+                bent: None,
+            })
+            .collect();
+        let deepens = (courses.iter().enumerate())
+            .fold(0, |lanes, (lane, c)| lanes | u64::from(c.from.depth < bounces.max_depth) << lane);
+        Self { bounces, courses, deepens, replaced: 0, next: Vec::new() }
+    }
+
+    /// Finds the rays of `going` that come to another refractive index in a slab, and makes transparent what lies behind
+    /// that place; [`follow`](Self::follow) ends them there.
+    pub(super) fn bend(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        block: &mut Block,
+        going: u64,
+        shader: &Shader,
+    ) {
+        each_lane(self.may_bend(going), |lane| {
+            let course = &mut self.courses[lane];
+            let touched = block.touched >> lane & 1 == 1;
+            if !touched && course.index == 1.0 {
+                return;
+            }
+            for j in 0..slab.samples {
+                let depth = if touched { -f64::from(block.boundary[lane].0[j]) } else { 0.0 };
+                let (mut inside, mut index) = (None, 1.0);
+                if touched && block.opacity[lane].0[j] > 0.0 && depth > 0.0 {
+                    let material = shader.material_at(block, lane, j);
+                    let t = packet.sample_t_world(lane, slab.first + j as u64);
+                    let (normal, reflectance) = (block.normal_at(lane, j), material[REFLECTANCE]);
+                    inside = Some(Inside { t, normal, depth, reflectance });
+                    index = material[REFRACTIVE_INDEX];
+                }
+                if course.comes_to(inside, index, packet.step_world()) {
+                    if touched {
+                        block.opacity[lane].0[j..].fill(0.0);
+                    }
+                    return;
+                }
+            }
+        });
+    }
+
+    /// The rays of `going` that are inside of something come out of it: there is nothing ahead for a while. Returns the
+    /// lanes of those that end.
+    pub(super) fn leave(&mut self, packet: &Packet, going: u64, states: &[RayState; LANES]) -> u64 {
+        each_lane(self.may_bend(going), |lane| {
+            self.courses[lane].comes_to(None, 1.0, packet.step_world());
+        });
+        self.follow(going, states)
+    }
+
+    /// The rays of `going` that are bent end, and others take their place with what of their light passes. Returns the
+    /// lanes of those that end.
+    pub(super) fn follow(&mut self, going: u64, states: &[RayState; LANES]) -> u64 {
+        let mut ended = 0;
+        each_lane(self.may_bend(going), |lane| {
+            let course = &mut self.courses[lane];
+            let Some(Bent { through, mirrored }) = course.bent.take() else { return };
+            ended |= 1 << lane;
+            let mut weight = course.from.weight * states[lane].transmittance;
+            if let Some((mirrored, part)) = mirrored
+                && weight * part >= LEAST_WEIGHT
+            {
+                self.next.push((lane, TreeRay { weight: weight * part, ..mirrored }));
+                weight *= 1.0 - part;
+            }
+            if weight >= LEAST_PASSED {
+                self.next.push((lane, TreeRay { weight, ..through }));
+            }
+        });
+        self.replaced |= ended;
+        ended
+    }
+
+    /// Lanes of rays in whose place others go on.
+    pub(super) fn replaced(&self) -> u64 {
+        self.replaced
+    }
+
+    fn may_bend(&self, going: u64) -> u64 {
+        if self.bounces.turns.refracts { going & self.deepens } else { 0 }
+    }
+
+    /// What part of a sample's light comes from the mirrored direction. What refracts reflects at its boundary alone.
+    pub(super) fn reflectance(&self, lane: usize, material: &[f32; MATERIAL]) -> f32 {
+        let reflects = self.bounces.turns.reflects && self.deepens >> lane & 1 == 1;
+        if reflects && material[REFRACTIVE_INDEX] == 1.0 { material[REFLECTANCE] } else { 0.0 }
+    }
+
+    /// A sample that reflects `weight` of its ray's light, and the light that it gives by itself. Returns light of samples
+    /// before it: those that reflected together, if too little to follow.
+    #[expect(clippy::too_many_arguments, reason = "one sample of one packet, and what it reflects")]
+    pub(super) fn reflect(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        block: &Block,
+        lane: usize,
+        j: usize,
+        weight: f32,
+        color: [f32; 3],
+    ) -> [f32; 3] {
+        let sample = slab.first + j as u64;
+        let normal = block.normal_at(lane, j);
+        let goes_on = |m: &Mirror| m.last_sample + 1 == sample && m.normal.dot(normal) > 0.0;
+        let ended = if self.courses[lane].mirror.as_ref().is_some_and(goes_on) {
+            [0.0; 3]
+        } else {
+            self.end_mirror(packet, lane)
+        };
+        // What reflects is the boundary, as far as the light of the sample reaches from there.
+        let depth = -f64::from(block.boundary[lane].0[j]);
+        let reach = self.bounces.reach_world.max(STEPS_TO_BOUNDARY * packet.step_world());
+        let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
+        let none = Mirror {
+            weight: 0.0,
+            place: DVec3::ZERO,
+            normal: DVec3::ZERO,
+            color: [0.0; 3],
+            last_sample: sample,
+        };
+        let mirror = self.courses[lane].mirror.get_or_insert(none);
+        let part = f64::from(weight);
+        mirror.weight += part;
+        mirror.place += part * (packet.ray(lane).at(packet.sample_t_world(lane, sample)) + lift * normal);
+        mirror.normal += part * normal;
+        mirror.last_sample = sample;
+        for channel in 0..3 {
+            mirror.color[channel] += weight * color[channel];
+        }
+        ended
+    }
+
+    /// Ends the samples of a lane that reflect together: a ray goes on from them, or they have their own colour.
+    fn end_mirror(&mut self, packet: &Packet, lane: usize) -> [f32; 3] {
+        let course = &mut self.courses[lane];
+        let Some(mirror) = course.mirror.take() else { return [0.0; 3] };
+        let weight = course.from.weight * mirror.weight;
+        let Some(normal) = mirror.normal.try_normalize().filter(|_| weight >= LEAST_WEIGHT) else {
+            return mirror.color;
+        };
+        let direction = mirrored(course.from.ray.direction, normal);
+        let place = mirror.place / mirror.weight;
+        // As of a shadow ray, its first sample is (½ + ξ) steps from where it starts.
+        let ray = Ray { origin: place + direction * (0.5 * packet.step_world()), direction };
+        let depth = course.from.depth + 1;
+        self.next
+            .push((lane, TreeRay { ray, weight, depth, index: 1.0, normal, covers: false, ..course.from }));
+        [0.0; 3]
+    }
+
+    /// Ends what reflects together on every ray.
+    pub(super) fn end_mirrors(&mut self, packet: &Packet, states: &mut [RayState; LANES]) {
+        for (lane, state) in states.iter_mut().enumerate().take(packet.len()) {
+            let color = self.end_mirror(packet, lane);
+            (0..3).for_each(|channel| state.color[channel] += color[channel]);
+        }
+    }
+
+    /// The rays that follow, lane by lane in the order in which they arose.
+    pub(super) fn finish(self) -> Vec<(usize, TreeRay)> {
+        self.next
+    }
+}
+
+impl Course {
+    /// Comes to a sample, inside of something or not, of a refractive index. True where the ray is bent.
+    fn comes_to(&mut self, here: Option<Inside>, index: f32, step: f64) -> bool {
+        let before = self.index;
+        let goes_out = here.is_none();
+        let at = here.unwrap_or(self.inside);
+        if let Some(here) = here {
+            self.inside = here;
+        }
+        if index == before {
+            return false;
+        }
+        let direction = self.from.ray.direction;
+        let cosine = at.normal.dot(direction).abs();
+        if cosine == 0.0 {
+            self.index = index;
+            return false;
+        }
+        // Where the ray crosses the boundary: at most one step from the sample inside.
+        let to_boundary = (at.depth / cosine).min(step);
+        let t = if goes_out { at.t + to_boundary } else { (at.t - to_boundary).max(0.0) };
+        let toward = |direction, index| {
+            let ray = Ray { origin: self.from.ray.at(t), direction };
+            TreeRay { ray, depth: self.from.depth + 1, index, normal: at.normal, ..self.from }
+        };
+        let back = toward(mirrored(direction, at.normal), before);
+        self.bent = Some(match refracted(direction, at.normal, f64::from(before) / f64::from(index)) {
+            Some(direction) => {
+                let part = f64::from(at.reflectance);
+                let mirrored = (part > 0.0).then_some((TreeRay { covers: false, ..back }, part));
+                Bent { through: toward(direction, index), mirrored }
+            }
+            None => Bent { through: back, mirrored: None },
+        });
+        true
+    }
+}
+
+fn mirrored(direction: DVec3, normal: DVec3) -> DVec3 {
+    (direction - 2.0 * direction.dot(normal) * normal).normalize()
+}
+
+/// Snell's law, the normal being of either side; `ratio` is of the refractive indices before and behind. Nothing where all
+/// light is reflected.
+fn refracted(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
+    let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
+    let cosine = -direction.dot(normal);
+    let squared = 1.0 - ratio * ratio * (1.0 - cosine * cosine);
+    (squared >= 0.0).then(|| (ratio * direction + (ratio * cosine - squared.sqrt()) * normal).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn unit() -> impl Strategy<Value = DVec3> {
+        (-1.0..1.0, 0.0..std::f64::consts::TAU).prop_map(|(z, a): (f64, f64)| {
+            let r = (1.0 - z * z).sqrt();
+            DVec3::new(r * a.cos(), r * a.sin(), z)
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn bent_rays_obey_snells_law_and_come_back_the_way_they_came(d in unit(), n in unit(), ratio in 0.4..2.5) {
+            let sine = d.cross(n).length();
+            match refracted(d, n, ratio) {
+                Some(bent) => {
+                    prop_assert!((bent.cross(n).length() - ratio * sine).abs() < 1e-9);
+                    prop_assert!(bent.dot(d.cross(n)).abs() < 1e-9, "out of the plane of incidence");
+                    prop_assert!(d.dot(n) * bent.dot(n) >= -1e-9, "to the wrong side");
+                    if bent.dot(n).abs() > 1e-6 && d.dot(n).abs() > 1e-6 {
+                        let back = refracted(-bent, n, 1.0 / ratio);
+                        prop_assert!(back.is_some_and(|back| (back + d).length() < 1e-6));
+                    }
+                }
+                None => prop_assert!(ratio * sine >= 1.0 - 1e-9),
+            }
+        }
+
+        #[test]
+        fn mirrored_rays_leave_at_the_angle_at_which_they_came(d in unit(), n in unit()) {
+            let m = mirrored(d, n);
+            prop_assert!((m.dot(n) + d.dot(n)).abs() < 1e-12);
+            prop_assert!((m.length() - 1.0).abs() < 1e-12);
+            prop_assert!((mirrored(m, n) - d).length() < 1e-12);
+        }
+    }
+}

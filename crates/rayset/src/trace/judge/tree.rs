@@ -1,0 +1,163 @@
+//! The tree of rays under a pixel: what reflects and what refracts, ray by ray and sample by sample.
+
+use super::Judge;
+use crate::geometry::{DAffine3, DVec3, Ray};
+use crate::scene::{Lighting, Material, RenderSettings};
+
+/// What reflects less of its pixel's light shows its own colour.
+const LEAST_REFLECTED: f64 = 1.0 / 256.0;
+/// What less passes of is not followed.
+const LEAST_PASSED: f64 = 1.0 / 4096.0;
+
+/// A ray of the tree.
+pub(super) struct Course {
+    ray: Ray,
+    /// What part of its light reaches the pixel.
+    weight: f64,
+    /// Refractive index of where it begins.
+    index: f64,
+    /// Normal of the boundary at which it begins.
+    normal: DVec3,
+    depth: u32,
+}
+
+impl Course {
+    pub(super) fn from_eye(ray: Ray) -> Self {
+        Self { ray, weight: 1.0, index: 1.0, normal: DVec3::ZERO, depth: 0 }
+    }
+}
+
+/// Samples that follow each other and reflect.
+struct Mirror {
+    weight: f64,
+    place: DVec3,
+    normal: DVec3,
+    color: DVec3,
+}
+
+impl Judge<'_> {
+    /// The light of a ray and of all that follow from it, and what of the background is seen.
+    pub(super) fn follow(
+        &self,
+        settings: &RenderSettings,
+        course: &Course,
+        phase: f64,
+        step: f64,
+    ) -> ([f64; 3], f64) {
+        let ray = &course.ray;
+        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), ray);
+        let turns = course.depth < settings.max_depth && self.scene.lighting != Lighting::Unlit;
+        let mut light = DVec3::ZERO;
+        let mut transmittance = 1.0;
+        let mut mirror: Option<Mirror> = None;
+        let mut index = course.index;
+        // Of the last sample inside: distance, normal, distance to the boundary, reflectance.
+        let mut inside = (0.0, course.normal, 0.0, 0.0);
+        // One more beyond the last, where nothing is.
+        let samples: Vec<f64> = self.lattice(ray, phase, step).collect();
+        let beyond = samples.last().map_or(phase * step, |last| last + step);
+        for t in samples.into_iter().chain([beyond]) {
+            let q = ray.at(t);
+            let sample = self.sample(&root, q);
+            if turns {
+                let is_inside = sample.opacity > 0.0 && sample.boundary < 0.0;
+                let here = if is_inside { sample.material[5] } else { 1.0 };
+                let at =
+                    if is_inside { (t, sample.normal, -sample.boundary, sample.material[4]) } else { inside };
+                if is_inside {
+                    inside = at;
+                }
+                let (before, cosine) = (index, at.1.dot(ray.direction).abs());
+                index = here;
+                if here != before && cosine != 0.0 {
+                    let way = (at.2 / cosine).min(step);
+                    let t = if is_inside { (at.0 - way).max(0.0) } else { at.0 + way };
+                    light += self.reflected(settings, course, mirror.take(), phase, step);
+                    let go_on = |direction, index, weight| {
+                        let ray = Ray { origin: ray.at(t), direction };
+                        let next = Course { ray, weight, index, normal: at.1, depth: course.depth + 1 };
+                        self.follow(settings, &next, phase, step)
+                    };
+                    let mut weight = transmittance;
+                    let back = ray.direction.reflect(at.1);
+                    let bent = bent(ray.direction, at.1, before / here);
+                    if bent.is_some() && at.3 > 0.0 && course.weight * weight * at.3 >= LEAST_REFLECTED {
+                        let (color, open) = go_on(back, before, course.weight * weight * at.3);
+                        light += weight * at.3 * (DVec3::from_array(color) + open * self.behind());
+                        weight *= 1.0 - at.3;
+                    }
+                    if course.weight * weight < LEAST_PASSED {
+                        return (light.to_array(), 0.0);
+                    }
+                    let (direction, index) = bent.map_or((back, before), |bent| (bent, here));
+                    let (color, open) = go_on(direction, index, course.weight * weight);
+                    return ((light + weight * DVec3::from_array(color)).to_array(), weight * open);
+                }
+            }
+            let passed = self.passed(&sample, step);
+            if passed >= 1.0 {
+                light += self.reflected(settings, course, mirror.take(), phase, step);
+                continue;
+            }
+            let share = transmittance * (1.0 - passed);
+            let own = share * DVec3::from_array(self.lit(settings, ray, q, &sample, phase, step));
+            let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };
+            light += (1.0 - reflectance) * own;
+            if reflectance > 0.0 {
+                if mirror.as_ref().is_some_and(|m| m.normal.dot(sample.normal) <= 0.0) {
+                    light += self.reflected(settings, course, mirror.take(), phase, step);
+                }
+                let none =
+                    Mirror { weight: 0.0, place: DVec3::ZERO, normal: DVec3::ZERO, color: DVec3::ZERO };
+                let mirror = mirror.get_or_insert(none);
+                let weight = share * reflectance;
+                let depth = -sample.boundary;
+                let reach = self.scene.unit_distance.max(2.0 * step);
+                let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
+                mirror.weight += weight;
+                mirror.place += weight * (q + lift * sample.normal);
+                mirror.normal += weight * sample.normal;
+                mirror.color += reflectance * own;
+            } else {
+                light += self.reflected(settings, course, mirror.take(), phase, step);
+            }
+            transmittance *= passed;
+            if transmittance < f64::from(settings.stop_transmittance) {
+                break;
+            }
+        }
+        light += self.reflected(settings, course, mirror.take(), phase, step);
+        (light.to_array(), transmittance)
+    }
+
+    /// What is seen in samples that reflect, times their weight.
+    fn reflected(
+        &self,
+        settings: &RenderSettings,
+        course: &Course,
+        mirror: Option<Mirror>,
+        phase: f64,
+        step: f64,
+    ) -> DVec3 {
+        let Some(mirror) = mirror else { return DVec3::ZERO };
+        let weight = course.weight * mirror.weight;
+        let Some(normal) = mirror.normal.try_normalize().filter(|_| weight >= LEAST_REFLECTED) else {
+            return mirror.color;
+        };
+        let direction = course.ray.direction.reflect(normal);
+        let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * step * direction, direction };
+        let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1 };
+        let (color, open) = self.follow(settings, &next, phase, step);
+        mirror.weight * (DVec3::from_array(color) + open * self.behind())
+    }
+
+    fn behind(&self) -> DVec3 {
+        DVec3::from_array(self.scene.background.unwrap_or_default().map(f64::from))
+    }
+}
+
+/// The direction behind a boundary; nothing where all light is reflected.
+fn bent(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
+    let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
+    Some(direction.refract(normal, ratio)).filter(|bent| *bent != DVec3::ZERO)
+}
