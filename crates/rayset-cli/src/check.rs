@@ -30,7 +30,7 @@ pub(crate) fn run(args: &CheckArgs) -> Result<()> {
         Lighting::Lit(lights) => lights.len(),
     };
     let bounds = scene.root.bounds();
-    let needs = SceneNeeds::of(&scene);
+    let needs = SceneNeeds::of(&scene, &settings);
     let points: u64 = needs.clouds().iter().map(|cloud| cloud.header().points).sum();
     report::say(format_args!(
         "{}: {leaves} objects, {operators} operators, {lights} lights; {} points in {} cloud files",

@@ -9,7 +9,7 @@ use rayset::geometry::{Aabb, DVec3};
 use rayset::grid::Grid;
 use rayset::octree::Cloud;
 use rayset::octree::format::Column;
-use rayset::scene::{CloudObject, Scene};
+use rayset::scene::{CloudObject, RenderSettings, Scene};
 use rayset::trace::memory::{self, SceneNeeds};
 
 use crate::memory::PROCESS_BYTES;
@@ -59,8 +59,15 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let h = cloud.header();
     let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let plan = memory::plan(&SceneNeeds::of(&scene), 512, 512, threads, PROCESS_BYTES, u64::MAX / 2)
-        .map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
+    let plan = memory::plan(
+        &SceneNeeds::of(&scene, &RenderSettings::default()),
+        512,
+        512,
+        threads,
+        PROCESS_BYTES,
+        u64::MAX / 2,
+    )
+    .map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
     let info = Info {
         points: h.points,
         skipped: h.skipped,

@@ -11,7 +11,7 @@ use rayset::trace::ExecSettings;
 use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::working_set::read::{self, BackendKind, Delayed};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+use rayset::working_set::{Kind, Limits, PagedFiles, WorkingSet};
 
 use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
@@ -78,7 +78,7 @@ impl Work {
         scene: &Scene,
         settings: RenderSettings,
     ) -> Result<(Self, MemoryPlan)> {
-        let needs = SceneNeeds::of(scene);
+        let needs = SceneNeeds::of(scene, &settings);
         let threads = args.threads.unwrap_or_else(|| ExecSettings::default().threads).max(1);
         let stored = needs.clouds().iter().map(|cloud| cloud.header().render_memory).max().filter(|&m| m > 0);
         let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);
@@ -103,7 +103,8 @@ impl Work {
             backend = Arc::new(Delayed::new(backend, Duration::from_secs_f64(milliseconds / 1e3))?);
         }
         let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
-        let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(plan.page_bytes), backend));
+        let limits = Limits::total(plan.page_bytes).with_kind(Kind::Shadows, plan.shadow_bytes);
+        let mut paged = PagedFiles::new(WorkingSet::new(limits, backend));
         for cloud in needs.clouds() {
             let opened = paged.open(cloud, args.direct);
             opened.with_context(|| format!("cannot open {}", cloud.path().display()))?;

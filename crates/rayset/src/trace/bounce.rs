@@ -140,20 +140,27 @@ pub(super) struct Courses {
 }
 
 impl Courses {
-    /// The rays of a packet, lane by lane.
-    pub(super) fn begin(bounces: Bounces, rays: impl Iterator<Item = TreeRay>) -> Self {
-        let courses: Vec<Course> = rays
-            .map(|from| Course {
-                from,
-                index: from.index,
-                inside: Inside { t: 0.0, normal: from.normal, depth: 0.0, reflectance: 0.0 },
-                mirror: None,
-                bent: None,
-            })
-            .collect();
-        let deepens = (courses.iter().enumerate())
-            .fold(0, |lanes, (lane, c)| lanes | u64::from(c.from.depth < bounces.max_depth) << lane);
-        Self { bounces, courses, deepens, replaced: 0, next: Vec::new() }
+    /// Room for the rays of a packet; [`begin`](Self::begin) comes first.
+    pub(super) fn new(bounces: Bounces) -> Self {
+        let courses = Vec::with_capacity(LANES);
+        Self { bounces, courses, deepens: 0, replaced: 0, next: Vec::with_capacity(LANES) }
+    }
+
+    /// Sets out with the rays of a packet, lane by lane.
+    pub(super) fn begin(&mut self, rays: impl Iterator<Item = TreeRay>) {
+        self.courses.clear();
+        self.courses.extend(rays.map(|from| Course {
+            from,
+            index: from.index,
+            inside: Inside { t: 0.0, normal: from.normal, depth: 0.0, reflectance: 0.0 },
+            mirror: None,
+            bent: None,
+        }));
+        let deepens = |c: &Course| c.from.depth < self.bounces.max_depth;
+        self.deepens = (self.courses.iter().enumerate())
+            .fold(0, |lanes, (lane, course)| lanes | u64::from(deepens(course)) << lane);
+        self.replaced = 0;
+        self.next.clear();
     }
 
     /// Finds the rays of `going` that come to another refractive index in a slab, and makes transparent what lies behind
@@ -310,8 +317,8 @@ impl Courses {
     }
 
     /// The rays that follow, lane by lane in the order in which they arose.
-    pub(super) fn finish(self) -> Vec<(usize, TreeRay)> {
-        self.next
+    pub(super) fn next(&self) -> &[(usize, TreeRay)] {
+        &self.next
     }
 }
 

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use super::block::{Block, Wants};
+use super::shadow::LightTable;
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
 use crate::octree::Cloud;
-use crate::scene::{Lighting, Node, Operator, Scene, Shape};
+use crate::scene::{Lighting, Node, Operator, RenderSettings, Scene, Shape};
 use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
@@ -15,6 +16,8 @@ const THREAD_BYTES: u64 = 640 << 10;
 const CLOUD_BYTES: u64 = 48 << 10;
 /// What look-ahead remembers of a page, most of which it never sees at a time.
 const LOOKAHEAD_BYTES: u64 = 24;
+/// What the trees of reflected and refracted rays under a tile add to that.
+const TREE_BYTES: u64 = 512 << 10;
 /// Bytes of a pixel while its band is being made.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows that are worked on together.
@@ -28,12 +31,14 @@ pub struct SceneNeeds {
     clouds: Vec<Arc<Cloud>>,
     grids: Vec<Arc<Grid>>,
     thread_bytes: u64,
+    /// Blocks of cached shadows.
+    shadow_blocks: u64,
 }
 
 impl SceneNeeds {
     /// Of a scene that has been checked.
     #[must_use]
-    pub fn of(scene: &Scene) -> Self {
+    pub fn of(scene: &Scene, settings: &RenderSettings) -> Self {
         let (mut clouds, mut grids) = (Vec::new(), Vec::new());
         let mut leaves = 0;
         scene.root.for_each(&mut |node| match &node.shape {
@@ -54,11 +59,13 @@ impl SceneNeeds {
             scene.root.for_each(&mut |node| found |= wanted(node));
             found
         };
+        let turns = has(|n| n.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0));
         let wants = Wants {
             color: true,
             normal: lit,
             boundary: lit
-                && (scene.lighting.throws_shadows()
+                && (turns
+                    || scene.lighting.throws_shadows()
                     || has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _)))),
             outside: false,
             material: lit && has(|node| node.material.is_some()),
@@ -70,8 +77,10 @@ impl SceneNeeds {
             0
         };
         let passes = if shadow > 0 { 2 } else { 1 };
-        let thread_bytes = THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES;
-        Self { clouds, grids, thread_bytes }
+        let tree = if turns && settings.max_depth > 0 { TREE_BYTES } else { 0 };
+        let thread_bytes = THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES + tree;
+        let shadow_blocks = LightTable::blocks_of(scene, settings.shadows);
+        Self { clouds, grids, thread_bytes, shadow_blocks }
     }
 
     /// Every grid of the scene, each once.
@@ -109,6 +118,9 @@ fn blocks(node: &Node) -> usize {
 pub struct MemoryPlan {
     /// For pages.
     pub page_bytes: u64,
+    /// Of these, the most that cached shadows may take: what all files together leave, and at least half. Shadows are made
+    /// again where files are read again, but there can be many more of them.
+    pub shadow_bytes: u64,
     /// Bytes of the largest page.
     pub largest_page_bytes: u64,
     /// Rows of the picture made at a time.
@@ -136,7 +148,8 @@ pub fn plan(
     // Tiles are listed, 24 bytes each.
     let row = u64::from(width) * PIXEL_BYTES + u64::from(width) / 2;
     let pages: u64 = needs.files().map(|(pages, _)| pages).sum();
-    let overhead = WorkingSet::overhead_bytes(u32::try_from(pages).unwrap_or(u32::MAX));
+    let slots = pages + needs.shadow_blocks;
+    let overhead = WorkingSet::overhead_bytes(u32::try_from(slots).unwrap_or(u32::MAX));
     let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
     let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
@@ -156,9 +169,12 @@ pub fn plan(
     let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
+    let page_bytes = (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page;
+    let file_bytes: u64 = needs.files().map(|(pages, bytes)| pages * bytes).sum();
     Ok(MemoryPlan {
         largest_page_bytes: page,
-        page_bytes: (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page,
+        page_bytes,
+        shadow_bytes: page_bytes.saturating_sub(file_bytes).max(page_bytes / 2),
         band_rows,
         least_bytes,
         comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_page_bytes,

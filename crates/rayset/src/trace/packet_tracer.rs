@@ -59,13 +59,25 @@ pub(super) struct PacketTracer<'a> {
     world: &'a World,
     march: March<'a>,
     shadows: Option<Shadows<'a>>,
+    courses: Option<Courses>,
+    tree: Tree,
     shares: Shares,
     states: [RayState; LANES],
     counts: RenderCounts,
 }
 
+/// One generation of rays, and the next. Kept from tile to tile: memory taken and freed in between pages crumbles the
+/// allocator's, and the process would exceed its budget.
+#[derive(Default)]
+struct Tree {
+    rays: Vec<TreeRay>,
+    ends: Vec<End>,
+    /// Each with the number of the ray that it follows.
+    next: Vec<(usize, TreeRay)>,
+}
+
 /// What a ray has come to.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct End {
     color: [f32; 3],
     /// What it sees of what lies behind everything.
@@ -78,6 +90,8 @@ impl<'a> PacketTracer<'a> {
             world,
             march: March::new(&world.program, slab_samples),
             shadows: Shadows::new(world, slab_samples),
+            courses: world.bounces.map(Courses::new),
+            tree: Tree::default(),
             shares: Shares::new(),
             states: [RayState::START; LANES],
             counts: RenderCounts::default(),
@@ -101,23 +115,39 @@ impl<'a> PacketTracer<'a> {
         rays: &[(Ray, f64)],
     ) -> Result<[[f32; 4]; LANES], Halt> {
         let mut seen = [Seen::default(); LANES];
-        let mut rays: Vec<TreeRay> = (rays.iter().enumerate())
-            .map(|(pixel, &(ray, phase))| TreeRay::primary(ray, phase, pixel))
-            .collect();
+        let mut tree = std::mem::take(&mut self.tree);
+        tree.rays.clear();
+        let eye = rays.iter().enumerate().map(|(pixel, &(ray, phase))| TreeRay::primary(ray, phase, pixel));
+        tree.rays.extend(eye);
+        let mut outcome = Ok(());
         // One generation after another, and each ray's light in its turn: sums do not depend on who travelled with whom.
-        while !rays.is_empty() {
-            let mut ends = vec![End { color: [0.0; 3], open: 0.0 }; rays.len()];
-            let mut next: Vec<(usize, TreeRay)> = Vec::new();
-            for (step, members) in self.packets(access, &rays)? {
-                self.packet(access, &rays, &members, step, &mut ends, &mut next)?;
-            }
-            for (ray, end) in rays.iter().zip(&ends) {
-                seen[ray.pixel].add(ray, end, self.world.background);
-            }
-            next.sort_by_key(|(parent, _)| *parent);
-            rays = next.into_iter().map(|(_, ray)| ray).collect();
+        while !tree.rays.is_empty() && outcome.is_ok() {
+            outcome = self.generation(access, &mut tree, &mut seen);
         }
-        Ok(seen.map(|seen| seen.pixel(self.world.background)))
+        self.tree = tree;
+        outcome.map(|()| seen.map(|seen| seen.pixel(self.world.background)))
+    }
+
+    /// Traces the rays of one generation, and makes the next of those that follow them.
+    fn generation(
+        &mut self,
+        access: Access<'_>,
+        tree: &mut Tree,
+        seen: &mut [Seen; LANES],
+    ) -> Result<(), Halt> {
+        tree.ends.clear();
+        tree.ends.resize(tree.rays.len(), End::default());
+        tree.next.clear();
+        for (step, members) in self.packets(access, &tree.rays)? {
+            self.packet(access, tree, &members, step)?;
+        }
+        for (ray, end) in tree.rays.iter().zip(&tree.ends) {
+            seen[ray.pixel].add(ray, end, self.world.background);
+        }
+        tree.next.sort_by_key(|(parent, _)| *parent);
+        tree.rays.clear();
+        tree.rays.extend(tree.next.iter().map(|(_, ray)| ray));
+        Ok(())
     }
 
     /// Which rays travel together, and their step.
@@ -149,22 +179,27 @@ impl<'a> PacketTracer<'a> {
     fn packet(
         &mut self,
         access: Access<'_>,
-        rays: &[TreeRay],
+        Tree { rays, ends, next }: &mut Tree,
         members: &[usize],
         step: f64,
-        ends: &mut [End],
-        next: &mut Vec<(usize, TreeRay)>,
     ) -> Result<(), Halt> {
         let lanes: Vec<(Ray, f64)> = members.iter().map(|&i| (rays[i].ray, rays[i].phase)).collect();
         let packet = Packet::new(&lanes, step);
-        let mut courses = self.world.bounces.map(|b| Courses::begin(b, members.iter().map(|&i| rays[i])));
+        let mut courses = self.courses.take();
+        if let Some(courses) = &mut courses {
+            courses.begin(members.iter().map(|&i| rays[i]));
+        }
         self.states.fill(RayState::START);
         self.counts.packets += 1;
         let before = self.counts;
         self.march.begin(&packet);
         let mut block = self.march.block();
-        let outcome = self.pass(access, &packet, &mut courses, &mut block);
+        let outcome = self.pass(access, &packet, courses.as_mut(), &mut block);
         self.march.give_back(block);
+        if let Some(courses) = &courses {
+            next.extend(courses.next().iter().map(|&(lane, ray)| (members[lane], ray)));
+        }
+        self.courses = courses;
         let replaced = outcome?;
         if !rays[members[0]].is_primary() {
             self.counts.bounced_rays += members.len() as u64;
@@ -178,9 +213,6 @@ impl<'a> PacketTracer<'a> {
             let open = if replaced >> lane & 1 == 1 { 0.0 } else { transmittance };
             ends[i] = End { color: flat.unwrap_or(color), open };
         }
-        if let Some(courses) = courses {
-            next.extend(courses.finish().into_iter().map(|(lane, ray)| (members[lane], ray)));
-        }
         Ok(())
     }
 
@@ -190,7 +222,7 @@ impl<'a> PacketTracer<'a> {
         &mut self,
         access: Access<'_>,
         packet: &Packet,
-        courses: &mut Option<Courses>,
+        mut courses: Option<&mut Courses>,
         block: &mut Block,
     ) -> Result<u64, Halt> {
         let world = self.world;
@@ -199,7 +231,7 @@ impl<'a> PacketTracer<'a> {
         while going != 0
             && let Some(slab) = self.march.next_slab(from)
         {
-            if let Some(courses) = courses
+            if let Some(courses) = &mut courses
                 && slab.first > from
             {
                 going &= !courses.leave(packet, going, &self.states);
@@ -208,15 +240,15 @@ impl<'a> PacketTracer<'a> {
             self.march.evaluate(access, packet, slab, going, &mut self.counts, block)?;
             self.counts.slabs += 1;
             self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
-            if let Some(courses) = courses {
+            if let Some(courses) = &mut courses {
                 courses.bend(packet, slab, block, going, &world.shader);
             }
             going = world.absorption.absorb(packet, slab, block, going, &mut self.states, &mut self.shares);
             self.counts.nonzero_samples += self.shares.count();
             if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
-                self.shade(access, packet, slab, block, courses)?;
+                self.shade(access, packet, slab, block, courses.as_deref_mut())?;
             }
-            if let Some(courses) = courses {
+            if let Some(courses) = &mut courses {
                 going &= !courses.follow(going, &self.states);
             }
         }
@@ -233,7 +265,7 @@ impl<'a> PacketTracer<'a> {
         packet: &Packet,
         slab: Slab,
         block: &Block,
-        courses: &mut Option<Courses>,
+        courses: Option<&mut Courses>,
     ) -> Result<(), Halt> {
         let (shader, none) = (&self.world.shader, Vec::new());
         let shadows = match &mut self.shadows {
@@ -246,7 +278,7 @@ impl<'a> PacketTracer<'a> {
             }
             None => &none,
         };
-        shader.shade(packet, slab, block, &self.shares, shadows, courses.as_mut(), &mut self.states);
+        shader.shade(packet, slab, block, &self.shares, shadows, courses, &mut self.states);
         Ok(())
     }
 }

@@ -45,6 +45,9 @@ impl Limits {
     }
 }
 
+/// Page buffers taken from the allocator at a time, besides the one that is wanted.
+const BUFFERS_AT_A_TIME: u64 = 31;
+
 /// Books of the working set. `used` counts every page from the moment its room is reserved.
 struct Books {
     limits: Limits,
@@ -60,6 +63,8 @@ struct Books {
     candidates: Vec<(u8, u64, Arc<Object>, u32)>,
     /// Memory of evicted pages, to be used again by the reservation that caused the eviction.
     spare: Vec<PageBuffer>,
+    /// Memory that was taken from the allocator together with some that is in use.
+    fresh: Vec<PageBuffer>,
 }
 
 pub(super) struct Ledger {
@@ -109,6 +114,7 @@ impl Ledger {
             residents: Vec::new(),
             candidates: Vec::new(),
             spare: Vec::new(),
+            fresh: Vec::new(),
         };
         Self {
             books: Mutex::new(books),
@@ -155,6 +161,7 @@ impl Ledger {
         while let Some(page) = books.evict(obstacle, None) {
             evicted.push(page);
             books.spare.clear();
+            books.fresh.clear();
         }
         evicted
     }
@@ -231,10 +238,11 @@ impl Ledger {
     }
 
     pub(super) fn failed(&self, kind: Kind, object: &Object, buffer: PageBuffer) {
-        drop(buffer);
         let mut books = lock(&self.books);
         books.loading -= 1;
         books.give_back(kind, object);
+        // For whoever takes the room: freed and taken again, pages would crumble the allocator's memory.
+        books.spare.push(buffer);
         drop(books);
         self.notify_waiting();
     }
@@ -312,7 +320,10 @@ impl Books {
                 None => break,
             }
         }
-        self.spare.clear();
+        if !evicted.is_empty() {
+            self.spare.clear();
+            self.fresh.clear();
+        }
         evicted
     }
 
@@ -340,11 +351,28 @@ impl Books {
         let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
         let buffer = match self.spare.iter().position(fits) {
             Some(at) => self.spare.swap_remove(at),
-            None => PageBuffer::new(bytes as usize),
+            None => self.take_fresh(bytes),
         };
         // Memory of other sizes goes back to the system, or the process would exceed what the books say.
         self.spare.clear();
+        let unused: u64 = self.fresh.iter().map(|b| b.bytes().len() as u64).sum();
+        if self.used + unused > self.limits.total {
+            self.fresh.clear();
+        }
         (Some(buffer), evicted)
+    }
+
+    /// Memory for a page, many at a time: taken one by one, in between what else is allocated, pages would crumble the
+    /// allocator's memory, and the process would exceed its budget.
+    fn take_fresh(&mut self, bytes: u64) -> PageBuffer {
+        let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
+        if let Some(at) = self.fresh.iter().position(fits) {
+            return self.fresh.swap_remove(at);
+        }
+        let room = self.limits.total.saturating_sub(self.used) / bytes.max(1);
+        let together = room.min(BUFFERS_AT_A_TIME);
+        self.fresh.extend((0..together).map(|_| PageBuffer::new(bytes as usize)));
+        PageBuffer::new(bytes as usize)
     }
 
     fn give_back(&mut self, kind: Kind, object: &Object) {

@@ -8,8 +8,8 @@ use super::curve::{self, CurveBuilder};
 use super::map::{BLOCK_CELLS, LightMap};
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::{Aabb, DVec3, Ray};
-use crate::scene::{Light, LightKind};
-use crate::trace::access::{Access, Halt};
+use crate::scene::{Light, LightKind, Lighting, Scene, Shadows};
+use crate::trace::access::{Access, Halt, POINT_PRIORITY};
 use crate::trace::block::{Block, each_lane};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::march::March;
@@ -22,8 +22,8 @@ use crate::working_set::{Kind, Object, PageGuard, PageSource, WorkingSet};
 /// Bytes of a block.
 const BLOCK_BYTES: usize = 16 << 10;
 const CORNERS: u32 = BLOCK_CELLS + 1;
-/// Priority of blocks: dearer to make again than pages are to read.
-const BLOCK_PRIORITY: u8 = 220;
+/// Priority of blocks: as of the pages that samples wait for.
+const BLOCK_PRIORITY: u8 = POINT_PRIORITY;
 
 /// The table of one light.
 pub(in crate::trace) struct LightTable {
@@ -33,6 +33,18 @@ pub(in crate::trace) struct LightTable {
 }
 
 impl LightTable {
+    /// Blocks that the tables of a scene have in all.
+    pub(in crate::trace) fn blocks_of(scene: &Scene, shadows: Shadows) -> u64 {
+        let (Lighting::Lit(lights), Shadows::Cached { resolution }) = (&scene.lighting, shadows) else {
+            return 0;
+        };
+        let bounds = scene.root.bounds();
+        let maps = lights.iter().filter(|light| light.throws_shadows());
+        maps.filter_map(|light| LightMap::new(light, &bounds, resolution))
+            .map(|map| u64::from(map.blocks()))
+            .sum()
+    }
+
     /// For a light that throws shadows, over a scene; nothing for one that has no rays.
     pub(in crate::trace) fn new(
         light: &Light,
