@@ -20,7 +20,7 @@ pub(crate) use self::camera::CameraArgs;
 use self::picture::{LookArgs, PictureArgs};
 use self::report::RenderReport;
 use self::shot::Shot;
-use self::sink::PngSink;
+use self::sink::{Format, PictureSink};
 use self::work::{Work, WorkArgs};
 use crate::report::{bytes, remark};
 
@@ -32,7 +32,8 @@ use crate::report::{bytes, remark};
 pub(crate) struct RenderArgs {
     /// Scene file (.json) or cloud file
     input: PathBuf,
-    /// Picture to write
+    /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo, opacity, instanceId,
+    /// samples, bytes
     #[arg(short, long)]
     output: PathBuf,
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
@@ -52,7 +53,8 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
-    let shot = Shot::new(args)?;
+    let mut shot = Shot::new(args)?;
+    shot.settings.layers = Format::of(&args.output)? == Format::Exr;
     let (work, plan) = Work::prepare(&args.work, &shot.scene, shot.settings)?;
     match args.turntable {
         None => picture(args, &shot, &shot.camera, &args.output, &work, &plan),
@@ -74,7 +76,7 @@ fn picture(
 ) -> Result<()> {
     let started = Instant::now();
     let region = args.picture.region(shot.settings)?;
-    let mut sink = PngSink::create(output, &region, shot.development)?;
+    let mut sink = PictureSink::create(output, &region, &shot.settings, shot.development)?;
     work.paged.pages.reset_statistics();
     let counts =
         render_region(&shot.scene, camera, &shot.settings, &region, &work.exec, &work.paged, &mut sink)?;

@@ -145,6 +145,8 @@ pub struct RenderSettings {
     pub shadows: Shadows,
     /// How often the light of a ray is followed on where it is reflected or refracted.
     pub max_depth: u32,
+    /// Whether depth, shading vectors and the like are found besides colours.
+    pub layers: bool,
 }
 
 impl Default for RenderSettings {
@@ -159,6 +161,7 @@ impl Default for RenderSettings {
             sampling: Sampling::Fixed,
             shadows: Shadows::Exact,
             max_depth: 4,
+            layers: false,
         }
     }
 }

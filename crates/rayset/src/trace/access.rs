@@ -1,5 +1,6 @@
 //! How one attempt at a tile comes by its pages: it waits for those that are absent, or is put off until they are there.
 
+use std::cell::Cell;
 use std::sync::Arc;
 
 use super::RenderError;
@@ -40,6 +41,8 @@ pub(super) struct Access<'a> {
     pub(super) waits: bool,
     /// Where it does not: how many slabs ahead the pages of are asked for together with one that is absent.
     pub(super) slabs_on_a_miss: u64,
+    /// Bytes of the pages that were asked for.
+    pub(super) asked_bytes: &'a Cell<u64>,
 }
 
 impl Access<'_> {
@@ -53,6 +56,7 @@ impl Access<'_> {
         page: u32,
         priority: u8,
     ) -> Result<PageGuard, Halt> {
+        self.asked_bytes.set(self.asked_bytes.get() + object.bytes());
         if self.waits {
             return Ok(self.pages.retain(object, page, priority)?);
         }

@@ -15,9 +15,13 @@ pub(super) const MAX_THICKNESS: f32 = 8.317_766;
 const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
 const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
 /// Numbers of a material.
-pub(super) const MATERIAL: usize = 6;
-/// Place of the refractive index among them.
-const REFRACTIVE_INDEX: usize = 5;
+pub(super) const MATERIAL: usize = 7;
+/// Place of the reflectance among them.
+pub(super) const REFLECTANCE: usize = 4;
+/// Place of the refractive index. What stands here and behind is not mixed by blends: the larger operand's counts.
+pub(super) const REFRACTIVE_INDEX: usize = 5;
+/// Place of the number of the leaf.
+pub(super) const LEAF: usize = 6;
 
 /// What of a node is looked at, besides its opacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -296,11 +300,9 @@ impl Block {
                 let largest = &mut self.largest[lane];
                 let larger = if fresh { u32::MAX } else { bits_where(|j| o.0[j] > largest.0[j]) };
                 take(largest, &o, larger);
-                take(
-                    &mut self.material[REFRACTIVE_INDEX][lane],
-                    &other.material[REFRACTIVE_INDEX][lane],
-                    larger,
-                );
+                for number in REFRACTIVE_INDEX..MATERIAL {
+                    take(&mut self.material[number][lane], &other.material[number][lane], larger);
+                }
             }
             for j in 0..SLAB_SAMPLES {
                 self.opacity[lane].0[j] = sum.0[j] + o.0[j];

@@ -5,7 +5,7 @@
 //! reflect, and as far as they follow each other along a ray they do so together: one ray from their mean place, with the
 //! weight of them all.
 
-use super::block::{Block, MATERIAL, each_lane};
+use super::block::{Block, MATERIAL, REFLECTANCE, REFRACTIVE_INDEX, each_lane};
 use super::composite::RayState;
 use super::shade::Shader;
 use super::shadow::STEPS_TO_BOUNDARY;
@@ -16,9 +16,6 @@ use crate::geometry::{DVec3, Ray};
 const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 /// A bent ray of less weight is not followed.
 const LEAST_PASSED: f64 = 1.0 / 4096.0;
-/// Places of reflectance and refractive index among the numbers of a material.
-const REFLECTANCE: usize = 4;
-const REFRACTIVE_INDEX: usize = 5;
 
 /// What the materials of a scene do to the direction of rays.
 #[derive(Clone, Copy, Debug)]

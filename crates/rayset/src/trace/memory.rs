@@ -6,6 +6,7 @@ use super::block::{Block, Wants};
 use super::shadow::LightTable;
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
+use crate::image::LayerPixel;
 use crate::octree::Cloud;
 use crate::scene::{Lighting, Node, Operator, RenderSettings, Scene, Shape};
 use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
@@ -18,6 +19,8 @@ const CLOUD_BYTES: u64 = 48 << 10;
 const LOOKAHEAD_BYTES: u64 = 24;
 /// What the trees of reflected and refracted rays under a tile add to that.
 const TREE_BYTES: u64 = 512 << 10;
+/// One part in so many of the pages' memory is lost in between, where pages of several sizes come and go.
+const ALLOCATOR_PART: u64 = 32;
 /// Bytes of a pixel while its band is being made.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows that are worked on together.
@@ -33,6 +36,7 @@ pub struct SceneNeeds {
     thread_bytes: u64,
     /// Blocks of cached shadows.
     shadow_blocks: u64,
+    layers: bool,
 }
 
 impl SceneNeeds {
@@ -62,13 +66,13 @@ impl SceneNeeds {
         let turns = has(|n| n.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0));
         let wants = Wants {
             color: true,
-            normal: lit,
+            normal: lit || settings.layers,
             boundary: lit
                 && (turns
                     || scene.lighting.throws_shadows()
                     || has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _)))),
             outside: false,
-            material: lit && has(|node| node.material.is_some()),
+            material: settings.layers || (lit && has(|node| node.material.is_some())),
         };
         let picture = blocks(&scene.root) * Block::bytes(wants);
         let shadow = if scene.lighting.throws_shadows() {
@@ -80,7 +84,7 @@ impl SceneNeeds {
         let tree = if turns && settings.max_depth > 0 { TREE_BYTES } else { 0 };
         let thread_bytes = THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES + tree;
         let shadow_blocks = LightTable::blocks_of(scene, settings.shadows);
-        Self { clouds, grids, thread_bytes, shadow_blocks }
+        Self { clouds, grids, thread_bytes, shadow_blocks, layers: settings.layers }
     }
 
     /// Every grid of the scene, each once.
@@ -146,14 +150,15 @@ pub fn plan(
 ) -> Result<MemoryPlan, u64> {
     let page = needs.files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
     // Tiles are listed, 24 bytes each.
-    let row = u64::from(width) * PIXEL_BYTES + u64::from(width) / 2;
+    let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
+    let row = u64::from(width) * pixel + u64::from(width) / 2;
     let pages: u64 = needs.files().map(|(pages, _)| pages).sum();
     let slots = pages + needs.shadow_blocks;
     let overhead = WorkingSet::overhead_bytes(u32::try_from(slots).unwrap_or(u32::MAX));
     let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
     let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
-    let least_page_bytes = least_pages(threads) * (page + OVERHEAD_BYTES);
+    let least_page_bytes = least_pages(threads) * (page + OVERHEAD_BYTES + page / ALLOCATOR_PART);
     let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
         return Err(least_bytes);
@@ -169,7 +174,8 @@ pub fn plan(
     let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
-    let page_bytes = (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES) * page;
+    let page_bytes =
+        (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES + page / ALLOCATOR_PART) * page;
     let file_bytes: u64 = needs.files().map(|(pages, bytes)| pages * bytes).sum();
     Ok(MemoryPlan {
         largest_page_bytes: page,

@@ -11,6 +11,7 @@ mod composite;
 mod frontier;
 mod grid_volume;
 pub mod judge;
+mod layers;
 mod march;
 mod math;
 pub mod memory;
@@ -26,6 +27,7 @@ mod tiles;
 mod transfer;
 mod world;
 
+use std::cell::Cell;
 use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -38,7 +40,7 @@ use self::predict::{Lookahead, Predictor};
 use self::tiles::{Agenda, Attempt, Tile, Tiles};
 use self::world::World;
 use crate::field::{LANES, SLAB_SAMPLES, SimdLevel};
-use crate::image::Band;
+use crate::image::{Band, LayerPixel};
 use crate::scene::{Camera, CameraError, RenderSettings, Scene, SceneError};
 use crate::working_set::{PageFault, PagedFiles};
 
@@ -120,11 +122,14 @@ pub trait Sink: Send {
 pub struct WholePicture {
     /// The bands joined.
     pub pixels: Vec<[f32; 4]>,
+    /// Theirs, where they were asked for.
+    pub layers: Vec<LayerPixel>,
 }
 
 impl Sink for WholePicture {
     fn band(&mut self, band: &Band) -> Result<(), String> {
         self.pixels.extend_from_slice(&band.pixels);
+        self.layers.extend_from_slice(&band.layers);
         Ok(())
     }
 }
@@ -241,7 +246,7 @@ impl Job<'_> {
         let failed = AtomicBool::new(false);
         let width = region.columns.len() as u32;
         let shared = Mutex::new(Shared {
-            band: Band::new(region.rows.start, width, region.rows.len() as u32),
+            band: Band::new(region.rows.start, width, region.rows.len() as u32, self.world.layers),
             counts: RenderCounts::default(),
             done: *done,
             sink,
@@ -249,17 +254,21 @@ impl Job<'_> {
         });
         let work = || {
             let mut tracer = PacketTracer::new(self.world, self.exec.slab_samples);
-            let mut agenda = Agenda::new(self.world, &tiles);
+            let asked_bytes = Cell::new(0);
+            let mut agenda = Agenda::new(self.world, &tiles, &asked_bytes);
             while !failed.load(Ordering::Relaxed)
                 && let Some(attempt) = agenda.next(lookahead.tiles_to_put_off())
             {
                 let tile = attempt.tile;
                 self.exec.predictor.ahead(&lookahead, tile.x, tile.y);
                 let counts = tracer.counts();
+                asked_bytes.set(0);
                 let outcome = self.tile(attempt, &mut tracer);
+                let count = (tile.width * tile.height) as usize;
+                let layers = tracer.layers().map(|layers| layers.pixels(count, asked_bytes.get()));
                 let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
                 let go_on = match outcome {
-                    Ok(pixels) => shared.store(region, tile, &pixels, self.total),
+                    Ok(pixels) => shared.store(region, tile, &pixels, layers.as_ref(), self.total),
                     Err(Halt::PutOff(lacking)) => {
                         tracer.put_off(counts);
                         agenda.put_off(attempt, lacking);
@@ -295,6 +304,9 @@ impl Job<'_> {
     /// Traces the rays of a tile and returns its pixels.
     fn tile(&self, attempt: Attempt<'_>, tracer: &mut PacketTracer<'_>) -> Result<[[f32; 4]; LANES], Halt> {
         let Attempt { tile, access, .. } = attempt;
+        if let Some(layers) = tracer.layers() {
+            layers.begin();
+        }
         let cells = self.settings.samples;
         let mut sums = [[0.0; 4]; LANES];
         for (i, j) in (0..cells).flat_map(|j| (0..cells).map(move |i| (i, j))) {
@@ -325,7 +337,14 @@ struct Shared<'a> {
 
 impl Shared<'_> {
     /// Stores the pixels of a tile; false where the render is cancelled.
-    fn store(&mut self, region: &Region, tile: Tile, pixels: &[[f32; 4]; LANES], total: u64) -> bool {
+    fn store(
+        &mut self,
+        region: &Region,
+        tile: Tile,
+        pixels: &[[f32; 4]; LANES],
+        layers: Option<&[LayerPixel; LANES]>,
+        total: u64,
+    ) -> bool {
         let width = self.band.width as usize;
         for row in 0..tile.height as usize {
             let from = row * tile.width as usize;
@@ -333,6 +352,10 @@ impl Shared<'_> {
             let to = to * width + (tile.x - region.columns.start) as usize;
             self.band.pixels[to..to + tile.width as usize]
                 .copy_from_slice(&pixels[from..from + tile.width as usize]);
+            if let Some(layers) = layers {
+                self.band.layers[to..to + tile.width as usize]
+                    .copy_from_slice(&layers[from..from + tile.width as usize]);
+            }
         }
         self.done += u64::from(tile.width * tile.height);
         let go_on = self.sink.progress(self.done, total);

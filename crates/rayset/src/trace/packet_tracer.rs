@@ -4,6 +4,7 @@ use super::access::{Access, Halt};
 use super::block::Block;
 use super::bounce::{Courses, TreeRay};
 use super::composite::{RayState, Shares};
+use super::layers::Layers;
 use super::march::March;
 use super::secondary::coherent_groups;
 use super::shadow::Shadows;
@@ -60,6 +61,7 @@ pub(super) struct PacketTracer<'a> {
     march: March<'a>,
     shadows: Option<Shadows<'a>>,
     courses: Option<Courses>,
+    layers: Option<Layers>,
     tree: Tree,
     shares: Shares,
     states: [RayState; LANES],
@@ -91,6 +93,7 @@ impl<'a> PacketTracer<'a> {
             march: March::new(&world.program, slab_samples),
             shadows: Shadows::new(world, slab_samples),
             courses: world.bounces.map(Courses::new),
+            layers: world.layers.then(Layers::new),
             tree: Tree::default(),
             shares: Shares::new(),
             states: [RayState::START; LANES],
@@ -105,6 +108,11 @@ impl<'a> PacketTracer<'a> {
     /// Forgets what has been counted since `counts`: the tile is put off.
     pub(super) fn put_off(&mut self, counts: RenderCounts) {
         self.counts = RenderCounts { put_off: counts.put_off + 1, ..counts };
+    }
+
+    /// What is known of the pixels of a tile, to which the rays traced from the eye belong.
+    pub(super) fn layers(&mut self) -> Option<&mut Layers> {
+        self.layers.as_mut()
     }
 
     /// Traces rays from the eye, at most 64, each with ξ of its samples, and what they become. Returns what they see,
@@ -125,6 +133,9 @@ impl<'a> PacketTracer<'a> {
             outcome = self.generation(access, &mut tree, &mut seen);
         }
         self.tree = tree;
+        if let Some(layers) = &mut self.layers {
+            (0..rays.len()).for_each(|pixel| layers.hide(pixel, 1.0 - seen[pixel].open as f32));
+        }
         outcome.map(|()| seen.map(|seen| seen.pixel(self.world.background)))
     }
 
@@ -194,7 +205,8 @@ impl<'a> PacketTracer<'a> {
         let before = self.counts;
         self.march.begin(&packet);
         let mut block = self.march.block();
-        let outcome = self.pass(access, &packet, courses.as_mut(), &mut block);
+        let pixels = rays[members[0]].is_primary().then_some(members);
+        let outcome = self.pass(access, &packet, pixels, courses.as_mut(), &mut block);
         self.march.give_back(block);
         if let Some(courses) = &courses {
             next.extend(courses.next().iter().map(|&(lane, ray)| (members[lane], ray)));
@@ -217,11 +229,12 @@ impl<'a> PacketTracer<'a> {
     }
 
     /// Slab after slab, front to back, until all rays are opaque or nothing is left ahead. Returns the lanes of rays in
-    /// whose place others go on.
+    /// whose place others go on. Rays from the eye belong to `pixels` of the tile.
     fn pass(
         &mut self,
         access: Access<'_>,
         packet: &Packet,
+        pixels: Option<&[usize]>,
         mut courses: Option<&mut Courses>,
         block: &mut Block,
     ) -> Result<u64, Halt> {
@@ -245,6 +258,9 @@ impl<'a> PacketTracer<'a> {
             }
             going = world.absorption.absorb(packet, slab, block, going, &mut self.states, &mut self.shares);
             self.counts.nonzero_samples += self.shares.count();
+            if let (Some(layers), Some(pixels)) = (&mut self.layers, pixels) {
+                layers.gather(packet, slab, block, &self.shares, &world.shader, |lane| pixels[lane]);
+            }
             if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
                 self.shade(access, packet, slab, block, courses.as_deref_mut())?;
             }

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::RenderError;
-use super::block::{MATERIAL, Measure, Wants};
+use super::block::{LEAF, MATERIAL, Measure, Wants};
 use super::bounce::Turns;
 use super::cloud_volume::CloudVolume;
 use super::grid_volume::GridVolume;
@@ -47,6 +47,8 @@ pub(super) struct Instruction {
 pub(super) enum Purpose {
     /// Colours, lit.
     Picture,
+    /// The same, and everything that layers tell.
+    Layers,
     /// Nothing but opacities, for shadows.
     Shadow,
 }
@@ -77,6 +79,8 @@ struct Compiler<'s> {
     known: HashMap<Key, usize>,
     /// Every material that is used, each once.
     materials: Vec<[f32; MATERIAL]>,
+    /// Leaves so far, where their numbers are wanted.
+    leaves: Option<u32>,
 }
 
 impl Program {
@@ -90,8 +94,9 @@ impl Program {
         simd: SimdLevel,
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
+        let leaves = (purpose == Purpose::Layers).then_some(0);
         let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
-        let mut compiler = Compiler { scene, simd, paged, instructions, known, materials };
+        let mut compiler = Compiler { scene, simd, paged, instructions, known, materials, leaves };
         let material = compiler.material(&Material::default());
         compiler.add(&scene.root, &DAffine3::IDENTITY, material)?;
         Ok(compiler.finish(purpose))
@@ -123,12 +128,24 @@ fn not_paged(path: &std::path::Path) -> RenderError {
 impl Compiler<'_> {
     /// The number of a material.
     fn material(&mut self, material: &Material) -> usize {
-        let numbers = material.to_array().map(|v| v as f32);
+        let mut numbers = [0.0; MATERIAL];
+        let given = material.to_array().map(|v| v as f32);
+        numbers[..given.len()].copy_from_slice(&given);
         let known = self.materials.iter().position(|m| *m == numbers);
         known.unwrap_or_else(|| {
             self.materials.push(numbers);
             self.materials.len() - 1
         })
+    }
+
+    /// The numbers of the material of a leaf, with its own where that is wanted.
+    fn of_leaf(&mut self, material: usize, shape: &Shape) -> [f32; MATERIAL] {
+        let mut numbers = self.materials[material];
+        if let Some(leaves) = self.leaves.as_mut().filter(|_| !matches!(shape, Shape::Operator(..))) {
+            *leaves += 1;
+            numbers[LEAF] = *leaves as f32;
+        }
+        numbers
     }
 
     /// Adds a node and what it needs; returns its place. The material counts where the node has none.
@@ -145,13 +162,14 @@ impl Compiler<'_> {
             self.instructions[at].uses += 1;
             return Ok(at);
         }
+        let of_leaf = self.of_leaf(material, &node.shape);
         let (action, bounds, color) = match &node.shape {
             Shape::Cloud(object) => {
                 let volume = CloudVolume::new(
                     object,
                     &world_from_local,
                     self.scene.unit_distance,
-                    self.materials[material],
+                    of_leaf,
                     self.paged,
                 )
                 .ok_or_else(|| not_paged(object.cloud.path()))?;
@@ -161,17 +179,15 @@ impl Compiler<'_> {
             }
             Shape::Grid(object) => {
                 let unit = self.scene.unit_distance;
-                let volume =
-                    GridVolume::new(object, &world_from_local, unit, self.materials[material], self.paged)
-                        .ok_or_else(|| not_paged(object.grid.path()))?;
+                let volume = GridVolume::new(object, &world_from_local, unit, of_leaf, self.paged)
+                    .ok_or_else(|| not_paged(object.grid.path()))?;
                 let bounds = Node::new(node.shape.clone()).bounds().transformed(&world_from_local);
                 let color = volume.uniform_color();
                 (Action::Grid(Box::new(volume)), bounds, color)
             }
             Shape::Procedural(field) => {
                 let reach = self.scene.unit_distance;
-                let volume =
-                    ProceduralVolume::new(field.clone(), &world_from_local, reach, self.materials[material]);
+                let volume = ProceduralVolume::new(field.clone(), &world_from_local, reach, of_leaf);
                 let color = field.uniform_color().map(|c| c.map(|v| v as f32));
                 (Action::Procedural(Box::new(volume)), field.bounds().transformed(&world_from_local), color)
             }
@@ -238,17 +254,19 @@ impl Compiler<'_> {
         if purpose == Purpose::Shadow {
             return Wants::default();
         }
+        let layers = purpose == Purpose::Layers;
         let lights = match &self.scene.lighting {
+            Lighting::Unlit if layers => &Vec::new(),
             Lighting::Unlit => return Wants { color: color.is_none(), ..Wants::default() },
             Lighting::Lit(lights) => lights,
         };
         let turns_rays = Turns::of(&used_materials(&self.instructions)).any();
         Wants {
             color: color.is_none(),
-            normal: lights.iter().any(|l| l.kind != LightKind::Ambient) || turns_rays,
+            normal: layers || turns_rays || lights.iter().any(|l| l.kind != LightKind::Ambient),
             boundary: self.scene.lighting.throws_shadows() || turns_rays,
             outside: false,
-            material: materials_differ,
+            material: materials_differ || layers,
         }
     }
 
@@ -281,16 +299,17 @@ impl Compiler<'_> {
     }
 }
 
-/// The materials of leaves, each once.
+/// The materials of leaves, each once, whichever leaves they are of.
 fn used_materials(instructions: &[Instruction]) -> Vec<[f32; MATERIAL]> {
     let mut used: Vec<[f32; MATERIAL]> = Vec::new();
     for instruction in instructions {
-        let material = match &instruction.action {
+        let mut material = match &instruction.action {
             Action::Cloud(volume) => volume.material,
             Action::Grid(volume) => volume.material,
             Action::Procedural(volume) => volume.material,
             Action::Operator(..) => continue,
         };
+        material[LEAF] = 0.0;
         if !used.contains(&material) {
             used.push(material);
         }

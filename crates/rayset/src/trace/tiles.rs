@@ -1,5 +1,6 @@
 //! The tiles of a picture, and the order in which threads take them.
 
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -66,13 +67,14 @@ pub(super) struct Attempt<'a> {
 pub(super) struct Agenda<'a> {
     world: &'a World,
     tiles: &'a Tiles,
+    asked_bytes: &'a Cell<u64>,
     /// Each with the page it lacked, the longest waiting first.
     put_off: VecDeque<(Attempt<'a>, Lacking)>,
 }
 
 impl<'a> Agenda<'a> {
-    pub(super) fn new(world: &'a World, tiles: &'a Tiles) -> Self {
-        Self { world, tiles, put_off: VecDeque::new() }
+    pub(super) fn new(world: &'a World, tiles: &'a Tiles, asked_bytes: &'a Cell<u64>) -> Self {
+        Self { world, tiles, asked_bytes, put_off: VecDeque::new() }
     }
 
     /// A tile whose page has come, else a fresh one, else the one put off first, which then waits. A fresh tile waits too
@@ -102,7 +104,8 @@ impl<'a> Agenda<'a> {
     }
 
     fn access(&self, waits: bool) -> Access<'a> {
-        Access { pages: &self.world.pages, waits, slabs_on_a_miss: self.world.slabs_on_a_miss }
+        let (slabs_on_a_miss, asked_bytes) = (self.world.slabs_on_a_miss, self.asked_bytes);
+        Access { pages: &self.world.pages, waits, slabs_on_a_miss, asked_bytes }
     }
 
     fn is_there(&self, lacking: &Lacking) -> bool {

@@ -23,6 +23,8 @@ pub(super) struct World {
     pub(super) absorption: Absorption,
     /// Nothing where all rays go straight on.
     pub(super) bounces: Option<Bounces>,
+    /// Whether more is asked of pixels than their colour.
+    pub(super) layers: bool,
     pub(super) background: Option<[f32; 3]>,
     /// See [`Predictor::slabs_on_a_miss`](super::predict::Predictor::slabs_on_a_miss).
     pub(super) slabs_on_a_miss: u64,
@@ -36,7 +38,8 @@ impl World {
         exec: &ExecSettings,
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
-        let program = Program::compile(scene, Purpose::Picture, exec.simd, paged)?;
+        let purpose = if settings.layers { Purpose::Layers } else { Purpose::Picture };
+        let program = Program::compile(scene, purpose, exec.simd, paged)?;
         let shader = Shader::new(&scene.lighting, program.color, program.material);
         let shadow_program = match shader.shadow_lights().next() {
             Some(_) => Some(Program::compile(scene, Purpose::Shadow, exec.simd, paged)?),
@@ -69,6 +72,7 @@ impl World {
             shader,
             light_tables,
             absorption,
+            layers: settings.layers,
             background: scene.background,
             slabs_on_a_miss: exec.predictor.slabs_on_a_miss(),
         })

@@ -193,7 +193,7 @@ impl Object {
         self.source.kind(page)
     }
 
-    fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         self.source.page_bytes() as u64
     }
 

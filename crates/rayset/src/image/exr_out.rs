@@ -1,0 +1,182 @@
+//! OpenEXR with layers, written band by band so that no whole picture need exist.
+//!
+//! One part of 32-bit channels in scan lines, compressed by ZIP in blocks of 16 rows; layers are told by the names of
+//! their channels, as is the custom ("Technical Introduction to OpenEXR", section on layers).
+
+use std::io::{Seek, Write};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use exr::block::writer::ChunksWriter;
+use exr::block::{BlockIndex, UncompressedBlock};
+use exr::compression::Compression;
+use exr::math::Vec2;
+use exr::meta::BlockDescription;
+use exr::meta::attribute::{ChannelDescription, IntegerBounds, LineOrder, SampleType};
+use exr::meta::header::{Header, ImageAttributes};
+
+use super::{Band, LayerPixel};
+
+/// Why a picture could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExrError {
+    /// The encoder or the system refused.
+    #[error("{0}")]
+    Encode(String),
+    /// A band without layers came, or bands in another order.
+    #[error("bands have to come from the top, with their layers")]
+    Band,
+}
+
+/// Rows of a block of ZIP.
+const BLOCK_ROWS: usize = 16;
+
+/// What a channel shows of a pixel.
+enum Value {
+    Float(fn(&[f32; 4], &LayerPixel) -> f32),
+    Whole(fn(&[f32; 4], &LayerPixel) -> u32),
+}
+
+/// Every channel: its name, and what it shows.
+const CHANNELS: [(&str, Value); 15] = [
+    ("A", Value::Float(|c, _| c[3])),
+    ("B", Value::Float(|c, _| c[2])),
+    ("G", Value::Float(|c, _| c[1])),
+    ("R", Value::Float(|c, _| c[0])),
+    ("albedo.B", Value::Float(|_, l| l.albedo[2])),
+    ("albedo.G", Value::Float(|_, l| l.albedo[1])),
+    ("albedo.R", Value::Float(|_, l| l.albedo[0])),
+    ("bytes.Y", Value::Float(|_, l| l.bytes)),
+    ("depth.Z", Value::Float(|_, l| l.depth)),
+    ("instanceId.Y", Value::Whole(|_, l| l.instance)),
+    ("normal.X", Value::Float(|_, l| l.normal[0])),
+    ("normal.Y", Value::Float(|_, l| l.normal[1])),
+    ("normal.Z", Value::Float(|_, l| l.normal[2])),
+    ("opacity.Y", Value::Float(|_, l| l.opacity)),
+    ("samples.Y", Value::Whole(|_, l| l.samples)),
+];
+
+/// Writes a picture with all its layers, from bands in order.
+pub struct ExrBands {
+    blocks: Option<SyncSender<UncompressedBlock>>,
+    writer: Option<JoinHandle<Result<(), exr::error::Error>>>,
+    width: usize,
+    height: usize,
+    /// Rows that do not fill a block yet, and the row that they begin with.
+    rows: Vec<(Vec<[f32; 4]>, Vec<LayerPixel>)>,
+    first_row: usize,
+}
+
+impl ExrBands {
+    /// Writes the head of a picture: `width` × `height` pixels whose upper left one is (`left`, `top`) of a picture of
+    /// `whole` pixels.
+    ///
+    /// # Errors
+    /// [`ExrError`] where the system starts no thread.
+    pub fn new<W: Write + Seek + Send + 'static>(
+        output: W,
+        (width, height): (u32, u32),
+        (left, top): (u32, u32),
+        whole: (u32, u32),
+    ) -> Result<Self, ExrError> {
+        let channels = CHANNELS.iter().map(|(name, value)| {
+            let of_type = match value {
+                Value::Float(_) => SampleType::F32,
+                Value::Whole(_) => SampleType::U32,
+            };
+            ChannelDescription::new(*name, of_type, true)
+        });
+        let size = Vec2(width as usize, height as usize);
+        let mut header = Header::new("rayset".into(), size, channels.collect()).with_encoding(
+            Compression::ZIP16,
+            BlockDescription::ScanLines,
+            LineOrder::Increasing,
+        );
+        header.own_attributes.layer_position = Vec2(left as i32, top as i32);
+        let window = IntegerBounds::from_dimensions(Vec2(whole.0 as usize, whole.1 as usize));
+        header.shared_attributes = ImageAttributes::new(window);
+        // The encoder asks for blocks; here they come.
+        let (blocks, incoming): (_, Receiver<UncompressedBlock>) = sync_channel(1);
+        let write = move || {
+            exr::block::write(output, [header].into_iter().collect(), true, |meta, chunks| {
+                for (number, block) in incoming.into_iter().enumerate() {
+                    chunks.write_chunk(number, block.compress_to_chunk(&meta.headers)?)?;
+                }
+                Ok(())
+            })
+        };
+        let writer = std::thread::Builder::new().spawn(write).map_err(|e| ExrError::Encode(e.to_string()))?;
+        let (width, height) = (size.0, size.1);
+        Ok(Self { blocks: Some(blocks), writer: Some(writer), width, height, rows: Vec::new(), first_row: 0 })
+    }
+
+    /// Appends a band.
+    ///
+    /// # Errors
+    /// [`ExrError`] where the system refuses, or the band has no layers.
+    pub fn write(&mut self, band: &Band) -> Result<(), ExrError> {
+        if band.width as usize != self.width || band.layers.len() != band.pixels.len() {
+            return Err(ExrError::Band);
+        }
+        for (pixels, layers) in band.pixels.chunks(self.width).zip(band.layers.chunks(self.width)) {
+            self.rows.push((pixels.to_vec(), layers.to_vec()));
+            let done = self.first_row + self.rows.len();
+            if done > self.height {
+                return Err(ExrError::Band);
+            }
+            if self.rows.len() == BLOCK_ROWS || done == self.height {
+                self.send_block()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn send_block(&mut self) -> Result<(), ExrError> {
+        let rows = std::mem::take(&mut self.rows);
+        let mut data = Vec::with_capacity(rows.len() * self.width * CHANNELS.len() * 4);
+        for (pixels, layers) in &rows {
+            for (_, value) in &CHANNELS {
+                for (pixel, layer) in pixels.iter().zip(layers) {
+                    data.extend_from_slice(&match value {
+                        Value::Float(of) => of(pixel, layer).to_ne_bytes(),
+                        Value::Whole(of) => of(pixel, layer).to_ne_bytes(),
+                    });
+                }
+            }
+        }
+        let index = BlockIndex {
+            layer: 0,
+            pixel_position: Vec2(0, self.first_row),
+            pixel_size: Vec2(self.width, rows.len()),
+            level: Vec2(0, 0),
+        };
+        self.first_row += rows.len();
+        let sent = self.blocks.as_ref().map(|blocks| blocks.send(UncompressedBlock { index, data }));
+        // Whoever wrote has ended: with an error.
+        if sent.is_some_and(|sent| sent.is_ok()) { Ok(()) } else { self.end() }
+    }
+
+    /// Writes what is left.
+    ///
+    /// # Errors
+    /// [`ExrError`] where rows are missing or the system refuses.
+    pub fn finish(mut self) -> Result<(), ExrError> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Result<(), ExrError> {
+        self.blocks = None;
+        let Some(writer) = self.writer.take() else { return Ok(()) };
+        match writer.join() {
+            Ok(outcome) => outcome.map_err(|e| ExrError::Encode(e.to_string())),
+            Err(_) => Err(ExrError::Encode("the encoder gave up".into())),
+        }
+    }
+}
+
+impl Drop for ExrBands {
+    fn drop(&mut self) {
+        let _ = self.end();
+    }
+}

@@ -1,0 +1,97 @@
+//! What is known of pixels besides their colour: gathered from the samples that rays from the eye meet.
+
+use super::block::{Block, LEAF, each_lane};
+use super::composite::Shares;
+use super::shade::Shader;
+use crate::field::{LANES, Packet, Slab};
+use crate::image::LayerPixel;
+
+/// Sums over the samples of a pixel, each weighted by what it adds.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gathered {
+    weight: f32,
+    depth: f64,
+    normal: [f32; 3],
+    albedo: [f32; 3],
+    /// The largest weight of a sample, and the leaf that it is of.
+    largest: (f32, f32),
+    samples: u32,
+    /// Sum over the rays of the pixel, and their number.
+    opacity: (f32, u32),
+}
+
+/// The pixels of a tile.
+pub(super) struct Layers([Gathered; LANES]);
+
+impl Layers {
+    pub(super) fn new() -> Self {
+        Self([Gathered::default(); LANES])
+    }
+
+    /// Forgets the last tile.
+    pub(super) fn begin(&mut self) {
+        self.0.fill(Gathered::default());
+    }
+
+    /// Adds the samples of a slab; `pixels` are those of the lanes.
+    pub(super) fn gather(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        block: &Block,
+        shares: &Shares,
+        shader: &Shader,
+        pixels: impl Fn(usize) -> usize,
+    ) {
+        each_lane(shares.lanes(), |lane| {
+            let pixel = &mut self.0[pixels(lane)];
+            let mut samples = shares.samples[lane];
+            while samples != 0 {
+                let j = samples.trailing_zeros() as usize;
+                samples &= samples - 1;
+                let share = shares.share[lane].0[j];
+                let color = shader.color_at(block, lane, j);
+                pixel.weight += share;
+                pixel.depth += f64::from(share) * packet.sample_t_world(lane, slab.first + j as u64);
+                pixel.samples += 1;
+                for axis in 0..3 {
+                    pixel.normal[axis] += share * block.normal[axis][lane].0[j];
+                    pixel.albedo[axis] += share * color[axis];
+                }
+                if share > pixel.largest.0 {
+                    pixel.largest = (share, block.material[LEAF][lane].0[j]);
+                }
+            }
+        });
+    }
+
+    /// Adds what of the background a ray of a pixel hides.
+    pub(super) fn hide(&mut self, pixel: usize, opacity: f32) {
+        let (sum, rays) = &mut self.0[pixel].opacity;
+        *sum += opacity;
+        *rays += 1;
+    }
+
+    /// The first `count` pixels of a tile, for which pages of `bytes` bytes were asked for.
+    pub(super) fn pixels(&self, count: usize, bytes: u64) -> [LayerPixel; LANES] {
+        self.0.map(|g| {
+            let bytes = bytes as f32 / count as f32;
+            let opacity = g.opacity.0 / g.opacity.1.max(1) as f32;
+            if g.weight <= 0.0 {
+                return LayerPixel { bytes, opacity, ..LayerPixel::default() };
+            }
+            let [x, y, z] = g.normal;
+            let length = (x * x + y * y + z * z).sqrt();
+            let unit = if length > 0.0 { 1.0 / length } else { 0.0 };
+            LayerPixel {
+                opacity,
+                depth: (g.depth / f64::from(g.weight)) as f32,
+                normal: g.normal.map(|v| v * unit),
+                albedo: g.albedo.map(|v| v / g.weight),
+                instance: g.largest.1 as u32,
+                samples: g.samples,
+                bytes,
+            }
+        })
+    }
+}
