@@ -1,9 +1,11 @@
 //! `rayset figure`: the figures of the paper, from scene files under `examples/`.
 
+use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use rayset::geometry::{Aabb, DAffine3, DVec3};
 use rayset::grid::build::build as build_grid;
@@ -12,8 +14,7 @@ use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 use rayset::scene::{NoiseCloud, Pattern, Procedural};
 
-use crate::memory::PROCESS_BYTES;
-use crate::render;
+use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
 use crate::{generate, report, values};
 
 /// A figure: its number, its scene and what it shows.
@@ -78,12 +79,18 @@ pub(crate) struct FigureArgs {
     /// Picture to write; figN.png by default
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Scan to show: points (PLY, LAS, text …), y up; figures 3 and 5 take a mesh in PLY
+    /// Scan to show: points (PLY, LAS, text …); figures 3 and 5 take a mesh in PLY
     #[arg(long)]
     scan: Option<PathBuf>,
+    /// Axis that points up in the scan
+    #[arg(long, value_enum, default_value = "y")]
+    scan_up: Up,
     /// Second scan, of figures 10 and 11
     #[arg(long)]
     other: Option<PathBuf>,
+    /// Axis that points up in the second scan
+    #[arg(long, value_enum, default_value = "y")]
+    other_up: Up,
     /// Volume to show, of figures 1, 2 and 10
     #[arg(long)]
     volume: Option<PathBuf>,
@@ -131,9 +138,9 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path) -> Result<()> {
             return Ok(());
         }
         _ => {
-            preparation.cloud("scan.rset", args.scan.as_deref(), "vase-300k")?;
+            preparation.cloud("scan.rset", args.scan.as_deref(), args.scan_up, "vase-300k")?;
             if matches!(figure.number, 10 | 11) {
-                preparation.cloud("other.rset", args.other.as_deref(), "knot-200k")?;
+                preparation.cloud("other.rset", args.other.as_deref(), args.other_up, "knot-200k")?;
             }
             if matches!(figure.number, 1 | 2 | 10) {
                 preparation.volume()?;
@@ -144,11 +151,17 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path) -> Result<()> {
 }
 
 fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
-    let mut options = render::defaults(scene, output)?.with_memory(args.memory);
+    // In a process of its own, whose memory is what a render takes.
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let mut command = Command::new(program);
+    command.arg("render").arg(scene).arg("--output").arg(output);
+    command.arg("--memory").arg(args.memory.to_string());
     if let Some((width, height)) = args.size {
-        options = options.with_size(width, height);
+        command.arg("--size").arg(format!("{width}x{height}"));
     }
-    render::run(&options)
+    let status = command.status().context("cannot start a render")?;
+    ensure!(status.success(), "no picture was made");
+    Ok(())
 }
 
 /// Data of a figure, in a folder.
@@ -164,7 +177,7 @@ impl Preparation<'_> {
     }
 
     /// A cloud of height 1 that stands on the ground, from a scan or a workload.
-    fn cloud(&self, name: &str, scan: Option<&Path>, workload: &str) -> Result<()> {
+    fn cloud(&self, name: &str, scan: Option<&Path>, up: Up, workload: &str) -> Result<()> {
         let path = self.folder.join(name);
         if path.exists() {
             return Ok(());
@@ -175,7 +188,8 @@ impl Preparation<'_> {
                 None => Ok(workload.parse::<Workload>()?.source()),
             }
         };
-        let standing = standing(&mut *open()?)?;
+        let up = if scan.is_some() { up } else { Up::Y };
+        let standing = standing(&mut *open()?, up)?;
         let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
         build::run(vec![Box::new(moved)], &path, &self.build_options(), &NoProgress)?;
         Ok(())
@@ -188,7 +202,7 @@ impl Preparation<'_> {
             match &self.args.scan {
                 None => drop(generate::write(&format!("vase-{STATUE_POINTS}").parse()?, &ply)?),
                 Some(mesh) => {
-                    let by = standing(&mut MeshSource::open(mesh, 100_000)?)?;
+                    let by = standing(&mut MeshSource::open(mesh, 100_000)?, self.args.scan_up)?;
                     let source = Box::new(MeshSource::open(mesh, STATUE_POINTS)?);
                     generate::write_source(&mut Moved { source, by, selected: Vec::new() }, &ply)?;
                 }
@@ -200,14 +214,16 @@ impl Preparation<'_> {
             keep_color: false,
             ..self.build_options()
         };
+        reset_peak_rss();
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = std::time::Instant::now();
         let built = build::run(vec![source], &self.folder.join("statue.rset"), &options, &NoProgress)?;
         report::say(format_args!(
-            "{} points, {} on disk, {:.1} s",
+            "{} points, {} on disk, {:.1} s, peak memory {}",
             report::count(built.points),
             report::bytes(built.header.file_bytes),
-            started.elapsed().as_secs_f64()
+            started.elapsed().as_secs_f64(),
+            report::bytes(peak_rss().unwrap_or(0))
         ));
         Ok(())
     }
@@ -282,8 +298,19 @@ impl Preparation<'_> {
     }
 }
 
+/// Which axis points up in a scan.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Up {
+    Y,
+    Z,
+}
+
 /// The map that makes points of height 1 stand on the ground about the y axis.
-fn standing(source: &mut dyn PointSource) -> Result<DAffine3> {
+fn standing(source: &mut dyn PointSource, up: Up) -> Result<DAffine3> {
+    let turn = match up {
+        Up::Y => DAffine3::IDENTITY,
+        Up::Z => DAffine3::from_rotation_x(-FRAC_PI_2),
+    };
     let (mut bounds, mut batch) = (Aabb::EMPTY, PointBatch::default());
     source.select(&[]);
     loop {
@@ -291,14 +318,14 @@ fn standing(source: &mut dyn PointSource) -> Result<DAffine3> {
         if batch.is_empty() {
             break;
         }
-        batch.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
+        batch.position.iter().for_each(|p| bounds.include(turn.transform_point3(DVec3::from_array(*p))));
     }
     let size = bounds.size();
     // What is wider than high is made 1 wide.
     let scale = 1.0 / size.max_element().max(f64::MIN_POSITIVE);
     let center = bounds.center();
     let foot = DVec3::new(center.x, bounds.min.y, center.z);
-    Ok(DAffine3::from_scale(DVec3::splat(scale)) * DAffine3::from_translation(-foot))
+    Ok(DAffine3::from_scale(DVec3::splat(scale)) * DAffine3::from_translation(-foot) * turn)
 }
 
 /// Points that are moved as they pass; radii with them.

@@ -94,3 +94,35 @@ mod tests {
         assert!(dimensions("640").is_err() && vector("1,2").is_err() && color("#12345").is_err());
     }
 }
+
+/// Frames of a sequence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Frames {
+    /// Every one of the scene.
+    All,
+    /// From one to another, both included.
+    Part(u32, u32),
+}
+
+impl Frames {
+    pub(crate) fn of(self, path: &rayset::scene::CameraPath) -> std::ops::RangeInclusive<u32> {
+        let (first, last) = match self {
+            Self::All => path.ends(),
+            Self::Part(first, last) => (first, last),
+        };
+        first..=last
+    }
+}
+
+/// `all`, `7` or `0..23`.
+pub(crate) fn frames(text: &str) -> Result<Frames, String> {
+    let wrong = || format!("{text}: expected all, a frame like 7, or FIRST..LAST like 0..23");
+    if text == "all" {
+        return Ok(Frames::All);
+    }
+    let (first, last) = text.split_once("..").unwrap_or((text, text));
+    match (first.parse(), last.parse()) {
+        (Ok(first), Ok(last)) if first <= last => Ok(Frames::Part(first, last)),
+        _ => Err(wrong()),
+    }
+}

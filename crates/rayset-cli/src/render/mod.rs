@@ -23,6 +23,7 @@ use self::shot::Shot;
 use self::sink::{Format, PictureSink};
 use self::work::{Work, WorkArgs};
 use crate::report::{bytes, remark};
+use crate::values::{self, Frames};
 
 /// Render a scene or a cloud to a PNG picture.
 ///
@@ -39,6 +40,9 @@ pub(crate) struct RenderArgs {
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
     #[arg(long)]
     turntable: Option<u32>,
+    /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
+    #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
+    frames: Option<Frames>,
     #[command(flatten)]
     picture: PictureArgs,
     #[command(flatten)]
@@ -56,12 +60,18 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let mut shot = Shot::new(args)?;
     shot.settings.layers = Format::of(&args.output)? == Format::Exr;
     let (work, plan) = Work::prepare(&args.work, &shot.scene, shot.settings)?;
-    match args.turntable {
-        None => picture(args, &shot, &shot.camera, &args.output, &work, &plan),
-        Some(frames) => (0..frames).try_for_each(|frame| {
-            let camera = shot.turned(f64::from(frame) / f64::from(frames));
-            picture(args, &shot, &camera, &numbered(&args.output, frame), &work, &plan)
-        }),
+    let numbered_picture =
+        |frame, camera| picture(args, &shot, &camera, &numbered(&args.output, frame), &work, &plan);
+    match (args.turntable, args.frames) {
+        (Some(turns), _) => (0..turns)
+            .try_for_each(|frame| numbered_picture(frame, shot.turned(f64::from(frame) / f64::from(turns)))),
+        (None, Some(frames)) => {
+            let path = shot.path.as_ref().with_context(|| {
+                format!("{} has no \"animation\"; --frames has nothing to follow", args.input.display())
+            })?;
+            frames.of(path).try_for_each(|frame| numbered_picture(frame, path.camera(frame)))
+        }
+        (None, None) => picture(args, &shot, &shot.camera, &args.output, &work, &plan),
     }
 }
 

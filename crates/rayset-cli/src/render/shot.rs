@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::image::Development;
 use rayset::octree::Cloud;
-use rayset::scene::{Camera, RenderSettings, Scene};
+use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
 
 use super::RenderArgs;
@@ -17,6 +17,7 @@ use super::camera::warn_of_small_radii;
 pub(super) struct Shot {
     pub(super) scene: Scene,
     pub(super) camera: Camera,
+    pub(super) path: Option<CameraPath>,
     pub(super) settings: RenderSettings,
     pub(super) development: Development,
 }
@@ -33,9 +34,9 @@ impl Shot {
         if args.camera.is_given() {
             bail!("the camera stands in {}; change it there", args.input.display());
         }
-        let SceneFile { scene, camera, mut settings, mut development } = SceneFile::load(&args.input)?;
+        let SceneFile { scene, camera, path, mut settings, mut development } = SceneFile::load(&args.input)?;
         args.picture.apply(&mut settings, &mut development);
-        Ok(Self { scene, camera, settings, development })
+        Ok(Self { scene, camera, path, settings, development })
     }
 
     fn of_cloud(args: &RenderArgs) -> Result<Self> {
@@ -44,7 +45,7 @@ impl Shot {
         args.picture.apply(&mut settings, &mut development);
         let camera = args.camera.camera(cloud.header(), settings)?;
         warn_of_small_radii(cloud.header(), &camera, settings);
-        Ok(Self { scene: args.look.scene(&cloud)?, camera, settings, development })
+        Ok(Self { scene: args.look.scene(&cloud)?, path: None, camera, settings, development })
     }
 
     /// The camera, turned about the middle of the scene.

@@ -20,7 +20,7 @@ fn golden(name: &str) -> PathBuf {
 }
 
 /// The text of a golden file, which is written first where that is asked for.
-fn expected(name: &str, found: &str) -> String {
+pub(crate) fn expected(name: &str, found: &str) -> String {
     if std::env::var_os("RAYSET_BLESS").is_some() {
         std::fs::write(golden(name), found).expect("the golden file is written");
     }

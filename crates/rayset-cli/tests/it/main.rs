@@ -21,3 +21,4 @@ mod readers;
 mod right_picture;
 mod same_picture;
 mod working_set;
+mod wrong_scenes;

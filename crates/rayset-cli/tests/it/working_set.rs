@@ -54,6 +54,18 @@ impl Storage for Numbers {
 
 struct Source(Arc<Numbers>);
 
+#[test]
+fn a_working_set_that_goes_takes_its_pages_with_it() {
+    let numbers = Arc::new(Numbers::new(40));
+    let pages = WorkingSet::new(Limits::total(64 * PAGE as u64), Arc::new(Pool::new(2)));
+    let object = pages.add(Arc::new(Source(numbers.clone())));
+    for page in 0..40 {
+        drop(pages.retain(&object, page, 100).expect("a page"));
+    }
+    drop((pages, object));
+    assert_eq!(Arc::strong_count(&numbers), 1, "something still holds the pages' source, and so the pages");
+}
+
 impl PageSource for Source {
     fn pages(&self) -> u32 {
         self.0.pages

@@ -9,6 +9,7 @@ mod graph;
 mod light;
 mod material;
 mod noise;
+mod path;
 mod procedural;
 mod solid;
 mod transfer;
@@ -24,6 +25,7 @@ pub use graph::{
 pub use light::{Light, LightKind, Lighting};
 pub use material::Material;
 pub use noise::NoiseCloud;
+pub use path::{CameraPath, PathError};
 pub use procedural::{Pattern, Procedural, ProceduralSample};
 pub use solid::{Form, Solid};
 pub use transfer::{

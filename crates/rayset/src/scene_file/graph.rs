@@ -1,16 +1,18 @@
 //! The graph of a scene file.
 
 use std::collections::HashMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::SceneFileError;
 use super::preset::Preset;
-use super::reader::{Cursor, Object};
+use super::reader::{Cursor, Object, nearest};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
-use crate::grid::Grid;
-use crate::octree::Cloud;
+use crate::grid::{self, Grid};
+use crate::octree::{self, Cloud};
 use crate::scene::{
     Channel, CloudObject, ColorMap, ColorRule, Form, GridObject, MapInput, Material, Node, NoiseCloud,
     OpacityRule, Operator, Palette, Pattern, Procedural, Shape, Solid, Transfer,
@@ -112,10 +114,10 @@ impl<'a> GraphReader<'a> {
         let Some(at) = self.named.get(name).cloned() else {
             let mut names: Vec<&str> = self.named.keys().copied().collect();
             names.sort_unstable();
-            let known = if names.is_empty() {
-                "no node has a name".into()
-            } else {
-                format!("there are {}", names.join(", "))
+            let known = match (nearest(name, &names), names.as_slice()) {
+                (_, []) => "no node has a name; \"id\" gives one".into(),
+                (Some(nearest), _) => format!("did you mean \"{nearest}\"?"),
+                (None, names) => format!("the names are {}", names.join(", ")),
             };
             return Err(from.error(format!("no node is named \"{name}\"; {known}")));
         };
@@ -223,7 +225,8 @@ impl<'a> GraphReader<'a> {
         if let Some(grid) = self.grids.get(&key) {
             return Ok(grid.clone());
         }
-        let grid = Arc::new(Grid::open(&path).map_err(|e| at.error(e.to_string()))?);
+        let grid =
+            Arc::new(Grid::open(&path).map_err(|e| unopened(at, &path, grid::format::MAGIC, e.to_string()))?);
         self.grids.insert(key, grid.clone());
         Ok(grid)
     }
@@ -236,7 +239,9 @@ impl<'a> GraphReader<'a> {
         if let Some(cloud) = self.clouds.get(&key) {
             return Ok(cloud.clone());
         }
-        let cloud = Arc::new(Cloud::open(&path).map_err(|e| at.error(e.to_string()))?);
+        let cloud = Arc::new(
+            Cloud::open(&path).map_err(|e| unopened(at, &path, octree::format::MAGIC, e.to_string()))?,
+        );
         self.clouds.insert(key, cloud.clone());
         Ok(cloud)
     }
@@ -269,6 +274,19 @@ fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), Sce
         };
     }
     Ok(())
+}
+
+/// Why a data file does not open, and what would: it may hold something else, or be a file to build from.
+fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
+    let mut head = [0_u8; 8];
+    let is_read = File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
+    let name = path.display();
+    at.error(match head {
+        _ if is_read && head == wanted => what,
+        octree::format::MAGIC => format!("{name} holds points; its \"type\" is \"cloud\""),
+        grid::format::MAGIC => format!("{name} holds voxels; its \"type\" is \"grid\""),
+        _ => format!("{what}; `rayset build {name} -o FILE.rset` makes one of points or voxels"),
+    })
 }
 
 /// A path that a scene file names.

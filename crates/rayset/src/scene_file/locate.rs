@@ -14,10 +14,18 @@ pub(super) struct Place {
     pub(super) column: usize,
 }
 
-/// Finds the value at the end of a path in a text that is known to be JSON; for a key that stands there, the key.
-pub(super) fn locate(text: &str, path: &[Step]) -> Place {
-    let mut scanner = Scanner { bytes: text.as_bytes(), at: 0 };
+/// What of a member of an object is meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    Key,
+    Value,
+}
+
+/// Finds the value at the end of a path in a text that is known to be JSON, or its key.
+pub(super) fn locate(text: &str, path: &[Step], part: Part) -> Place {
+    let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     for step in path {
+        scanner.key_at = None;
         let before = scanner.at;
         if !scanner.enter(step) {
             scanner.at = before;
@@ -25,12 +33,12 @@ pub(super) fn locate(text: &str, path: &[Step]) -> Place {
         }
     }
     scanner.skip_space();
-    place_of(text, scanner.at)
+    place_of(text, scanner.key_at.filter(|_| part == Part::Key).unwrap_or(scanner.at))
 }
 
 /// The first key that stands twice in one object, if there is one, and its place.
 pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
-    let mut scanner = Scanner { bytes: text.as_bytes(), at: 0 };
+    let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     let mut open: Vec<Vec<String>> = Vec::new();
     loop {
         scanner.skip_space();
@@ -68,6 +76,8 @@ fn place_of(text: &str, at: usize) -> Place {
 struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
+    /// Where the key of the value last entered stands.
+    key_at: Option<usize>,
 }
 
 impl Scanner<'_> {
@@ -137,7 +147,9 @@ impl Scanner<'_> {
                     if self.bytes.get(self.at) != Some(&b'"') {
                         return false;
                     }
+                    let key_at = self.at;
                     if self.string() == *key {
+                        self.key_at = Some(key_at);
                         return true;
                     }
                     self.skip_value();
@@ -157,13 +169,14 @@ mod tests {
         let text = "{\n  \"a\": [1, {\"b\": \"x]\\\"\", \"c\": 2}],\n  \"d\": true\n}";
         let key = |k: &str| Step::Key(k.into());
         let at = |path: &[Step]| {
-            let Place { line, column } = locate(text, path);
+            let Place { line, column } = locate(text, path, Part::Value);
             (line, column)
         };
         assert_eq!(at(&[]), (1, 1));
         assert_eq!(at(&[key("a"), Step::Index(0)]), (2, 9));
         assert_eq!(at(&[key("a"), Step::Index(1), key("c")]), (2, 31));
         assert_eq!(at(&[key("d")]), (3, 8));
+        assert_eq!(locate(text, &[key("d")], Part::Key), Place { line: 3, column: 3 });
         assert_eq!(repeated_key("{\"a\": {\"b\": 1}, \"b\": [\"a\", \"a\"]}"), None);
         let (key, place) = repeated_key("{\"a\": 1,\n \"a\": 2}").expect("it stands twice");
         assert_eq!((key.as_str(), place), ("a", Place { line: 2, column: 2 }));

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use self::graph::GraphReader;
 use self::reader::{Cursor, Document, Object};
 use crate::image::Development;
-use crate::scene::{Camera, Light, LightKind, Lighting, RenderSettings, Scene, SceneError};
+use crate::scene::{Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError};
 
 /// Version of the form that this code reads.
 pub const VERSION: u32 = 1;
@@ -27,6 +27,8 @@ pub struct SceneFile {
     pub scene: Scene,
     /// Where from; the whole scene, slightly from above, where the file does not say.
     pub camera: Camera,
+    /// Where from in a sequence of pictures, if the file says.
+    pub path: Option<CameraPath>,
     /// Size of the picture and everything else that decides pixels.
     pub settings: RenderSettings,
     /// From light to the picture's numbers.
@@ -85,8 +87,18 @@ impl SceneFile {
         let document = Document { file: path, text };
         let value = document.parse()?;
         let whole = Cursor::root(&document, &value);
-        let known =
-            ["$schema", "rayset", "image", "camera", "background", "lights", "rendering", "define", "root"];
+        let known = [
+            "$schema",
+            "rayset",
+            "image",
+            "camera",
+            "background",
+            "lights",
+            "rendering",
+            "animation",
+            "define",
+            "root",
+        ];
         let file = whole.object(&known)?;
         check_version(&file)?;
         let root_at = file.require("root")?;
@@ -108,7 +120,8 @@ impl SceneFile {
             _ => root_at.error(e.to_string()),
         })?;
         let camera = view::camera(&file, &bounds, &settings)?;
-        Ok(Self { scene, camera, settings, development })
+        let path = view::path(&file, &bounds, &settings)?;
+        Ok(Self { scene, camera, path, settings, development })
     }
 }
 

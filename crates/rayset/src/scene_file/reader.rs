@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::SceneFileError;
-use super::locate::{Step, locate, repeated_key};
+use super::locate::{Part, Step, locate, repeated_key};
 use crate::field::linear_from_srgb;
 use crate::geometry::DVec3;
 
@@ -22,7 +22,8 @@ impl Document<'_> {
         let value = serde_json::from_str(self.text).map_err(|e| {
             // The parser says the place at the end, which the error says by itself.
             let what = e.to_string();
-            let what = what.split(" at line ").next().unwrap_or_default().to_owned();
+            let what = what.split(" at line ").next().unwrap_or_default();
+            let what = what.replace("EOF while parsing", "the text ends in the middle of");
             self.error_at(
                 e.line().max(1),
                 e.column().max(1),
@@ -64,7 +65,11 @@ impl<'a> Cursor<'a> {
 
     /// What is wrong with this value.
     pub(super) fn error(&self, what: impl Into<String>) -> SceneFileError {
-        let place = locate(self.document.text, &self.path);
+        self.error_of(Part::Value, what)
+    }
+
+    fn error_of(&self, part: Part, what: impl Into<String>) -> SceneFileError {
+        let place = locate(self.document.text, &self.path, part);
         self.document.error_at(place.line, place.column, self.name(), what.into())
     }
 
@@ -110,7 +115,8 @@ impl<'a> Cursor<'a> {
                     || format!("expected one of {}", known.join(", ")),
                     |nearest| format!("did you mean \"{nearest}\"?"),
                 );
-                return Err(self.inner(value, Step::Key(key.clone())).error(format!("unknown key; {hint}")));
+                let unknown = self.inner(value, Step::Key(key.clone()));
+                return Err(unknown.error_of(Part::Key, format!("unknown key; {hint}")));
             }
         }
         Ok(object)
@@ -258,7 +264,7 @@ impl<'a> Object<'a> {
 }
 
 /// The word that is most like another, where one is like it at all.
-fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
+pub(super) fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
     let close = known.iter().map(|k| (edits(&word.to_lowercase(), &k.to_lowercase()), *k)).min()?;
     (close.0 <= 1 + word.len() / 3).then_some(close.1)
 }

@@ -4,7 +4,7 @@ use super::SceneFileError;
 use super::reader::{Cursor, Object};
 use crate::geometry::{Aabb, DVec3};
 use crate::image::{Development, ToneMapping};
-use crate::scene::{Camera, Phase, Projection, RenderSettings, Sampling, Shadows, Step};
+use crate::scene::{Camera, CameraPath, Phase, Projection, RenderSettings, Sampling, Shadows, Step};
 
 /// Size of a picture where the file does not say.
 const SIZE: u32 = 512;
@@ -75,6 +75,29 @@ pub(super) fn unit_distance(file: &Object<'_>, bounds: &Aabb) -> Result<f64, Sce
     Ok(if !bounds.is_empty() && diagonal.is_finite() && diagonal > 0.0 { diagonal / 100.0 } else { 1.0 })
 }
 
+/// The cameras of a sequence.
+pub(super) fn path(
+    file: &Object<'_>,
+    bounds: &Aabb,
+    settings: &RenderSettings,
+) -> Result<Option<CameraPath>, SceneFileError> {
+    let Some(at) = file.get("animation") else { return Ok(None) };
+    let keys_at = at.object(&["keys"])?.require("keys")?;
+    let mut keys: Vec<(u32, Camera)> = Vec::new();
+    for key in keys_at.list()? {
+        let object = key.object(&["frame", "camera"])?;
+        let frame_at = object.require("frame")?;
+        let frame = frame_at.whole(0, 999_999)?;
+        if keys.last().is_some_and(|last| last.0 >= frame) {
+            return Err(frame_at.error("expected frames in ascending order"));
+        }
+        object.require("camera")?;
+        keys.push((frame, camera(&object, bounds, settings)?));
+    }
+    CameraPath::new(keys).map(Some).map_err(|e| keys_at.error(e.to_string()))
+}
+
+/// The camera that an object has.
 pub(super) fn camera(
     file: &Object<'_>,
     bounds: &Aabb,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::block::{Block, Wants};
-use super::shadow::LightTable;
+use super::shadow::{BLOCK_BYTES, LightTable};
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
 use crate::image::LayerPixel;
@@ -174,8 +174,10 @@ pub fn plan(
     let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
+    // What the allocator adds to each counts most where they are small.
+    let unit = if needs.shadow_blocks > 0 { page.min(BLOCK_BYTES as u64) } else { page };
     let page_bytes =
-        (budget_bytes - fixed - picture) / (page + OVERHEAD_BYTES + page / ALLOCATOR_PART) * page;
+        (budget_bytes - fixed - picture) / (unit + OVERHEAD_BYTES + unit / ALLOCATOR_PART) * unit;
     let file_bytes: u64 = needs.files().map(|(pages, bytes)| pages * bytes).sum();
     Ok(MemoryPlan {
         largest_page_bytes: page,

@@ -75,6 +75,16 @@ pub(super) struct Ledger {
     waiting: AtomicUsize,
 }
 
+impl Drop for Ledger {
+    /// Pages know their objects and objects their pages: someone has to let go.
+    fn drop(&mut self) {
+        let books = self.books.get_mut().unwrap_or_else(PoisonError::into_inner);
+        for resident in books.residents.drain(..) {
+            *resident.object.slot(resident.page) = Slot::Absent;
+        }
+    }
+}
+
 /// A page that went.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Evicted {

@@ -20,7 +20,7 @@ use crate::working_set::read::Storage;
 use crate::working_set::{Kind, Object, PageGuard, PageSource, WorkingSet};
 
 /// Bytes of a block.
-const BLOCK_BYTES: usize = 16 << 10;
+pub(in crate::trace) const BLOCK_BYTES: usize = 16 << 10;
 const CORNERS: u32 = BLOCK_CELLS + 1;
 /// Priority of blocks: as of the pages that samples wait for.
 const BLOCK_PRIORITY: u8 = POINT_PRIORITY;

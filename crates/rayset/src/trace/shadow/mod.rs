@@ -14,8 +14,8 @@ use super::world::World;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::geometry::DVec3;
 
-pub(super) use self::cached::LightTable;
 use self::cached::ShadowTables;
+pub(super) use self::cached::{BLOCK_BYTES, LightTable};
 use self::exact::ShadowRays;
 
 /// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
