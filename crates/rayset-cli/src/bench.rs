@@ -7,8 +7,10 @@ use anyhow::{Context, Result};
 use clap::Args;
 use rayset::field::{BARE_SAMPLES, SimdLevel, bare_loop};
 use rayset::points::Workload;
+use rayset::trace::ExecSettings;
 
 use crate::bench_cloud::{Case, Measured, Prepared};
+use crate::bench_features::{self, Cost};
 use crate::{report, values};
 
 /// Build and render the standard workloads, and say how long it took.
@@ -32,6 +34,9 @@ pub(crate) struct BenchArgs {
     /// Also out of core: a tenth of the pages, past the page cache, as the disk is and with 2 ms added to every read
     #[arg(long)]
     out_of_core: bool,
+    /// What each feature of a scene costs instead: light, shadows, mirrors, operators; over knot-200k by default
+    #[arg(long, conflicts_with_all = ["translucent", "memory", "out_of_core"])]
+    features: bool,
     /// Renders of each case
     #[arg(long, default_value_t = 5)]
     repeat: usize,
@@ -55,10 +60,14 @@ struct Report {
     /// Evaluations a second of the loop alone, one thread.
     bare_evaluations_per_second: f64,
     results: Vec<Measured>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    features: Vec<Cost>,
 }
 
 pub(crate) fn run(args: &BenchArgs) -> Result<()> {
-    let workloads = if args.workloads.is_empty() {
+    let workloads = if args.workloads.is_empty() && args.features {
+        vec!["knot-200k".parse()?]
+    } else if args.workloads.is_empty() {
         Workload::STANDARD.iter().map(|name| name.parse()).collect::<Result<_, _>>()?
     } else {
         args.workloads.clone()
@@ -77,9 +86,19 @@ pub(crate) fn run(args: &BenchArgs) -> Result<()> {
 
 fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -> Result<Report> {
     let bare = bare_evaluations_per_second(args.simd);
-    let mut results = Vec::new();
+    let (mut results, mut features) = (Vec::new(), Vec::new());
     for workload in workloads {
         let prepared = Prepared::new(workload, folder, args.threads)?;
+        if args.features {
+            let exec = ExecSettings { threads: args.threads, simd: args.simd, ..ExecSettings::default() };
+            features.extend(bench_features::measure(
+                &prepared.cloud,
+                &prepared.camera(),
+                &exec,
+                args.repeat,
+            )?);
+            continue;
+        }
         let mut cases = vec![Case::in_core(args.memory)];
         if args.out_of_core {
             cases.extend(Case::out_of_core());
@@ -100,6 +119,7 @@ fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -
         threads: args.threads,
         bare_evaluations_per_second: bare,
         results,
+        features,
     })
 }
 
@@ -144,6 +164,10 @@ fn describe(report: &Report) -> Result<()> {
         report.bare_evaluations_per_second / 1e9
     ));
     report::say("");
+    if !report.features.is_empty() {
+        bench_features::describe(&report.features);
+        return Ok(());
+    }
     report::say(
         "| workload | case | build s | render s | of in-core | G evaluations/s | of bare loop | stalls s | reads a page | peak MB |",
     );

@@ -86,7 +86,7 @@ pub(crate) struct Measured {
 /// A workload with its cloud on disk.
 pub(crate) struct Prepared {
     workload: Workload,
-    cloud: Arc<Cloud>,
+    pub(crate) cloud: Arc<Cloud>,
     build_seconds: f64,
     path: PathBuf,
 }
@@ -199,7 +199,7 @@ impl Prepared {
         Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) }
     }
 
-    fn camera(&self) -> Camera {
+    pub(crate) fn camera(&self) -> Camera {
         let view = self.workload.view();
         Camera::look_at(view.position, view.look_at, view.up, view.fovy_degrees.to_radians())
     }
@@ -245,7 +245,7 @@ struct Run {
     peak: Option<u64>,
 }
 
-fn median(values: &[f64]) -> f64 {
+pub(crate) fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)

@@ -2,6 +2,7 @@
 
 mod bench;
 mod bench_cloud;
+mod bench_features;
 mod build;
 mod check;
 mod demo;

@@ -1,5 +1,6 @@
 //! What rendering cost, in numbers: the same names in every report.
 
+use rayset::field::SplatCounts;
 use rayset::trace::RenderCounts;
 use rayset::working_set::{Kind, Statistics};
 
@@ -12,9 +13,29 @@ pub(crate) struct WorkStatistics {
     nonzero_samples: u64,
     packets: u64,
     shadow_rays: u64,
+    bounced_rays: u64,
+    /// Pairs of rays and points, by kind of ray: those tested and not added are wasted.
+    primary_pairs: Pairs,
+    shadow_pairs: Pairs,
+    bounced_pairs: Pairs,
     tiles_put_off: u64,
     slabs: u64,
     runs_decoded: u64,
+}
+
+/// Work on pairs of one kind of ray.
+#[derive(serde::Serialize, Clone)]
+struct Pairs {
+    tested: u64,
+    added: u64,
+    kernel_evaluations: u64,
+}
+
+impl From<SplatCounts> for Pairs {
+    fn from(counts: SplatCounts) -> Self {
+        let SplatCounts { pairs_tested: tested, pairs_added: added, kernel_evaluations } = counts;
+        Self { tested, added, kernel_evaluations }
+    }
 }
 
 impl From<RenderCounts> for WorkStatistics {
@@ -26,6 +47,10 @@ impl From<RenderCounts> for WorkStatistics {
             nonzero_samples: counts.nonzero_samples,
             packets: counts.packets,
             shadow_rays: counts.shadow_rays,
+            bounced_rays: counts.bounced_rays,
+            primary_pairs: (counts.splats - counts.shadow_splats - counts.bounced_splats).into(),
+            shadow_pairs: counts.shadow_splats.into(),
+            bounced_pairs: counts.bounced_splats.into(),
             tiles_put_off: counts.put_off,
             slabs: counts.slabs,
             runs_decoded: counts.runs,

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 8] = ["geometry", "points", "octree", "working_set", "field", "scene", "image", "trace"];
+const ORDER: [&str; 10] =
+    ["geometry", "points", "octree", "grid", "working_set", "field", "scene", "image", "trace", "scene_file"];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("the folder of the library") {
@@ -38,7 +39,11 @@ fn library() -> Vec<(PathBuf, String, String)> {
 #[test]
 fn modules_know_only_those_before_them() {
     for (path, module, code) in library() {
-        let Some(own) = ORDER.iter().position(|m| *m == module) else { continue };
+        if module == "lib" {
+            continue;
+        }
+        let own = ORDER.iter().position(|m| *m == module);
+        let own = own.unwrap_or_else(|| panic!("`{module}` has no place in the order of modules"));
         for other in ORDER.iter().skip(own + 1) {
             let known = format!("crate::{other}::");
             assert!(!code.contains(&known), "{} knows `{other}`, which comes after it", path.display());

@@ -172,6 +172,13 @@ impl Packet {
         beam
     }
 
+    /// The least and the greatest distance between samples of some rays, in the packet's space.
+    #[must_use]
+    pub fn step_range(&self, lanes: u64) -> (f64, f64) {
+        let steps = (0..LANES).filter(|lane| lanes >> lane & 1 == 1).map(|lane| self.step[lane]);
+        steps.fold((f64::INFINITY, 0.0), |(least, most), step| (least.min(step), most.max(step)))
+    }
+
     /// The numbers of the samples that may lie in a box on any ray of a beam of this packet's: an inclusive range, never
     /// too small, or nothing where no ray meets the box.
     #[must_use]

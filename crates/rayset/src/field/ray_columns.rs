@@ -28,6 +28,8 @@ pub struct Crossing {
     pub through: u64,
     /// Distance at which each ray comes within the margin, if it does.
     pub enter_near: [f32; LANES],
+    /// Distance at which each ray that comes within the margin leaves it.
+    pub exit_near: [f32; LANES],
     /// Distance at which each ray that passes through the box leaves it.
     pub exit: [f32; LANES],
     /// And how long it is in it.
@@ -81,6 +83,7 @@ impl RayColumns {
             near: 0,
             through: 0,
             enter_near: [0.0; LANES],
+            exit_near: [0.0; LANES],
             exit: [0.0; LANES],
             length: [0.0; LANES],
         };
@@ -100,6 +103,7 @@ impl RayColumns {
             crossing.near |= enter_near.simd_le(exit_near).to_bitmask() << (16 * chunk);
             crossing.through |= enter.simd_le(exit).to_bitmask() << (16 * chunk);
             enter_near.store_slice(&mut crossing.enter_near[range.clone()]);
+            exit_near.store_slice(&mut crossing.exit_near[range.clone()]);
             exit.store_slice(&mut crossing.exit[range.clone()]);
             (exit - enter).store_slice(&mut crossing.length[range]);
         }

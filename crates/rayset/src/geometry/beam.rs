@@ -29,6 +29,12 @@ impl Beam {
         self.direction_max = self.direction_max.max(ray.direction);
     }
 
+    /// How much the directions of its rays differ along an axis, at most.
+    #[must_use]
+    pub fn spread(&self) -> f64 {
+        (self.direction_max - self.direction_min).max_element()
+    }
+
     /// The distances t ≥ 0 between which some ray may be in a box, or nothing where none meets it. Never too short.
     #[must_use]
     pub fn span(&self, bounds: &Aabb) -> Option<(f64, f64)> {

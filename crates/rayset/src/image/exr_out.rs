@@ -138,10 +138,11 @@ impl ExrBands {
         for (pixels, layers) in &rows {
             for (_, value) in &CHANNELS {
                 for (pixel, layer) in pixels.iter().zip(layers) {
-                    data.extend_from_slice(&match value {
-                        Value::Float(of) => of(pixel, layer).to_ne_bytes(),
-                        Value::Whole(of) => of(pixel, layer).to_ne_bytes(),
-                    });
+                    // In the machine's own order, as the encoder wants it.
+                    match value {
+                        Value::Float(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
+                        Value::Whole(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
+                    }
                 }
             }
         }

@@ -128,7 +128,7 @@ pub struct Header {
 #[non_exhaustive]
 pub enum HeaderError {
     /// The magic number differs.
-    #[error("byte 0: not a rayset cloud (no `RAYSET` signature)")]
+    #[error("byte 0: not a file of this kind (no `RAYSET` signature of a cloud, or `RAYGRID` of a grid)")]
     Magic,
     /// Another version of the layout.
     #[error("byte 8: format version {found}, this program reads version {VERSION}; build the cloud again")]

@@ -3,6 +3,9 @@
 use super::{Camera, Projection};
 use crate::geometry::DVec3;
 
+/// Widest field of view that a path may swing to, in radians.
+const WIDEST: f64 = 179.0 / 180.0 * std::f64::consts::PI;
+
 /// Cameras at certain frames of a sequence. Between them, place, target, up and angle (or height) run along cubic Hermite
 /// curves whose slopes at a frame are those between its neighbours (Catmull and Rom 1974, for uneven distances).
 #[derive(Clone, Debug, PartialEq)]
@@ -63,7 +66,7 @@ impl CameraPath {
         let projection = match start.1.projection {
             Projection::Perspective { .. } => {
                 let fovy = self.between(from, to, t, length, |c| DVec3::splat(extent(c))).x;
-                Projection::Perspective { fovy: fovy.clamp(1e-5, 3.14) }
+                Projection::Perspective { fovy: fovy.clamp(1e-5, WIDEST) }
             }
             Projection::Orthographic { .. } => {
                 let height = self.between(from, to, t, length, |c| DVec3::splat(extent(c))).x;

@@ -14,6 +14,8 @@ use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
 use crate::octree::page::PointPage;
 
+/// Rays whose directions differ by more than this along some axis are tested one by one.
+const MOST_SPREAD: f64 = 0.25;
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
 const MOST_SINGLE_RUNS: u32 = 512;
 
@@ -70,21 +72,43 @@ pub(super) struct ActiveRuns {
 struct RaySet {
     lanes: u64,
     beam: Beam,
-    /// Each ray by itself, where some are missing: the bound of the others may hold much that none of them meets.
+    /// Each ray by itself, where some are missing or they go to many sides: the bound of all of them may hold much that
+    /// none of them meets.
     each: Option<RayColumns>,
+    /// The least and the greatest step of them.
+    steps: (f64, f64),
 }
 
 impl RaySet {
     fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
-        let each = (lanes != packet.all() && lanes != 0).then(|| RayColumns::new(simd, packet.rays(lanes)));
-        Self { lanes, beam: packet.beam(lanes), each }
+        let beam = packet.beam(lanes);
+        let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
+        let each = (apart && lanes != 0).then(|| RayColumns::new(simd, packet.rays(lanes)));
+        let steps = if each.is_some() { packet.step_range(lanes) } else { (0.0, 0.0) };
+        Self { lanes, beam, each, steps }
     }
 
     /// The samples that may lie in a box, or nothing where none does.
     fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
-        let samples = packet.samples_in(&self.beam, bounds)?;
-        let met = self.each.as_ref().is_none_or(|rays| rays.cross(bounds, 0.0).near != 0);
-        met.then_some(samples)
+        let (first, last) = packet.samples_in(&self.beam, bounds)?;
+        let Some(each) = &self.each else { return Some((first, last)) };
+        let crossing = each.cross(bounds, 0.0);
+        if crossing.near == 0 {
+            return None;
+        }
+        let (mut enter, mut exit) = (f32::INFINITY, 0.0_f32);
+        let mut near = crossing.near;
+        while near != 0 {
+            let lane = near.trailing_zeros() as usize;
+            near &= near - 1;
+            (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
+        }
+        // Samples of slack, as of the beam; single precision is far finer than one of them, where it is used at all.
+        let (least, most) = self.steps;
+        let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
+        let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
+        let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
+        (first <= last).then_some((first, last))
     }
 }
 

@@ -119,6 +119,11 @@ impl<'p> March<'p> {
         outcome
     }
 
+    /// Whether an instruction's bounds may hold samples of a slab.
+    fn is_in(&self, at: usize, slab: Slab) -> bool {
+        self.spans[at].is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
+    }
+
     /// One instruction, with its opacity in a given measure.
     fn run(
         &mut self,
@@ -131,8 +136,7 @@ impl<'p> March<'p> {
         let program = self.program;
         let instruction = &program.instructions[at];
         out.touched = 0;
-        let in_bounds = |(first, last): (u64, u64)| first < asked.slab.end() && last >= asked.slab.first;
-        if !self.spans[at].is_some_and(in_bounds) {
+        if !self.is_in(at, asked.slab) {
             return Ok(());
         }
         if instruction.uses > 1 {
@@ -211,7 +215,9 @@ impl<'p> March<'p> {
         }
         let mut other = self.block();
         let mut live = *asked.live;
-        for (place, &child) in children.iter().enumerate() {
+        // Beyond the last child that may have anything here, nobody asks what is live.
+        let last = children.iter().rposition(|&child| self.is_in(child, asked.slab)).unwrap_or(0);
+        for (place, &child) in children.iter().enumerate().take(last + 1) {
             let asked = Asked { live: &live, ..asked };
             let into = if place == 0 && operator != Operator::Blend { &mut *out } else { &mut other };
             if let Err(halt) = self.run(child, asked, measure, counts, into) {
@@ -223,7 +229,7 @@ impl<'p> March<'p> {
                     if place > 0 {
                         out.unite(&other, wants);
                     }
-                    if place + 1 < children.len() {
+                    if place < last {
                         live = out.not_opaque(&live, measure);
                     }
                 }
@@ -231,7 +237,9 @@ impl<'p> March<'p> {
                     if place > 0 {
                         out.subtract(&other, wants, self.program.reach as f32);
                     }
-                    live = out.not_empty(&live);
+                    if place < last {
+                        live = out.not_empty(&live);
+                    }
                 }
                 Operator::Blend | Operator::Intersection => out.add(&other, wants, place == 0),
             }

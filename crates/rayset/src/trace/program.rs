@@ -195,11 +195,12 @@ impl Compiler<'_> {
                 let children: Vec<usize> = (children.iter())
                     .map(|child| self.add(child, &world_from_local, material))
                     .collect::<Result<_, _>>()?;
-                let bounds = self.operator_bounds(*operator, &children);
+                let (operator, children) = self.without_the_idle(*operator, children);
+                let bounds = self.operator_bounds(operator, &children);
                 let first = self.instructions[children[0]].color;
-                let colored = if *operator == Operator::Difference { &children[..1] } else { &children[..] };
+                let colored = if operator == Operator::Difference { &children[..1] } else { &children[..] };
                 let same = colored.iter().all(|&c| self.instructions[c].color == first);
-                (Action::Operator(*operator, children), bounds, first.filter(|_| same))
+                (Action::Operator(operator, children), bounds, first.filter(|_| same))
             }
         };
         let transfers: Vec<CompiledTransfer> = node.transfers.iter().map(CompiledTransfer::new).collect();
@@ -216,6 +217,21 @@ impl Compiler<'_> {
         let at = self.instructions.len() - 1;
         self.known.insert(key, at);
         Ok(at)
+    }
+
+    /// What is taken away where nothing is, and farther from it than boundaries light, is left out.
+    fn without_the_idle(&self, operator: Operator, mut children: Vec<usize>) -> (Operator, Vec<usize>) {
+        if operator != Operator::Difference {
+            return (operator, children);
+        }
+        let reached = self.instructions[children[0]].bounds.inflated(self.scene.unit_distance);
+        let mut first = true;
+        children.retain(|&child| {
+            let meets = !self.instructions[child].bounds.intersection(reached).is_empty();
+            std::mem::take(&mut first) || meets
+        });
+        // One thing alone is its own union, which needs no sums.
+        (if children.len() == 1 { Operator::Union } else { operator }, children)
     }
 
     fn operator_bounds(&self, operator: Operator, children: &[usize]) -> Aabb {

@@ -1,0 +1,146 @@
+//! What each feature of a scene costs, against the bare picture of its cloud.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Result;
+use rayset::geometry::{DAffine3, DVec3};
+use rayset::octree::Cloud;
+use rayset::scene::{
+    Camera, CloudObject, Form, Light, LightKind, Lighting, Material, Node, Operator, RenderSettings, Scene,
+    Shadows, Shape, Solid, Step,
+};
+use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+use rayset::working_set::read::{self, BackendKind};
+use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+
+use crate::bench_cloud::median;
+use crate::report;
+
+/// Memory for pages: so much that nothing is ever evicted.
+const PAGES: u64 = 1 << 32;
+
+/// A picture with one feature more than another.
+struct Feature {
+    name: &'static str,
+    scene: Scene,
+    settings: RenderSettings,
+}
+
+/// One line of the table.
+#[derive(serde::Serialize)]
+pub(crate) struct Cost {
+    feature: &'static str,
+    /// Median.
+    seconds: f64,
+    of_bare: f64,
+    kernel_evaluations: u64,
+    shadow_rays: u64,
+    bounced_rays: u64,
+}
+
+/// Renders the cloud with every feature `repeat` times, after one round that does not count, going round the features.
+pub(crate) fn measure(
+    cloud: &Arc<Cloud>,
+    camera: &Camera,
+    exec: &ExecSettings,
+    repeat: usize,
+) -> Result<Vec<Cost>> {
+    let features = features(cloud);
+    let mut seconds = vec![Vec::new(); features.len()];
+    let mut counts = vec![RenderCounts::default(); features.len()];
+    for round in 0..=repeat.max(1) {
+        for (i, feature) in features.iter().enumerate() {
+            // Tables of shadows are made anew in each picture; pages of the cloud are read first.
+            let pages = WorkingSet::new(Limits::total(PAGES), read::backend(BackendKind::Auto)?);
+            let mut paged = PagedFiles::new(pages);
+            paged.open(cloud, false)?;
+            let (bare, mut picture) = (&features[0], WholePicture::default());
+            render(&bare.scene, camera, &bare.settings, exec, &paged, &mut picture)?;
+            let started = Instant::now();
+            let mut picture = WholePicture::default();
+            counts[i] = render(&feature.scene, camera, &feature.settings, exec, &paged, &mut picture)?;
+            if round > 0 {
+                seconds[i].push(started.elapsed().as_secs_f64());
+            }
+        }
+    }
+    let medians: Vec<f64> = seconds.iter().map(|s| median(s)).collect();
+    let costs = features.iter().zip(&medians).zip(&counts).map(|((feature, &seconds), counts)| Cost {
+        feature: feature.name,
+        seconds,
+        of_bare: seconds / medians[0],
+        kernel_evaluations: counts.splats.kernel_evaluations,
+        shadow_rays: counts.shadow_rays,
+        bounced_rays: counts.bounced_rays,
+    });
+    Ok(costs.collect())
+}
+
+pub(crate) fn describe(costs: &[Cost]) {
+    report::say("| feature | render s | of bare | M evaluations | shadow rays | bounced rays |");
+    report::say("| --- | ---: | ---: | ---: | ---: | ---: |");
+    for cost in costs {
+        report::say(format_args!(
+            "| {} | {:.3} | {:.2} | {} | {} | {} |",
+            cost.feature,
+            cost.seconds,
+            cost.of_bare,
+            cost.kernel_evaluations / 1_000_000,
+            report::count(cost.shadow_rays),
+            report::count(cost.bounced_rays)
+        ));
+    }
+}
+
+/// The bare picture first.
+fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
+    let leaf = Node::new(Shape::Cloud(CloudObject::plain(cloud.clone())));
+    let bounds = leaf.bounds();
+    let size = bounds.size().max_element();
+    let unit_distance = cloud.header().radius_mean;
+    let light = |kind, shadow| Light { kind, color: [0.6; 3], shadow };
+    let sun = |x: f64, shadow| light(LightKind::Directional { direction: DVec3::new(x, -1.0, -0.6) }, shadow);
+    let ambient = light(LightKind::Ambient, false);
+    let suns = |count: usize, shadow| -> Vec<Light> {
+        let given = [0.4, -0.5, 0.0].into_iter().take(count).map(|x| sun(x, shadow));
+        std::iter::once(ambient).chain(given).collect()
+    };
+    // The same samples in every picture: automatic steps know the boxes beside the cloud.
+    let plain = RenderSettings { step: Step::Fixed(0.25 * unit_distance), ..RenderSettings::default() };
+    let cached = RenderSettings { shadows: Shadows::Cached { resolution: 512 }, ..plain };
+    let of = |root: Node, lights: Option<Vec<Light>>| Scene {
+        root: Arc::new(root),
+        lighting: lights.map_or(Lighting::Unlit, Lighting::Lit),
+        background: None,
+        unit_distance,
+    };
+    let feature = |name, scene, settings| Feature { name, scene, settings };
+    let lit = |lights| of(leaf.clone(), Some(lights));
+    let far_box = Node::new(Shape::Procedural(Arc::new(Solid::new(Form::Box { size: DVec3::splat(size) }))))
+        .moved(DAffine3::from_translation(bounds.center() + DVec3::new(0.0, 40.0 * size, 0.0)));
+    let hole = Form::Cylinder { radius: 0.15 * size, height: 4.0 * size };
+    let hole = Node::new(Shape::Procedural(Arc::new(Solid::new(hole)))).moved(
+        DAffine3::from_translation(bounds.center()) * DAffine3::from_rotation_x(std::f64::consts::FRAC_PI_2),
+    );
+    let with = |operator, other: &Node| of(Node::operator(operator, [leaf.clone(), other.clone()]), None);
+    let mirror = Material { reflectance: 0.3, ..Material::default() };
+    let glass = Material { refractive_index: 1.3, ..Material::default() };
+    vec![
+        feature("bare: one cloud, no light", of(leaf.clone(), None), plain),
+        feature("ambient light", lit(vec![ambient]), plain),
+        feature("one light", lit(suns(1, false)), plain),
+        feature("two lights", lit(suns(2, false)), plain),
+        feature("three lights", lit(suns(3, false)), plain),
+        feature("one light, cached shadows", lit(suns(1, true)), cached),
+        feature("three lights, cached shadows", lit(suns(3, true)), cached),
+        feature("one light, exact shadows", lit(suns(1, true)), plain),
+        feature("one light, reflectance 0.3", of(leaf.clone().of(mirror), Some(suns(1, false))), plain),
+        feature("one light, refractive index 1.3", of(leaf.clone().of(glass), Some(suns(1, false))), plain),
+        feature("layers", of(leaf.clone(), None), RenderSettings { layers: true, ..plain }),
+        feature("difference with a box out of sight", with(Operator::Difference, &far_box), plain),
+        feature("union with a box out of sight", with(Operator::Union, &far_box), plain),
+        feature("difference with a cylinder", with(Operator::Difference, &hole), plain),
+        feature("intersection with a cylinder", with(Operator::Intersection, &hole), plain),
+    ]
+}
