@@ -20,5 +20,6 @@ mod program;
 mod readers;
 mod right_picture;
 mod same_picture;
+mod schema;
 mod working_set;
 mod wrong_scenes;

@@ -20,7 +20,7 @@ fn with(more: &str) -> String {
 }
 
 /// Mistakes by name.
-fn mistakes() -> Vec<(&'static str, String)> {
+pub(crate) fn mistakes() -> Vec<(&'static str, String)> {
     let ball = r#"{"type": "sphere", "radius": 1}"#;
     let operator = |children: &str| with_root(&format!(r#"{{"type": "union", "children": {children}}}"#));
     let in_ball = |more: &str| with_root(&format!(r#"{{"type": "sphere", "radius": 1, {more}}}"#));
