@@ -19,8 +19,10 @@ const CLOUD_BYTES: u64 = 48 << 10;
 const LOOKAHEAD_BYTES: u64 = 24;
 /// What the trees of reflected and refracted rays under a tile add to that.
 const TREE_BYTES: u64 = 512 << 10;
-/// One part in so many of the pages' memory is lost in between, where pages of several sizes come and go.
+/// One part in so many of the pages' memory is lost in between them.
 const ALLOCATOR_PART: u64 = 32;
+/// And more where pages and blocks of shadows, of other sizes, take each other's place.
+const MIXED_ALLOCATOR_PART: u64 = 14;
 /// Bytes of a pixel while its band is being made.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows that are worked on together.
@@ -175,9 +177,11 @@ pub fn plan(
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
     // What the allocator adds to each counts most where they are small.
-    let unit = if needs.shadow_blocks > 0 { page.min(BLOCK_BYTES as u64) } else { page };
-    let page_bytes =
-        (budget_bytes - fixed - picture) / (unit + OVERHEAD_BYTES + unit / ALLOCATOR_PART) * unit;
+    let block = BLOCK_BYTES as u64;
+    let unit = if needs.shadow_blocks > 0 { page.min(block) } else { page };
+    let mixed = needs.shadow_blocks > 0 && needs.files().any(|(_, bytes)| bytes != block);
+    let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
+    let page_bytes = (budget_bytes - fixed - picture) / (unit + OVERHEAD_BYTES + unit / part) * unit;
     let file_bytes: u64 = needs.files().map(|(pages, bytes)| pages * bytes).sum();
     Ok(MemoryPlan {
         largest_page_bytes: page,
