@@ -103,6 +103,7 @@ fn every_example_fits_the_schema_and_mistakes_of_form_do_not() {
         "a camera that looks at two things",
         "a camera that looks from nowhere",
         "frames out of order",
+        "names nested without end",
     ];
     let (mut refused, mut let_pass) = (0, Vec::<&str>::new());
     for (name, text) in crate::wrong_scenes::mistakes() {

@@ -98,6 +98,11 @@ pub(crate) fn mistakes() -> Vec<(&'static str, String)> {
         ("shadows of an unknown kind", with(r#""rendering": {"shadows": "soft"}"#)),
         ("a depth without end", with(r#""rendering": {"maxDepth": 1000}"#)),
         ("frames out of order", with(r#""animation": {"keys": [{"frame": 5, "camera": {"position": [0, 0, 3]}}, {"frame": 5, "camera": {"position": [0, 0, 4]}}]}"#)),
+        ("names nested without end", {
+            let link = |i: usize| format!("\"n{i}\": {{\"type\": \"union\", \"children\": [{{\"ref\": \"n{}\"}}]}}", i + 1);
+            let links: Vec<String> = (0..5000).map(link).collect();
+            format!("{{\"rayset\": 1, \"define\": {{{}, \"n5000\": {ball}}}, \"root\": {{\"ref\": \"n0\"}}}}", links.join(","))
+        }),
         ("an animation of nothing", with(r#""animation": {"keys": []}"#)),
     ]
 }

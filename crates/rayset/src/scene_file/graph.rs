@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::SceneFileError;
 use super::preset::Preset;
-use super::reader::{Cursor, Object, nearest};
+use super::reader::{Cursor, Object, beside, nearest};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use crate::grid::{self, Grid};
@@ -20,6 +20,9 @@ use crate::scene::{
 
 /// Keys that every node may have.
 const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "material"];
+
+/// Nodes within nodes, names followed: more than a person would write, and few enough for any thread's stack.
+const DEEPEST: usize = 100;
 
 const OPERATORS: [Operator; 4] =
     [Operator::Union, Operator::Intersection, Operator::Difference, Operator::Blend];
@@ -44,6 +47,8 @@ pub(super) struct GraphReader<'a> {
     making: Vec<&'a str>,
     clouds: HashMap<PathBuf, Arc<Cloud>>,
     grids: HashMap<PathBuf, Arc<Grid>>,
+    /// Nodes around the one that is being made.
+    depth: usize,
 }
 
 impl<'a> GraphReader<'a> {
@@ -55,6 +60,7 @@ impl<'a> GraphReader<'a> {
             making: Vec::new(),
             clouds: HashMap::new(),
             grids: HashMap::new(),
+            depth: 0,
         };
         if let Some(define) = file.get("define") {
             for (name, node) in define.any_object()?.entries() {
@@ -92,6 +98,16 @@ impl<'a> GraphReader<'a> {
 
     /// Makes a node.
     pub(super) fn node(&mut self, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
+        if self.depth == DEEPEST {
+            return Err(at.error(format!("nodes are nested more than {DEEPEST} deep")));
+        }
+        self.depth += 1;
+        let node = self.node_inside(at);
+        self.depth -= 1;
+        node
+    }
+
+    fn node_inside(&mut self, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
         let object = at.any_object()?;
         if let Some(reference) = object.get("ref") {
             return self.reference(at, &reference);
@@ -287,11 +303,6 @@ fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> Scen
         grid::format::MAGIC => format!("{name} holds voxels; its \"type\" is \"grid\""),
         _ => format!("{what}; `rayset build {name} -o FILE.rset` makes one of points or voxels"),
     })
-}
-
-/// A path that a scene file names.
-pub(super) fn beside(file: &Path, name: &str) -> PathBuf {
-    file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name))
 }
 
 /// What any node may have besides its shape.

@@ -1,5 +1,7 @@
 //! Where in a text a value of a JSON document stands.
 
+use std::collections::HashSet;
+
 /// One step from a value to a value inside it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Step {
@@ -39,13 +41,12 @@ pub(super) fn locate(text: &str, path: &[Step], part: Part) -> Place {
 /// The first key that stands twice in one object, if there is one, and its place.
 pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
     let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
-    let mut open: Vec<Vec<String>> = Vec::new();
+    let mut open: Vec<HashSet<String>> = Vec::new();
     loop {
         scanner.skip_space();
         let at = scanner.at;
         match scanner.bytes.get(at)? {
-            b'{' => open.push(Vec::new()),
-            b'[' => open.push(vec!["[".into()]),
+            b'{' | b'[' => open.push(HashSet::new()),
             b'}' | b']' => drop(open.pop()),
             b'"' => {
                 let word = scanner.string();
@@ -56,7 +57,7 @@ pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
                     if keys.contains(&word) {
                         return Some((word, place_of(text, at)));
                     }
-                    keys.push(word);
+                    keys.insert(word);
                 }
                 continue;
             }

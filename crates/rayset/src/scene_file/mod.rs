@@ -20,6 +20,9 @@ use crate::scene::{Camera, CameraPath, Light, LightKind, Lighting, RenderSetting
 /// Version of the form that this code reads.
 pub const VERSION: u32 = 1;
 
+/// Longest file that is read.
+const LONGEST_BYTES: u64 = 64 << 20;
+
 /// What a scene file says.
 #[derive(Clone, Debug)]
 pub struct SceneFile {
@@ -74,8 +77,12 @@ impl SceneFile {
     /// # Errors
     /// [`LoadError`] that names line, column, key and what was expected.
     pub fn load(path: &Path) -> Result<Self, LoadError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| LoadError::Io { path: path.to_owned(), source })?;
+        let wrong = |source| LoadError::Io { path: path.to_owned(), source };
+        if std::fs::metadata(path).map_err(wrong)?.len() > LONGEST_BYTES {
+            let what = "longer than 64 MiB; points and voxels belong into files of their own";
+            return Err(wrong(std::io::Error::new(std::io::ErrorKind::FileTooLarge, what)));
+        }
+        let text = std::fs::read_to_string(path).map_err(wrong)?;
         Ok(Self::parse(path, &text)?)
     }
 

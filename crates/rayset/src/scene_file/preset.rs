@@ -5,8 +5,7 @@
 use serde_json::Value;
 
 use super::SceneFileError;
-use super::graph::beside;
-use super::reader::Cursor;
+use super::reader::{Cursor, beside};
 use crate::scene::{ColorMap, Palette};
 
 /// A map of a preset file.

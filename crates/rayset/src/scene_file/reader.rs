@@ -1,7 +1,7 @@
 //! Reading a JSON document strictly: every value is asked for by type, every key has to be known, and whatever is wrong
 //! says where it stands and what was expected.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
@@ -261,6 +261,11 @@ impl<'a> Object<'a> {
     ) -> Result<T, SceneFileError> {
         self.get(key).map_or(Ok(default), |cursor| read(&cursor))
     }
+}
+
+/// A path that a scene file names.
+pub(super) fn beside(file: &Path, name: &str) -> PathBuf {
+    file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name))
 }
 
 /// The word that is most like another, where one is like it at all.

@@ -4,8 +4,6 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use super::RenderError;
-use super::cloud_volume::CloudVolume;
-use crate::octree::node::{Node, NodePage};
 use crate::working_set::{Object, PageGuard, WorkingSet};
 
 /// Priority of node pages: every packet needs the upper ones.
@@ -46,10 +44,6 @@ pub(super) struct Access<'a> {
 }
 
 impl Access<'_> {
-    pub(super) fn retain(&self, volume: &CloudVolume, page: u32, priority: u8) -> Result<PageGuard, Halt> {
-        self.retain_page(&volume.pages, page, priority)
-    }
-
     pub(super) fn retain_page(
         &self,
         object: &Arc<Object>,
@@ -66,20 +60,6 @@ impl Access<'_> {
                 self.pages.hint(object, &[page], priority, u64::MAX);
                 Err(Halt::PutOff(Lacking { object: object.clone(), page }))
             }
-        }
-    }
-
-    /// The root node of a cloud, or nothing where it is empty.
-    pub(super) fn root(&self, volume: &CloudVolume) -> Result<Option<Node>, Halt> {
-        let header = volume.header();
-        if header.points == 0 {
-            return Ok(None);
-        }
-        let place = header.root;
-        let guard = self.retain(volume, volume.first_node_page + place.page, NODE_PRIORITY)?;
-        match NodePage::trusted(&guard).get(usize::from(place.index)) {
-            Some(root) => Ok(Some(root)),
-            None => Err(volume.broken(place.page).into()),
         }
     }
 }

@@ -12,6 +12,9 @@ use crate::scene::MAX_OPACITY;
 
 /// The largest optical thickness of a unit distance: −ln(1 − MAX_OPACITY).
 pub(super) const MAX_THICKNESS: f32 = 8.317_766;
+/// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
+/// and would else shadow itself more or less as the lattice happens to lie.
+pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
 const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
 /// Numbers of a material.

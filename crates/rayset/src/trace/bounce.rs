@@ -5,10 +5,9 @@
 //! reflect, and as far as they follow each other along a ray they do so together: one ray from their mean place, with the
 //! weight of them all.
 
-use super::block::{Block, MATERIAL, REFLECTANCE, REFRACTIVE_INDEX, each_lane};
+use super::block::{Block, MATERIAL, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane};
 use super::composite::RayState;
 use super::shade::Shader;
-use super::shadow::STEPS_TO_BOUNDARY;
 use crate::field::{LANES, Packet, Slab};
 use crate::geometry::{DVec3, Ray};
 

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use fearless_simd::dispatch;
 
 use super::RenderError;
-use super::access::{Access, Halt, POINT_PRIORITY};
+use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
 use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize};
+use super::counts::RenderCounts;
 use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, run_bounds};
 use super::math::{absorbed, ln};
-use super::packet_tracer::RenderCounts;
 use super::transfer::ColorTable;
 use crate::field::{
     AttributeSource, Channels, DecodedRun, FieldSamples, Packet, RunDecoder, SLAB_SAMPLES, SampleRow,
@@ -19,10 +19,10 @@ use crate::field::{
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::octree::Cloud;
 use crate::octree::format::Header;
-use crate::octree::node::{Node, nodes_per_page};
+use crate::octree::node::{Node, NodePage, nodes_per_page};
 use crate::octree::page::{PointPage, RUN_POINTS, RootCell};
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule, largest_stretch};
-use crate::working_set::{Object, PageFault, PagedFiles};
+use crate::working_set::{Object, PageFault, PageGuard, PagedFiles};
 
 /// Attributes are 0 where their weights sum to less than this times the largest weight.
 const LEAST_WEIGHT: f32 = 1e-12;
@@ -345,6 +345,27 @@ fn thickness_of_opacity(opacity: &SampleRow) -> SampleRow {
         *t = if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
     }
     thickness
+}
+
+impl Access<'_> {
+    /// A page of a cloud.
+    pub(super) fn retain(&self, volume: &CloudVolume, page: u32, priority: u8) -> Result<PageGuard, Halt> {
+        self.retain_page(&volume.pages, page, priority)
+    }
+
+    /// The root node of a cloud, or nothing where it is empty.
+    pub(super) fn root(&self, volume: &CloudVolume) -> Result<Option<Node>, Halt> {
+        let header = volume.header();
+        if header.points == 0 {
+            return Ok(None);
+        }
+        let place = header.root;
+        let guard = self.retain(volume, volume.first_node_page + place.page, NODE_PRIORITY)?;
+        match NodePage::trusted(&guard).get(usize::from(place.index)) {
+            Some(root) => Ok(Some(root)),
+            None => Err(volume.broken(place.page).into()),
+        }
+    }
 }
 
 /// One packet on its way through one cloud.

@@ -3,7 +3,7 @@
 use super::access::{Access, Halt};
 use super::block::{Block, Live, Measure};
 use super::cloud_volume::{CloudMarch, CloudScratch, Request};
-use super::packet_tracer::RenderCounts;
+use super::counts::RenderCounts;
 use super::program::{Action, Instruction, Program};
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;

@@ -8,6 +8,7 @@ mod block;
 mod bounce;
 mod cloud_volume;
 mod composite;
+mod counts;
 mod frontier;
 mod grid_volume;
 pub mod judge;
@@ -34,8 +35,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError};
 
 use self::access::Halt;
+pub use self::counts::RenderCounts;
 use self::packet_tracer::PacketTracer;
-pub use self::packet_tracer::RenderCounts;
 use self::predict::{Lookahead, Predictor};
 use self::tiles::{Agenda, Attempt, Tile, Tiles};
 use self::world::World;

@@ -6,9 +6,9 @@ mod exact;
 mod map;
 
 use super::access::{Access, Halt};
-use super::block::Block;
+use super::block::{Block, STEPS_TO_BOUNDARY};
 use super::composite::Shares;
-use super::packet_tracer::RenderCounts;
+use super::counts::RenderCounts;
 use super::shade::{Shader, ShadowRows};
 use super::world::World;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
@@ -17,10 +17,6 @@ use crate::geometry::DVec3;
 use self::cached::ShadowTables;
 pub(super) use self::cached::{BLOCK_BYTES, LightTable};
 use self::exact::ShadowRays;
-
-/// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
-/// and would else shadow itself more or less as the lattice happens to lie.
-pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 
 /// The place at which a sample is lit.
 fn lit_place(packet: &Packet, block: &Block, lane: usize, sample: u64, j: usize) -> DVec3 {

@@ -1,0 +1,46 @@
+//! What a render was in work.
+
+use crate::field::SplatCounts;
+
+/// How much work a render was.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RenderCounts {
+    /// Work on pairs of rays and points.
+    pub splats: SplatCounts,
+    /// Samples that were looked at.
+    pub samples: u64,
+    /// Samples that were not transparent.
+    pub nonzero_samples: u64,
+    /// Slabs of packets that had anything in them.
+    pub slabs: u64,
+    /// Runs decoded, each once a slab of a packet.
+    pub runs: u64,
+    /// Packets traced, without those of shadow rays.
+    pub packets: u64,
+    /// Shadow rays traced.
+    pub shadow_rays: u64,
+    /// Of the work on pairs, that for shadow rays.
+    pub shadow_splats: SplatCounts,
+    /// Rays traced that were reflected or refracted.
+    pub bounced_rays: u64,
+    /// Of the work on pairs, that for these and not for shadows.
+    pub bounced_splats: SplatCounts,
+    /// Tiles that were put off because a page was absent. Work done on them until then is not counted.
+    pub put_off: u64,
+}
+
+impl std::ops::AddAssign for RenderCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.splats += other.splats;
+        self.samples += other.samples;
+        self.nonzero_samples += other.nonzero_samples;
+        self.slabs += other.slabs;
+        self.runs += other.runs;
+        self.packets += other.packets;
+        self.shadow_rays += other.shadow_rays;
+        self.shadow_splats += other.shadow_splats;
+        self.bounced_rays += other.bounced_rays;
+        self.bounced_splats += other.bounced_splats;
+        self.put_off += other.put_off;
+    }
+}
