@@ -104,6 +104,8 @@ fn every_example_fits_the_schema_and_mistakes_of_form_do_not() {
         "a camera that looks from nowhere",
         "frames out of order",
         "names nested without end",
+        "a tower of names, from its foot",
+        "more places than anyone could trace",
     ];
     let (mut refused, mut let_pass) = (0, Vec::<&str>::new());
     for (name, text) in crate::wrong_scenes::mistakes() {

@@ -103,6 +103,17 @@ pub(crate) fn mistakes() -> Vec<(&'static str, String)> {
             let links: Vec<String> = (0..5000).map(link).collect();
             format!("{{\"rayset\": 1, \"define\": {{{}, \"n5000\": {ball}}}, \"root\": {{\"ref\": \"n0\"}}}}", links.join(","))
         }),
+        ("a tower of names, from its foot", {
+            let link = |i: usize| format!("\"n{i}\": {{\"type\": \"union\", \"children\": [{{\"ref\": \"n{}\"}}]}}", i - 1);
+            let links: Vec<String> = (1..=5000).map(link).collect();
+            let uses: Vec<String> = (1..=5000).map(|i| format!("{{\"ref\": \"n{i}\"}}")).collect();
+            format!("{{\"rayset\": 1, \"define\": {{\"n0\": {ball}, {}}}, \"root\": {{\"type\": \"union\", \"children\": [{}]}}}}", links.join(","), uses.join(","))
+        }),
+        ("more places than anyone could trace", {
+            let link = |i: usize| format!("\"n{i}\": {{\"type\": \"union\", \"children\": [{{\"ref\": \"n{}\"}}, {{\"ref\": \"n{}\"}}]}}", i - 1, i - 1);
+            let links: Vec<String> = (1..=60).map(link).collect();
+            format!("{{\"rayset\": 1, \"define\": {{\"n0\": {ball}, {}}}, \"root\": {{\"ref\": \"n60\"}}}}", links.join(","))
+        }),
         ("an animation of nothing", with(r#""animation": {"keys": []}"#)),
     ]
 }

@@ -49,6 +49,8 @@ pub(super) struct GraphReader<'a> {
     grids: HashMap<PathBuf, Arc<Grid>>,
     /// Nodes around the one that is being made.
     depth: usize,
+    /// Of every node: the nodes below it, one within the other.
+    heights: HashMap<*const Node, usize>,
 }
 
 impl<'a> GraphReader<'a> {
@@ -61,6 +63,7 @@ impl<'a> GraphReader<'a> {
             clouds: HashMap::new(),
             grids: HashMap::new(),
             depth: 0,
+            heights: HashMap::new(),
         };
         if let Some(define) = file.get("define") {
             for (name, node) in define.any_object()?.entries() {
@@ -104,7 +107,23 @@ impl<'a> GraphReader<'a> {
         self.depth += 1;
         let node = self.node_inside(at);
         self.depth -= 1;
-        node
+        self.measured(node?, at)
+    }
+
+    /// A node that has been made, if the graph below it is not too high.
+    fn measured(&mut self, node: Arc<Node>, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
+        let height = match &node.shape {
+            Shape::Operator(_, children) => {
+                let below = children.iter().filter_map(|child| self.heights.get(&Arc::as_ptr(child)));
+                1 + below.copied().max().unwrap_or(0)
+            }
+            _ => 0,
+        };
+        if height > DEEPEST {
+            return Err(at.error(format!("nodes are nested more than {DEEPEST} deep")));
+        }
+        self.heights.insert(Arc::as_ptr(&node), height);
+        Ok(node)
     }
 
     fn node_inside(&mut self, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
@@ -143,6 +162,7 @@ impl<'a> GraphReader<'a> {
         } else {
             Arc::new(self.new_node(&at)?)
         };
+        let node = self.measured(node, &at)?;
         self.making.pop();
         self.made.insert(name, node.clone());
         Ok(node)

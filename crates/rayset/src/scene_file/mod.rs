@@ -10,6 +10,7 @@ mod preset;
 mod reader;
 mod view;
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use self::graph::GraphReader;
@@ -78,11 +79,12 @@ impl SceneFile {
     /// [`LoadError`] that names line, column, key and what was expected.
     pub fn load(path: &Path) -> Result<Self, LoadError> {
         let wrong = |source| LoadError::Io { path: path.to_owned(), source };
-        if std::fs::metadata(path).map_err(wrong)?.len() > LONGEST_BYTES {
+        let mut text = String::new();
+        let file = std::fs::File::open(path).map_err(wrong)?;
+        if file.take(LONGEST_BYTES + 1).read_to_string(&mut text).map_err(wrong)? as u64 > LONGEST_BYTES {
             let what = "longer than 64 MiB; points and voxels belong into files of their own";
             return Err(wrong(std::io::Error::new(std::io::ErrorKind::FileTooLarge, what)));
         }
-        let text = std::fs::read_to_string(path).map_err(wrong)?;
         Ok(Self::parse(path, &text)?)
     }
 
@@ -111,6 +113,8 @@ impl SceneFile {
         let root_at = file.require("root")?;
         let mut graph = GraphReader::new(&file)?;
         let root = graph.node(&root_at)?;
+        // Before anything else walks the graph: one of few nodes can stand for more places than there is time for.
+        root.check().map_err(|e| root_at.error(e.to_string()))?;
         let (settings, development) = view::settings(&file)?;
         let bounds = root.bounds();
         let scene = Scene {

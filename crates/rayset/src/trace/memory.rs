@@ -23,6 +23,8 @@ const TREE_BYTES: u64 = 512 << 10;
 const ALLOCATOR_PART: u64 = 32;
 /// And more where pages and blocks of shadows, of other sizes, take each other's place.
 const MIXED_ALLOCATOR_PART: u64 = 14;
+/// Blocks of 16 rows of layers on their way into an OpenEXR file, for each column: six, with what compression takes.
+const EXR_BYTES: u64 = 6 * 16 * 60;
 /// Bytes of a pixel while its band is being made.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows that are worked on together.
@@ -160,7 +162,11 @@ pub fn plan(
     let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
     let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
-    let least_page_bytes = least_pages(threads) * (page + OVERHEAD_BYTES + page / ALLOCATOR_PART);
+    let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
+    let fixed = fixed + encoder;
+    let block = BLOCK_BYTES as u64;
+    let largest = if needs.shadow_blocks > 0 { page.max(block) } else { page };
+    let least_page_bytes = least_pages(threads) * (largest + OVERHEAD_BYTES + largest / MIXED_ALLOCATOR_PART);
     let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
         return Err(least_bytes);
@@ -177,16 +183,20 @@ pub fn plan(
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
     // What the allocator adds to each counts most where they are small.
-    let block = BLOCK_BYTES as u64;
     let unit = if needs.shadow_blocks > 0 { page.min(block) } else { page };
     let mixed = needs.shadow_blocks > 0 && needs.files().any(|(_, bytes)| bytes != block);
     let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
     let page_bytes = (budget_bytes - fixed - picture) / (unit + OVERHEAD_BYTES + unit / part) * unit;
+    let page_bytes = page_bytes.max(least_pages(threads) * largest);
     let file_bytes: u64 = needs.files().map(|(pages, bytes)| pages * bytes).sum();
     Ok(MemoryPlan {
         largest_page_bytes: page,
         page_bytes,
-        shadow_bytes: page_bytes.saturating_sub(file_bytes).max(page_bytes / 2),
+        shadow_bytes: page_bytes
+            .saturating_sub(file_bytes)
+            .max(page_bytes / 2)
+            .max(block * (threads as u64 + 1))
+            .min(page_bytes),
         band_rows,
         least_bytes,
         comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_page_bytes,

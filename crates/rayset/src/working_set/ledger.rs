@@ -152,6 +152,8 @@ impl Ledger {
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut books = lock(&self.books);
         books.limits = limits;
+        books.spare.clear();
+        books.fresh.clear();
         books.evict_excess()
     }
 
@@ -171,8 +173,8 @@ impl Ledger {
         while let Some(page) = books.evict(obstacle, None) {
             evicted.push(page);
             books.spare.clear();
-            books.fresh.clear();
         }
+        books.fresh.clear();
         evicted
     }
 
