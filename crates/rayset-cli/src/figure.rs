@@ -245,13 +245,15 @@ impl Preparation<'_> {
             * DAffine3::from_translation(-bounds.center())
             * source.space_from_voxel;
         // Values from 0 to 1, whatever they were.
-        let header =
-            build_grid(source, &path, self.args.memory.saturating_sub(PROCESS_BYTES), &mut |_, _| {})?;
+        // Under another name until it is right: what has the final one is used again.
+        let unscaled = self.folder.join("volume.unscaled.rset");
+        let memory_bytes = self.args.memory.saturating_sub(PROCESS_BYTES);
+        let header = build_grid(source, &unscaled, memory_bytes, &mut |_, _| {})?;
         let (low, high) = header.value_range();
         if self.args.volume.is_some() && high > low {
-            self.rescale(&path, low, high)?;
+            self.rescale(&unscaled, low, high)?;
         }
-        Ok(())
+        std::fs::rename(&unscaled, &path).with_context(|| format!("cannot write {}", path.display()))
     }
 
     /// Builds a volume once more, with its values scaled to 0 to 1.
