@@ -12,7 +12,9 @@ use rayset::scene::{
 use rayset::trace::ExecSettings;
 use rayset::trace::judge::Judge;
 
-use crate::common::{bits, build_at, camera, folder, look, mixed_points, plain_picture, settings};
+use rayset::points::ArraySource;
+
+use crate::common::{Random, bits, build_at, camera, folder, look, mixed_points, plain_picture, settings};
 
 /// Pixels may differ by this in linear light, save for one in a thousand.
 const PIXEL_BOUND: f64 = 1.0 / 1024.0;
@@ -203,6 +205,73 @@ fn transfer_functions_and_materials_at_any_node_agree_with_the_judge() {
     let block =
         solid(Form::Box { size: DVec3::splat(0.9) }, [0.6, 0.5, 0.4]).of(Material { ambient: 0.6, ..shiny });
     check("and a block cut into it", &scene(Node::operator(Operator::Difference, [block, blend]), vec![]), 3);
+}
+
+/// Points with a temperature and a pressure, in the order given.
+fn with_columns(count: usize, seed: u64, names: [&str; 2]) -> ArraySource {
+    let mut random = Random(seed);
+    let mut position = Vec::new();
+    let mut columns = vec![Vec::new(); 6];
+    for _ in 0..count {
+        position.push(std::array::from_fn(|_| 2.0 * random.unit() - 1.0));
+        columns[0].push(0.35);
+        columns.iter_mut().skip(1).for_each(|column| column.push(random.unit() as f32));
+    }
+    let names = ["radius", "red", "green", "blue"].into_iter().chain(names);
+    ArraySource::new(position, names.zip(columns).collect())
+}
+
+fn by_attribute(name: &str) -> [Transfer; 2] {
+    let input = || Channel::Attribute(name.into());
+    let map = ColorMap::named("plasma".parse().expect("a map"), (0.2, 0.8));
+    [
+        Transfer::Opacity { input: input(), curve: vec![(0.3, 0.1), (0.5, 0.7), (0.7, 0.2)] },
+        Transfer::Color { input: input(), map },
+    ]
+}
+
+#[test]
+fn attributes_travel_through_operators_as_the_judge_says() {
+    let folder = folder();
+    let cloud = |name: &str, seed, columns: [&str; 2]| {
+        let source = with_columns(600, seed, columns);
+        let options = BuildOptions {
+            page_bytes: Some(16 << 10),
+            attributes: columns.map(String::from).to_vec(),
+            ..BuildOptions::default()
+        };
+        let cloud = build_at(&folder.path().join(name), Box::new(source), &options);
+        Node::new(Shape::Cloud(look(&cloud, Kernel::Wyvill)))
+    };
+    let first = cloud("a.rset", 41, ["temperature", "pressure"]);
+    let second = cloud("b.rset", 42, ["pressure", "temperature"]);
+    let gradient = Pattern::Gradient {
+        from: DVec3::new(-0.5, -0.5, 0.0),
+        to: DVec3::new(0.5, 0.6, 0.2),
+        map: ColorMap::named("viridis".parse().expect("a map"), (0.0, 1.0)),
+    };
+    let ball = Solid { opacity: 0.6, edge: 0.3, pattern: gradient, form: Form::Sphere { radius: 0.8 } };
+    let ball = Node::new(Shape::Procedural(Arc::new(ball)));
+    for operator in [Operator::Union, Operator::Intersection, Operator::Difference, Operator::Blend] {
+        let mut both = Node::operator(operator, [first.clone(), second.clone()]);
+        both.transfers = by_attribute("temperature").into();
+        check(&format!("the temperature of a {}", operator.name()), &scene(both, vec![]), 2);
+        // What one child has and the other has not.
+        let mut mixed = Node::operator(operator, [ball.clone(), second.clone()]);
+        mixed.transfers = by_attribute("gradient").into();
+        let mut whole = Node::operator(Operator::Union, [mixed, first.clone()]);
+        whole.transfers = vec![by_attribute("pressure")[0].clone()];
+        check(&format!("two attributes around a {}", operator.name()), &scene(whole, vec![]), 2);
+    }
+    // A leaf in its own colours, of which a scalar decides how much is seen; and with shadows of what is seen.
+    let mut leaf = first.clone();
+    leaf.transfers = vec![by_attribute("pressure")[0].clone()];
+    let down = LightKind::Directional { direction: DVec3::new(0.3, -1.0, -0.4) };
+    check("a leaf", &scene(leaf, vec![light(down, [0.9, 0.8, 0.7], true)]), 2);
+    let mut unknown = first;
+    unknown.transfers = by_attribute("entropy").into();
+    let error = scene(unknown, vec![]).check().expect_err("no such attribute").to_string();
+    assert!(error.contains("\"entropy\"") && error.contains("temperature"), "{error}");
 }
 
 #[test]

@@ -2,8 +2,8 @@
 
 use rayset::field::judge::JudgeField;
 use rayset::field::{
-    AttributeSource, Channels, DecodedRun, FieldSamples, Kernel, Packet, RunDecoder, SLAB_SAMPLES, SimdLevel,
-    Slab, Splatter,
+    AttributeColumns, Channels, DecodedRun, FieldSamples, Kernel, Packet, RunDecoder, SLAB_SAMPLES,
+    SimdLevel, Slab, Splatter,
 };
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
@@ -24,10 +24,11 @@ const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 /// The densities and normals of all samples of some rays through a cloud, against the judge.
 fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
-    let judge = JudgeField::load(cloud, kernel, false, AttributeSource::None).expect("the cloud reads");
-    let channels = Channels { gradient: true, attributes: false };
+    let judge =
+        JudgeField::load(cloud, kernel, false, &AttributeColumns::default()).expect("the cloud reads");
+    let channels = Channels { gradient: true, attributes: 0 };
     let splatter = Splatter { kernel, channels, simd };
-    let decoder = RunDecoder::new(header, kernel, false, AttributeSource::None);
+    let decoder = RunDecoder::new(header, kernel, false, AttributeColumns::default());
     let mut random = Random(7);
     let rays: Vec<(Ray, f64)> = (0..24)
         .map(|_| {

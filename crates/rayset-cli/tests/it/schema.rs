@@ -90,6 +90,8 @@ fn every_example_fits_the_schema_and_mistakes_of_form_do_not() {
         "a scale of zero",
         "a matrix that flattens",
         "a transfer of nothing",
+            "a transfer of an unknown channel",
+            "an attribute that nothing here has",
         "a curve that goes back",
         "a curve with an opacity of 2",
         "a file that is not there",

@@ -70,6 +70,7 @@ pub(crate) fn mistakes() -> Vec<(&'static str, String)> {
         ("an index of refraction misspelt", in_ball(r#""material": {"refractiveIndx": 1.5}"#)),
         ("a transfer of nothing", in_ball(r#""transfers": [{"input": "red"}]"#)),
         ("a transfer of an unknown channel", in_ball(r#""transfers": [{"input": "alpha", "opacity": [[0, 0], [1, 1]]}]"#)),
+        ("an attribute that nothing here has", with_root(r#"{"type": "union", "transfers": [{"input": "temperatur", "color": "viridis"}], "children": [{"type": "cloud", "file": "points.rset"}]}"#)),
         ("a curve that goes back", in_ball(r#""transfers": [{"opacity": [[0, 0], [0.5, 1], [0.25, 0]]}]"#)),
         ("a curve with an opacity of 2", in_ball(r#""transfers": [{"opacity": [[0, 0], [1, 2]]}]"#)),
         ("a file that is not there", with_root("{\n    \"type\": \"cloud\",\n    \"file\": \"poinst.rset\"\n  }")),

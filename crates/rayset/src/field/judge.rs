@@ -1,13 +1,13 @@
 //! The judge: every point against every sample, in `f64`, from the points as the file stores them.
 
 use super::kernel::Kernel;
-use super::run::{AttributeSource, linear_from_srgb};
+use super::run::{AttributeColumns, linear_from_srgb};
 use crate::geometry::{DVec3, Ray};
 use crate::octree::Cloud;
 use crate::octree::file::ScanError;
 
 /// A point in full precision.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct JudgePoint {
     /// World position.
     pub position: DVec3,
@@ -15,19 +15,19 @@ pub struct JudgePoint {
     pub radius: f64,
     /// Weight.
     pub weight: f64,
-    /// Colour (linear) or one attribute in the first place.
-    pub attribute: [f64; 3],
+    /// One value for each channel of [`AttributeColumns`].
+    pub attributes: Vec<f64>,
 }
 
 /// The field at one sample.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct JudgeSample {
     /// Σ v·ω.
     pub density: f64,
     /// Σ v·∇ω.
     pub gradient: DVec3,
-    /// Σ v·ω·a.
-    pub attribute: [f64; 3],
+    /// Σ v·ω·a of each channel; empty where no point reaches.
+    pub attributes: Vec<f64>,
 }
 
 /// A cloud without any structure.
@@ -50,7 +50,7 @@ impl JudgeField {
         cloud: &Cloud,
         kernel: Kernel,
         normalised: bool,
-        source: AttributeSource,
+        columns: &AttributeColumns,
     ) -> Result<Self, ScanError> {
         let header = cloud.header();
         let mut points = Vec::new();
@@ -60,23 +60,21 @@ impl JudgeField {
             let radii = run.radii(header).map_or_else(|| constant(header.radius.min()), Iterator::collect);
             let weights =
                 run.weights(header).map_or_else(|| constant(header.weight.min()), Iterator::collect);
-            let mut attributes = vec![[0.0; 3]; n];
-            match source {
-                AttributeSource::None => {}
-                AttributeSource::Color => {
-                    for (a, c) in attributes.iter_mut().zip(run.colors(header).into_iter().flatten()) {
-                        *a = c.map(|v| linear_from_srgb(f64::from(v) / 255.0));
-                    }
+            let mut attributes = vec![Vec::new(); n];
+            if columns.color {
+                for (a, c) in attributes.iter_mut().zip(run.colors(header).into_iter().flatten()) {
+                    a.extend(c.map(|v| linear_from_srgb(f64::from(v) / 255.0)));
                 }
-                AttributeSource::Scalar(index) => {
-                    for (a, v) in attributes.iter_mut().zip(run.attribute(header, index)) {
-                        a[0] = if v.is_finite() { f64::from(v) } else { 0.0 };
-                    }
+            }
+            for &index in &columns.scalars {
+                for (a, v) in attributes.iter_mut().zip(run.attribute(header, index)) {
+                    a.push(if v.is_finite() { f64::from(v) } else { 0.0 });
                 }
             }
             for (i, position) in run.positions(header.root_cell()).into_iter().enumerate() {
                 let (radius, weight) = (f64::from(radii[i]), f64::from(weights[i]));
-                points.push(JudgePoint { position, radius, weight, attribute: attributes[i] });
+                let attributes = std::mem::take(&mut attributes[i]);
+                points.push(JudgePoint { position, radius, weight, attributes });
             }
         })?;
         Ok(Self { points, kernel, normalised })
@@ -90,7 +88,7 @@ impl JudgeField {
             let across = c - ray.direction * c.dot(ray.direction);
             across.length_squared() <= p.radius * p.radius * (1.0 + 1e-9)
         };
-        Self { points: self.points.iter().filter(reaches).copied().collect(), ..*self }
+        Self { points: self.points.iter().filter(reaches).cloned().collect(), ..*self }
     }
 
     /// The field at `q`.
@@ -109,8 +107,9 @@ impl JudgeField {
             let value = weight * self.kernel.value(s);
             sum.density += value;
             sum.gradient += offset * (weight * self.kernel.slope_over_x(s) * inverse);
-            for channel in 0..3 {
-                sum.attribute[channel] += value * p.attribute[channel];
+            sum.attributes.resize(p.attributes.len(), 0.0);
+            for (sum, a) in sum.attributes.iter_mut().zip(&p.attributes) {
+                *sum += value * a;
             }
         }
         sum

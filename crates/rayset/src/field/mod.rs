@@ -14,6 +14,6 @@ pub use bare::{BARE_SAMPLES, bare_loop};
 pub use kernel::Kernel;
 pub use packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{Crossing, RayColumns};
-pub use run::{AttributeSource, DecodedRun, RunDecoder, linear_from_srgb};
+pub use run::{AttributeColumns, DecodedRun, RunDecoder, linear_from_srgb};
 pub use simd::SimdLevel;
 pub use splat::{Channels, FieldSamples, SampleRow, SplatCounts, Splatter};

@@ -32,8 +32,8 @@ pub struct DecodedRun {
     pub(super) chunk_reach_squared: [f32; CHUNKS],
     /// Weight, with the kernel's normalisation where that is asked for.
     pub(super) weight: [f32; RUN_POINTS],
-    /// Colour (linear), or one attribute in the first column.
-    pub(super) attribute: [[f32; RUN_POINTS]; 3],
+    /// One column for each channel of [`AttributeColumns`].
+    pub(super) attribute: Vec<[f32; RUN_POINTS]>,
     /// Positions and inverse radii in double precision, for runs too wide for single.
     pub(super) wide: Option<Box<WideRun>>,
     spare_wide: Option<Box<WideRun>>,
@@ -45,16 +45,27 @@ pub(super) struct WideRun {
     pub(super) inverse_radius: [f64; RUN_POINTS],
 }
 
-/// What the third and following channels of a cloud's field are made from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum AttributeSource {
-    /// Nothing.
-    #[default]
-    None,
+/// What a cloud's field carries besides the density. Its channels are numbered in this order.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct AttributeColumns {
     /// The points' colour, decoded to linear light: three channels.
-    Color,
-    /// An attribute column of the file: one channel.
-    Scalar(usize),
+    pub color: bool,
+    /// Attribute columns of the file, one channel each.
+    pub scalars: Vec<usize>,
+}
+
+impl AttributeColumns {
+    /// How many channels these are.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        self.first_scalar() + self.scalars.len()
+    }
+
+    /// The channel of the first scalar.
+    #[must_use]
+    pub fn first_scalar(&self) -> usize {
+        if self.color { 3 } else { 0 }
+    }
 }
 
 /// How runs of one cloud are decoded.
@@ -65,20 +76,20 @@ pub struct RunDecoder {
     weight: Option<f32>,
     /// 1, or 1/∫ω dV where kernels are normalised.
     normalisation: Option<f64>,
-    source: AttributeSource,
+    columns: AttributeColumns,
     linear_from_srgb: Box<[f32; 256]>,
 }
 
 impl RunDecoder {
     /// A decoder for the runs of a cloud.
     #[must_use]
-    pub fn new(header: &Header, kernel: Kernel, normalised: bool, source: AttributeSource) -> Self {
+    pub fn new(header: &Header, kernel: Kernel, normalised: bool, columns: AttributeColumns) -> Self {
         Self {
             root: header.root_cell(),
             radius: (!header.radius.is_stored()).then(|| header.radius.min()),
             weight: (!header.weight.is_stored()).then(|| header.weight.min()),
             normalisation: normalised.then(|| 1.0 / kernel.integral()),
-            source,
+            columns,
             linear_from_srgb: Box::new(std::array::from_fn(|i| linear_from_srgb(i as f64 / 255.0) as f32)),
         }
     }
@@ -136,21 +147,19 @@ impl RunDecoder {
 
     #[inline(always)]
     fn decode_attributes(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
-        match self.source {
-            AttributeSource::None => {}
-            AttributeSource::Color => {
-                let Some(colors) = run.colors(header) else { return };
-                for (i, c) in colors.enumerate() {
-                    for channel in 0..3 {
-                        out.attribute[channel][i] = self.linear_from_srgb[usize::from(c[channel])];
-                    }
-                }
+        out.attribute.resize(self.columns.channels(), [0.0; RUN_POINTS]);
+        let (color, scalars) = out.attribute.split_at_mut(self.columns.first_scalar());
+        if let [red, green, blue] = color {
+            for (i, c) in run.colors(header).into_iter().flatten().enumerate() {
+                red[i] = self.linear_from_srgb[usize::from(c[0])];
+                green[i] = self.linear_from_srgb[usize::from(c[1])];
+                blue[i] = self.linear_from_srgb[usize::from(c[2])];
             }
-            AttributeSource::Scalar(index) => {
-                for (o, v) in out.attribute[0].iter_mut().zip(run.attribute(header, index)) {
-                    // A missing value counts as 0 rather than spoil its neighbours.
-                    *o = if v.is_finite() { v } else { 0.0 };
-                }
+        }
+        for (column, &index) in scalars.iter_mut().zip(&self.columns.scalars) {
+            for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
+                // A missing value counts as 0 rather than spoil its neighbours.
+                *o = if v.is_finite() { v } else { 0.0 };
             }
         }
     }
@@ -173,7 +182,7 @@ impl Default for DecodedRun {
             chunk_center: [[0.0; CHUNKS]; 3],
             chunk_reach_squared: [-1.0; CHUNKS],
             weight: [0.0; RUN_POINTS],
-            attribute: [[0.0; RUN_POINTS]; 3],
+            attribute: Vec::new(),
             wide: None,
             spare_wide: None,
         }

@@ -21,14 +21,18 @@ use crate::octree::page::RUN_POINTS;
 
 /// Vectors of sixteen in a slab.
 const BLOCKS: usize = SLAB_SAMPLES / 16;
+/// Channels of a colour: so many sums are kept in registers.
+const COLOR: usize = 3;
+/// Any number of channels, whose sums are kept in memory.
+const ANY: usize = usize::MAX;
 
 /// What is accumulated besides the density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Channels {
     /// The gradient of the density.
     pub gradient: bool,
-    /// Weighted attributes: a colour, or one scalar in the first channel.
-    pub attributes: bool,
+    /// How many weighted attributes.
+    pub attributes: usize,
 }
 
 /// One value for each sample of a slab.
@@ -43,8 +47,8 @@ pub struct FieldSamples {
     pub density: Vec<SampleRow>,
     /// Σ v·∇ω, three components, where asked for.
     pub gradient: [Vec<SampleRow>; 3],
-    /// Σ v·ω·a, where asked for.
-    pub attribute: [Vec<SampleRow>; 3],
+    /// Σ v·ω·a, one for each attribute.
+    pub attribute: Vec<Vec<SampleRow>>,
     /// Lanes that received anything since [`clear`](Self::clear); the rows of all others are stale.
     pub touched: u64,
     /// Room to work in, kept from run to run: its contents need not be cleared.
@@ -59,7 +63,7 @@ impl FieldSamples {
         Self {
             density: rows(true),
             gradient: std::array::from_fn(|_| rows(channels.gradient)),
-            attribute: std::array::from_fn(|_| rows(channels.attributes)),
+            attribute: (0..channels.attributes).map(|_| rows(true)).collect(),
             touched: 0,
             pairs: None,
         }
@@ -68,7 +72,7 @@ impl FieldSamples {
     /// What there is room for.
     #[must_use]
     pub fn channels(&self) -> Channels {
-        Channels { gradient: !self.gradient[0].is_empty(), attributes: !self.attribute[0].is_empty() }
+        Channels { gradient: !self.gradient[0].is_empty(), attributes: self.attribute.len() }
     }
 
     /// Forgets all contributions.
@@ -78,7 +82,7 @@ impl FieldSamples {
 
     /// Zeroes a lane's rows on its first contribution.
     #[inline(always)]
-    fn begin<const GRADIENT: bool, const ATTRIBUTES: bool>(&mut self, lane: usize) {
+    fn begin<const GRADIENT: bool>(&mut self, lane: usize) {
         if self.touched >> lane & 1 != 0 {
             return;
         }
@@ -88,9 +92,9 @@ impl FieldSamples {
             if GRADIENT {
                 self.gradient[channel][lane].0.fill(0.0);
             }
-            if ATTRIBUTES {
-                self.attribute[channel][lane].0.fill(0.0);
-            }
+        }
+        for rows in &mut self.attribute {
+            rows[lane].0.fill(0.0);
         }
     }
 }
@@ -170,15 +174,17 @@ impl Splatter {
 
     fn with_kernel<K: LaneKernel>(&self, job: Job<'_>) -> SplatCounts {
         match (self.channels.gradient, self.channels.attributes) {
-            (false, false) => self.with_channels::<K, false, false>(job),
-            (false, true) => self.with_channels::<K, false, true>(job),
-            (true, false) => self.with_channels::<K, true, false>(job),
-            (true, true) => self.with_channels::<K, true, true>(job),
+            (false, 0) => self.with_channels::<K, false, 0>(job),
+            (false, COLOR) => self.with_channels::<K, false, COLOR>(job),
+            (false, _) => self.with_channels::<K, false, ANY>(job),
+            (true, 0) => self.with_channels::<K, true, 0>(job),
+            (true, COLOR) => self.with_channels::<K, true, COLOR>(job),
+            (true, _) => self.with_channels::<K, true, ANY>(job),
         }
     }
 
     #[inline(never)]
-    fn with_channels<K: LaneKernel, const G: bool, const A: bool>(&self, mut job: Job<'_>) -> SplatCounts {
+    fn with_channels<K: LaneKernel, const G: bool, const A: usize>(&self, mut job: Job<'_>) -> SplatCounts {
         let kernel = self.kernel;
         dispatch!(self.simd.level(), simd => splat_run::<_, K, G, A>(simd, kernel, &mut job))
     }
@@ -251,14 +257,14 @@ fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x16<S> 
 }
 
 #[inline(always)]
-fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: bool>(
+fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
     simd: S,
     kernel: Kernel,
     job: &mut Job<'_>,
 ) -> SplatCounts {
     let mut counts = SplatCounts::default();
     if let Some(wide) = &job.run.wide {
-        return splat_wide::<GRADIENT, ATTRIBUTES>(kernel, wide, job);
+        return splat_wide::<GRADIENT>(kernel, wide, job);
     }
     let frames = Frames::new(job.run, job.packet, job.slab);
     let mut lanes = job.lanes & frames.lanes_that_meet(simd, job.run, job.packet, job.slab.samples);
@@ -270,7 +276,7 @@ fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: boo
         let chunks = ray.chunks_in_reach(simd, job.run);
         counts.pairs_tested += 16 * u64::from(chunks.count_ones());
         if chunks != 0 && pairs.test::<S, GRADIENT>(simd, &ray, job.run, chunks) {
-            job.samples.begin::<GRADIENT, ATTRIBUTES>(lane);
+            job.samples.begin::<GRADIENT>(lane);
             let added = pairs.add::<S, K, GRADIENT, ATTRIBUTES>(simd, &ray, job.run, lane, job.samples);
             counts.pairs_added += added;
             counts.kernel_evaluations += added * 16;
@@ -419,7 +425,7 @@ impl Pairs {
 
     /// Adds all hits to the samples of the lane, in the order of the points; returns how many vectors of samples.
     #[inline(always)]
-    fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: bool>(
+    fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
         &self,
         simd: S,
         ray: &LaneRay<S>,
@@ -428,6 +434,7 @@ impl Pairs {
         samples: &mut FieldSamples,
     ) -> u64 {
         let zero = f32x16::splat(simd, 0.0);
+        let columns = if ATTRIBUTES == COLOR { &run.attribute[..COLOR] } else { &run.attribute[..] };
         let mut added = 0;
         for b in 0..BLOCKS {
             let [low, high] = self.hits[b];
@@ -436,10 +443,10 @@ impl Pairs {
             }
             let at = 16 * b..16 * b + 16;
             let mut density = f32x16::from_slice(simd, &samples.density[lane].0[at.clone()]);
-            let mut attribute = [zero; 3];
-            if ATTRIBUTES {
-                for channel in 0..3 {
-                    attribute[channel] =
+            let mut color = [zero; COLOR];
+            if ATTRIBUTES == COLOR {
+                for channel in 0..COLOR {
+                    color[channel] =
                         f32x16::from_slice(simd, &samples.attribute[channel][lane].0[at.clone()]);
                 }
             }
@@ -457,15 +464,21 @@ impl Pairs {
                     let along = ray.t[b] * inverse - self.nearest[i];
                     let q = (-along).mul_add(along, f32x16::splat(simd, self.inside[i]));
                     let value = K::value(q);
-                    if ATTRIBUTES {
+                    if ATTRIBUTES == 0 {
+                        density = value.mul_add(weight, density);
+                    } else {
                         let weighted = value * weight;
                         density += weighted;
-                        for channel in 0..3 {
-                            attribute[channel] =
-                                weighted.mul_add(run.attribute[channel][i], attribute[channel]);
+                        if ATTRIBUTES == COLOR {
+                            for channel in 0..COLOR {
+                                color[channel] = weighted.mul_add(columns[channel][i], color[channel]);
+                            }
+                        } else {
+                            for (rows, column) in samples.attribute.iter_mut().zip(columns) {
+                                let row = &mut rows[lane].0[at.clone()];
+                                weighted.mul_add(column[i], f32x16::from_slice(simd, row)).store_slice(row);
+                            }
                         }
-                    } else {
-                        density = value.mul_add(weight, density);
                     }
                     if GRADIENT {
                         let slope = K::slope_over_x(q) * (weight * inverse);
@@ -479,8 +492,8 @@ impl Pairs {
             }
             density.store_slice(&mut samples.density[lane].0[at.clone()]);
             for channel in 0..3 {
-                if ATTRIBUTES {
-                    attribute[channel].store_slice(&mut samples.attribute[channel][lane].0[at.clone()]);
+                if ATTRIBUTES == COLOR {
+                    color[channel].store_slice(&mut samples.attribute[channel][lane].0[at.clone()]);
                 }
                 if GRADIENT {
                     let row = &mut samples.gradient[channel][lane].0[at.clone()];
@@ -506,11 +519,7 @@ const COUNT: [f32; 16] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12.,
 
 /// A run whose points are small for its extent, in `f64`. Slow, and rare: each pair is worked out by itself.
 #[inline(never)]
-fn splat_wide<const GRADIENT: bool, const ATTRIBUTES: bool>(
-    kernel: Kernel,
-    wide: &WideRun,
-    job: &mut Job<'_>,
-) -> SplatCounts {
+fn splat_wide<const GRADIENT: bool>(kernel: Kernel, wide: &WideRun, job: &mut Job<'_>) -> SplatCounts {
     let mut counts = SplatCounts::default();
     let (run, packet, slab) = (job.run, job.packet, job.slab);
     let center = run.center.to_array();
@@ -535,7 +544,7 @@ fn splat_wide<const GRADIENT: bool, const ATTRIBUTES: bool>(
             if distance_squared * inverse >= 1.0 || last < first as f64 {
                 continue;
             }
-            job.samples.begin::<GRADIENT, ATTRIBUTES>(lane);
+            job.samples.begin::<GRADIENT>(lane);
             counts.pairs_added += 1;
             for sample in first..=last as u64 {
                 counts.kernel_evaluations += 1;
@@ -544,10 +553,8 @@ fn splat_wide<const GRADIENT: bool, const ATTRIBUTES: bool>(
                 let at = (sample - slab.first) as usize;
                 let weighted = (kernel.value(s) * f64::from(run.weight[i])) as f32;
                 job.samples.density[lane].0[at] += weighted;
-                if ATTRIBUTES {
-                    for channel in 0..3 {
-                        job.samples.attribute[channel][lane].0[at] += weighted * run.attribute[channel][i];
-                    }
+                for (rows, column) in job.samples.attribute.iter_mut().zip(&run.attribute) {
+                    rows[lane].0[at] += weighted * column[i];
                 }
                 if GRADIENT {
                     let slope = kernel.slope_over_x(s) * f64::from(run.weight[i]) * inverse;

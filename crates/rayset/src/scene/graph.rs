@@ -14,12 +14,12 @@
 //! Every opacity is held to [`MAX_OPACITY`](super::MAX_OPACITY) as it leaves a leaf, so that opaque things tie. The
 //! attributes of an intersection or blend of many children are not those of nested pairs.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
-use super::transfer::{ColorMap, ColorRule, OpacityRule, TransferError, TransferFunction};
+use super::transfer::{ColorMap, ColorRule, MapInput, OpacityRule, TransferError, TransferFunction};
 use super::{Material, Procedural};
-use crate::field::{AttributeSource, Kernel};
+use crate::field::Kernel;
 use crate::geometry::{Aabb, DAffine3, DVec3};
 use crate::grid::Grid;
 use crate::octree::Cloud;
@@ -100,12 +100,6 @@ impl CloudObject {
         Self { cloud, kernel: Kernel::default(), normalised: false, transfer }
     }
 
-    /// Which attribute channels the field has to carry.
-    #[must_use]
-    pub fn attribute_source(&self) -> AttributeSource {
-        self.transfer.attribute_source()
-    }
-
     /// The density that a single point of the largest weight makes at its own place, were it as wide as the widest.
     /// Attributes are defined where densities are at least 1e-12 of it.
     #[must_use]
@@ -133,9 +127,9 @@ impl CloudObject {
     fn check(&self) -> Result<(), SceneError> {
         self.transfer.check()?;
         let header = self.cloud.header();
-        match self.attribute_source() {
-            AttributeSource::Color if !header.has_color => Err(TransferError::Missing("colours").into()),
-            AttributeSource::Scalar(i) if i >= header.attributes.len() => {
+        match &self.transfer.color {
+            ColorRule::Points if !header.has_color => Err(TransferError::Missing("colours").into()),
+            ColorRule::Map { input: MapInput::Attribute(i), .. } if *i >= header.attributes.len() => {
                 Err(TransferError::Missing("such attribute").into())
             }
             _ => Ok(()),
@@ -182,8 +176,14 @@ impl GridObject {
     }
 }
 
+/// The name under which the values of a grid travel through operators.
+pub const GRID_ATTRIBUTE: &str = "value";
+
+/// The most attributes that the transfer functions of one scene may read.
+pub const MOST_ATTRIBUTES: usize = 32;
+
 /// What a transfer function of a node reads.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Channel {
     /// The opacity so far.
     Opacity,
@@ -193,6 +193,9 @@ pub enum Channel {
     Green,
     /// See [`Channel::Red`].
     Blue,
+    /// An attribute of the objects below, by its name: a column of a cloud, [`GRID_ATTRIBUTE`], or one of
+    /// [`Procedural::attributes`]. Operators treat it as they treat colours; objects without it count as 0.
+    Attribute(Arc<str>),
 }
 
 /// A transfer function over what a node makes.
@@ -244,6 +247,20 @@ pub enum SceneError {
         places: u64,
         /// How many there may be.
         most: u64,
+    },
+    /// A transfer function reads what nothing below it has.
+    #[error("nothing below has an attribute named \"{name}\"; there are {known:?}")]
+    NoAttribute {
+        /// What it reads.
+        name: String,
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// More attributes are read than can be kept apart.
+    #[error("transfer functions read {count} different attributes; at most {MOST_ATTRIBUTES} are carried")]
+    TooManyAttributes {
+        /// How many.
+        count: usize,
     },
     /// Rays would never end.
     #[error("the scene has no end: cut its half-spaces off with an intersection")]
@@ -306,7 +323,58 @@ impl Node {
         /// Sharing can make graphs whose terms are beyond all bounds.
         const MOST: u64 = 1 << 16;
         let places = self.places(&mut HashMap::new());
-        if places > MOST { Err(SceneError::TooLarge { places, most: MOST }) } else { self.check_each() }
+        if places > MOST {
+            return Err(SceneError::TooLarge { places, most: MOST });
+        }
+        self.check_each()?;
+        let count = self.attributes_read().len();
+        if count > MOST_ATTRIBUTES { Err(SceneError::TooManyAttributes { count }) } else { Ok(()) }
+    }
+
+    /// The attributes of the objects below, and the range of values that each is known to have.
+    #[must_use]
+    pub fn attributes(&self) -> BTreeMap<String, (f64, f64)> {
+        let mut known: BTreeMap<String, (f64, f64)> = BTreeMap::new();
+        let mut add = |name: &str, (low, high): (f64, f64)| {
+            let range = known.entry(name.into()).or_insert((low, high));
+            *range = (range.0.min(low), range.1.max(high));
+        };
+        self.for_each_once(&mut |node| match &node.shape {
+            Shape::Cloud(object) => {
+                for a in &object.cloud.header().attributes {
+                    add(&a.name, (f64::from(a.min), f64::from(a.max)));
+                }
+            }
+            Shape::Grid(object) => add(GRID_ATTRIBUTE, object.grid.header().value_range()),
+            Shape::Procedural(field) => field.attributes().iter().for_each(|name| add(name, (0.0, 1.0))),
+            Shape::Operator(..) => {}
+        });
+        known
+    }
+
+    /// The attributes that any transfer function reads, each once, in alphabetical order.
+    #[must_use]
+    pub fn attributes_read(&self) -> Vec<Arc<str>> {
+        let mut names = Vec::new();
+        self.for_each_once(&mut |node| {
+            names.extend(node.transfers.iter().filter_map(Transfer::attribute).cloned());
+        });
+        names.sort();
+        names.dedup();
+        names
+    }
+
+    /// Calls `f` with the node and everything below, shared nodes once.
+    fn for_each_once(&self, f: &mut impl FnMut(&Self)) {
+        fn visit(node: &Node, seen: &mut HashSet<*const Node>, f: &mut impl FnMut(&Node)) {
+            if seen.insert(std::ptr::from_ref(node)) {
+                f(node);
+                if let Shape::Operator(_, children) = &node.shape {
+                    children.iter().for_each(|child| visit(child, seen, f));
+                }
+            }
+        }
+        visit(self, &mut HashSet::new(), f);
     }
 
     /// In how many places the nodes of the term stand, shared ones counted wherever they are used.
@@ -322,7 +390,7 @@ impl Node {
 
     fn check_each(&self) -> Result<(), SceneError> {
         check_transform(&self.parent_from_local)?;
-        self.transfers.iter().try_for_each(Transfer::check)?;
+        self.transfers.iter().try_for_each(|transfer| transfer.check(self))?;
         self.material.as_ref().map_or(Ok(()), Material::check)?;
         match &self.shape {
             Shape::Cloud(object) => object.check(),
@@ -363,7 +431,25 @@ impl Node {
 }
 
 impl Transfer {
-    fn check(&self) -> Result<(), SceneError> {
+    /// The attribute that it reads.
+    fn attribute(&self) -> Option<&Arc<str>> {
+        match self {
+            Self::Opacity { input: Channel::Attribute(name), .. }
+            | Self::Color { input: Channel::Attribute(name), .. } => Some(name),
+            Self::Opacity { .. } | Self::Color { .. } => None,
+        }
+    }
+
+    fn check(&self, node: &Node) -> Result<(), SceneError> {
+        if let Some(name) = self.attribute() {
+            let known = node.attributes();
+            if !known.contains_key(&**name) {
+                return Err(SceneError::NoAttribute {
+                    name: name.to_string(),
+                    known: known.into_keys().collect(),
+                });
+            }
+        }
         match self {
             Self::Opacity { curve, .. } => Ok(OpacityRule::Curve(curve.clone()).check()?),
             Self::Color { map, .. } => Ok(map.check()?),

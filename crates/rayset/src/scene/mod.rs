@@ -20,7 +20,8 @@ pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
 pub use colormap::{Colormap, UnknownColormap};
 pub use graph::{
-    Channel, CloudObject, GridObject, Node, Operator, SceneError, Shape, Transfer, largest_stretch,
+    Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_ATTRIBUTES, Node, Operator, SceneError, Shape,
+    Transfer, largest_stretch,
 };
 pub use light::{Light, LightKind, Lighting};
 pub use material::Material;

@@ -58,6 +58,14 @@ impl Procedural for NoiseCloud {
         self.pattern.uniform()
     }
 
+    fn attributes(&self) -> &[&str] {
+        self.pattern.attributes()
+    }
+
+    fn attribute(&self, _index: usize, p: DVec3) -> f32 {
+        self.pattern.value(p) as f32
+    }
+
     fn sample(&self, p: DVec3) -> ProceduralSample {
         /// Noise seldom leaves ± this.
         const RANGE: f64 = 0.6;

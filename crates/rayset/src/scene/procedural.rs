@@ -34,6 +34,17 @@ pub trait Procedural: fmt::Debug + Send + Sync {
     /// The field at a place. Must be a function of the place alone.
     fn sample(&self, p: DVec3) -> ProceduralSample;
 
+    /// Names of attributes besides colour that the field has.
+    fn attributes(&self) -> &[&str] {
+        &[]
+    }
+
+    /// The attribute of a place in [`attributes`](Self::attributes) at a place, in single precision as those of points.
+    /// Must be a function of the place alone.
+    fn attribute(&self, _index: usize, _p: DVec3) -> f32 {
+        0.0
+    }
+
     /// The field at many places; for fields that are faster so.
     fn sample_all(&self, places: &[DVec3], out: &mut [ProceduralSample]) {
         for (sample, &p) in out.iter_mut().zip(places) {
@@ -71,14 +82,33 @@ impl Pattern {
     pub fn color(&self, p: DVec3) -> [f64; 3] {
         match self {
             Self::Uniform(color) => *color,
-            Self::Checker { colors, size } => {
+            Self::Checker { colors, .. } => colors[usize::from(self.value(p) > 0.0)],
+            Self::Gradient { map, .. } => map.color(self.value(p)),
+        }
+    }
+
+    /// The name of what it varies by, as an attribute: that of the pattern.
+    #[must_use]
+    pub fn attributes(&self) -> &'static [&'static str] {
+        match self {
+            Self::Uniform(_) => &[],
+            Self::Checker { .. } => &["checker"],
+            Self::Gradient { .. } => &["gradient"],
+        }
+    }
+
+    /// What it varies by: 0 and 1 in the cubes of a checker, the place along a gradient (0 at `from`, 1 at `to`).
+    #[must_use]
+    pub fn value(&self, p: DVec3) -> f64 {
+        match self {
+            Self::Uniform(_) => 0.0,
+            Self::Checker { size, .. } => {
                 let cell = (p / *size).floor();
-                let odd = (cell.x + cell.y + cell.z).rem_euclid(2.0) >= 1.0;
-                colors[usize::from(odd)]
+                if (cell.x + cell.y + cell.z).rem_euclid(2.0) >= 1.0 { 1.0 } else { 0.0 }
             }
-            Self::Gradient { from, to, map } => {
+            Self::Gradient { from, to, .. } => {
                 let along = *to - *from;
-                map.color((p - *from).dot(along) / along.length_squared())
+                (p - *from).dot(along) / along.length_squared()
             }
         }
     }

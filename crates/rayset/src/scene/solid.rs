@@ -216,6 +216,14 @@ impl Procedural for Solid {
         self.pattern.uniform()
     }
 
+    fn attributes(&self) -> &[&str] {
+        self.pattern.attributes()
+    }
+
+    fn attribute(&self, _index: usize, p: DVec3) -> f32 {
+        self.pattern.value(p) as f32
+    }
+
     fn sample(&self, p: DVec3) -> ProceduralSample {
         let (implicit, gradient) = self.form.distance(p);
         let inside = if self.edge > 0.0 {

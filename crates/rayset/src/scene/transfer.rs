@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::colormap::Colormap;
-use crate::field::{AttributeSource, linear_from_srgb};
+use crate::field::linear_from_srgb;
 
 /// Opacity is held below this, so that extinction stays finite.
 pub const MAX_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
@@ -268,15 +268,5 @@ impl TransferFunction {
             map.check()?;
         }
         Ok(())
-    }
-
-    /// Which attribute channels the field has to carry.
-    #[must_use]
-    pub fn attribute_source(&self) -> AttributeSource {
-        match &self.color {
-            ColorRule::Points => AttributeSource::Color,
-            ColorRule::Map { input: MapInput::Attribute(index), .. } => AttributeSource::Scalar(*index),
-            ColorRule::Map { .. } | ColorRule::Uniform(_) => AttributeSource::None,
-        }
     }
 }

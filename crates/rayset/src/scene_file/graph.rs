@@ -333,7 +333,7 @@ fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> 
     }
     if let Some(at) = object.get("transfers") {
         for at in at.list()? {
-            node.transfers.extend(transfers(&at)?);
+            node.transfers.extend(transfers(&at, &node)?);
         }
     }
     if let Some(at) = object.get("material") {
@@ -399,24 +399,50 @@ fn material(at: &Cursor<'_>) -> Result<Material, SceneFileError> {
 }
 
 /// A transfer function over what a node makes: opacity, colour or both.
-fn transfers(at: &Cursor<'_>) -> Result<Vec<Transfer>, SceneFileError> {
-    let object = at.object(&["input", "opacity", "color", "valueRange"])?;
-    let inputs = [
-        ("opacity", Channel::Opacity),
-        ("red", Channel::Red),
-        ("green", Channel::Green),
-        ("blue", Channel::Blue),
-    ];
-    let input = object.read_or("input", Channel::Opacity, |at| at.one_of(&inputs))?;
+fn transfers(at: &Cursor<'_>, node: &Node) -> Result<Vec<Transfer>, SceneFileError> {
+    let object = at.object(&["input", "opacity", "color", "valueRange", "preset"])?;
+    let preset = object.get("preset").map(|at| Preset::load(&at)).transpose()?;
+    let (preset_map, preset_curve) = preset.map_or((None, None), |preset| (preset.map, preset.opacity));
+    let plain = (Channel::Opacity, (0.0, 1.0));
+    let (input, known_range) = object.read_or("input", plain, |at| transfer_input(at, node))?;
     let mut made = Vec::new();
-    if let Some(at) = object.get("opacity") {
-        made.push(Transfer::Opacity { input, curve: curve(&at)? });
+    let curve = object.get("opacity").map(|at| curve(&at)).transpose()?.or(preset_curve);
+    let known_range = preset_map.as_ref().map_or(known_range, |map| map.range);
+    let range = object.read_or("valueRange", known_range, value_range)?;
+    let palette =
+        object.get("color").map(|at| palette(&at)).transpose()?.or(preset_map.map(|map| map.palette));
+    made.extend(curve.map(|curve| Transfer::Opacity { input: input.clone(), curve }));
+    made.extend(palette.map(|palette| Transfer::Color { input, map: ColorMap { palette, range } }));
+    if made.is_empty() {
+        Err(at.error("expected \"opacity\", \"color\", both or a \"preset\""))
+    } else {
+        Ok(made)
     }
-    if let Some(at) = object.get("color") {
-        let range = object.read_or("valueRange", (0.0, 1.0), value_range)?;
-        made.push(Transfer::Color { input, map: ColorMap { palette: palette(&at)?, range } });
-    }
-    if made.is_empty() { Err(at.error("expected \"opacity\", \"color\" or both")) } else { Ok(made) }
+}
+
+/// What a transfer function of a node reads, and the range of values that it has.
+fn transfer_input(at: &Cursor<'_>, node: &Node) -> Result<(Channel, (f64, f64)), SceneFileError> {
+    let channel = match at.text()? {
+        "opacity" => Channel::Opacity,
+        "red" => Channel::Red,
+        "green" => Channel::Green,
+        "blue" => Channel::Blue,
+        name => {
+            let known = node.attributes();
+            let Some(&(low, high)) = known.get(name) else {
+                let own: Vec<&str> = known.keys().map(String::as_str).collect();
+                let all = [&["opacity", "red", "green", "blue"], &own[..]].concat();
+                let meant =
+                    nearest(name, &all).map(|n| format!("; did you mean \"{n}\"?")).unwrap_or_default();
+                let all = all.join(", ");
+                return Err(
+                    at.error(format!("nothing here has an attribute \"{name}\"; there are {all}{meant}"))
+                );
+            };
+            return Ok((Channel::Attribute(name.into()), (low, if high > low { high } else { low + 1.0 })));
+        }
+    };
+    Ok((channel, (0.0, 1.0)))
 }
 
 fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(), SceneFileError> {

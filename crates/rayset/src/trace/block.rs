@@ -36,6 +36,8 @@ pub(super) struct Wants {
     /// Shading vector and boundary around the object, where its opacity is 0: it is taken away from something.
     pub(super) outside: bool,
     pub(super) material: bool,
+    /// A bit for each named attribute.
+    pub(super) attributes: u32,
 }
 
 impl Wants {
@@ -46,6 +48,7 @@ impl Wants {
             boundary: self.boundary || other.boundary,
             outside: self.outside || other.outside,
             material: self.material || other.material,
+            attributes: self.attributes | other.attributes,
         }
     }
 }
@@ -91,6 +94,8 @@ pub(super) struct Block {
     /// World space, negative inside.
     pub(super) boundary: Rows,
     pub(super) material: [Rows; MATERIAL],
+    /// Named attributes, by their numbers in the program.
+    pub(super) attributes: Vec<Rows>,
     /// While a blend is summed: its largest operand so far, whose refractive index is the blend's.
     largest: Rows,
 }
@@ -105,6 +110,9 @@ impl Block {
             normal: std::array::from_fn(|_| rows(wants.normal)),
             boundary: rows(wants.boundary),
             material: std::array::from_fn(|_| rows(wants.material)),
+            attributes: (0..u32::BITS - wants.attributes.leading_zeros())
+                .map(|number| rows(wants.attributes >> number & 1 == 1))
+                .collect(),
             largest: rows(wants.material),
         }
     }
@@ -112,7 +120,8 @@ impl Block {
     /// Bytes of a block.
     pub(super) fn bytes(wants: Wants) -> usize {
         let kinds = [wants.color, wants.normal, wants.boundary, wants.material].map(usize::from);
-        (1 + 3 * kinds[0] + 3 * kinds[1] + kinds[2] + (MATERIAL + 1) * kinds[3])
+        let attributes = wants.attributes.count_ones() as usize;
+        (1 + 3 * kinds[0] + 3 * kinds[1] + kinds[2] + (MATERIAL + 1) * kinds[3] + attributes)
             * LANES
             * size_of::<SampleRow>()
     }
@@ -157,7 +166,9 @@ impl Block {
         let normal = self.normal.iter_mut().zip(&other.normal).filter(move |_| wants.normal);
         let boundary = [(&mut self.boundary, &other.boundary)].into_iter().filter(move |_| wants.boundary);
         let material = self.material.iter_mut().zip(&other.material).filter(move |_| wants.material);
-        color.chain(normal).chain(boundary).chain(material)
+        let attributes = self.attributes.iter_mut().zip(&other.attributes).enumerate();
+        let attributes = attributes.filter(move |(number, _)| wants.attributes >> number & 1 == 1);
+        color.chain(normal).chain(boundary).chain(material).chain(attributes.map(|(_, rows)| rows))
     }
 
     /// Samples of `live` that another operand of a union could still change: those that are not opaque.
@@ -215,7 +226,7 @@ impl Block {
         let Some((first, others)) = children.split_first_mut() else { return };
         let common = others.iter().fold(first.touched, |touched, other| touched & other.touched);
         let attributes = Wants { normal: false, boundary: false, ..wants };
-        let shape = Wants { color: false, material: false, ..wants };
+        let shape = Wants { color: false, material: false, attributes: 0, ..wants };
         each_lane(common, |lane| {
             let (mut least, mut largest) = (first.opacity[lane], first.opacity[lane]);
             for other in others.iter() {
@@ -293,6 +304,9 @@ impl Block {
                     weighted(&mut self.normal[channel][lane], &other.normal[channel][lane]);
                 }
             }
+            for number in numbers(wants.attributes) {
+                weighted(&mut self.attributes[number][lane], &other.attributes[number][lane]);
+            }
             if wants.boundary {
                 take(&mut self.boundary[lane], &other.boundary[lane], takes);
             }
@@ -325,6 +339,9 @@ impl Block {
                 if wants.color {
                     divide(&mut self.color[channel][lane]);
                 }
+            }
+            for number in numbers(wants.attributes) {
+                divide(&mut self.attributes[number][lane]);
             }
             if wants.normal {
                 let [x, y, z] = &mut self.normal;
@@ -402,6 +419,11 @@ fn bits_where(holds: impl Fn(usize) -> bool) -> u32 {
     (0..SLAB_SAMPLES).fold(0, |bits, j| bits | u32::from(holds(j)) << j)
 }
 
+/// The numbers of the bits that are set.
+pub(super) fn numbers(bits: u32) -> impl Iterator<Item = usize> {
+    (0..32).filter(move |number| bits >> number & 1 == 1)
+}
+
 /// Calls `f` with every lane of a mask.
 #[inline(always)]
 pub(super) fn each_lane(mut lanes: u64, mut f: impl FnMut(usize)) {
@@ -417,8 +439,14 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const WANTS: Wants =
-        Wants { color: true, normal: false, boundary: false, outside: false, material: false };
+    const WANTS: Wants = Wants {
+        color: true,
+        normal: false,
+        boundary: false,
+        outside: false,
+        material: false,
+        attributes: 0b101,
+    };
 
     /// One lane of opacities of few values, so that ties are common, each with a colour that tells where it is from.
     fn block() -> impl Strategy<Value = Block> {
@@ -428,6 +456,7 @@ mod tests {
             block.touched = 1;
             block.opacity[0].0.copy_from_slice(&opacities);
             block.color.iter_mut().for_each(|rows| rows[0].0.fill(color));
+            numbers(WANTS.attributes).for_each(|number| block.attributes[number][0].0.fill(-color));
             block
         })
     }
@@ -470,10 +499,10 @@ mod tests {
         if block.touched == 1 { block.opacity[0].0 } else { [0.0; SLAB_SAMPLES] }
     }
 
-    /// Colours where there is anything.
-    fn colors(block: &Block) -> Vec<Option<f32>> {
-        let color = |j: usize| (opacities(block)[j] > 0.0).then(|| block.color[0][0].0[j]);
-        (0..SLAB_SAMPLES).map(color).collect()
+    /// Colours and an attribute where there is anything.
+    fn attributes(block: &Block) -> Vec<Option<(f32, f32)>> {
+        let both = |j: usize| (block.color[0][0].0[j], block.attributes[2][0].0[j]);
+        (0..SLAB_SAMPLES).map(|j| (opacities(block)[j] > 0.0).then(|| both(j))).collect()
     }
 
     proptest! {
@@ -494,14 +523,14 @@ mod tests {
 
         #[test]
         fn attributes_of_union_are_associative(a in block(), b in block(), c in block()) {
-            prop_assert_eq!(colors(&union(&a, &union(&b, &c))), colors(&union(&union(&a, &b), &c)));
+            prop_assert_eq!(attributes(&union(&a, &union(&b, &c))), attributes(&union(&union(&a, &b), &c)));
         }
 
         #[test]
         fn nothing_taken_away_leaves_all_and_all_taken_away_leaves_nothing(a in block()) {
             let nothing = Block::new(WANTS);
             prop_assert_eq!(opacities(&difference(&a, &nothing)), opacities(&a));
-            prop_assert_eq!(colors(&difference(&a, &nothing)), colors(&a));
+            prop_assert_eq!(attributes(&difference(&a, &nothing)), attributes(&a));
             prop_assert_eq!(opacities(&difference(&a, &a)), [0.0; SLAB_SAMPLES]);
         }
 

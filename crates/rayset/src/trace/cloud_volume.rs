@@ -7,13 +7,13 @@ use fearless_simd::dispatch;
 
 use super::RenderError;
 use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
-use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize};
+use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize, numbers};
 use super::counts::RenderCounts;
 use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, run_bounds};
 use super::math::{absorbed, ln};
 use super::transfer::ColorTable;
 use crate::field::{
-    AttributeSource, Channels, DecodedRun, FieldSamples, Packet, RunDecoder, SLAB_SAMPLES, SampleRow,
+    AttributeColumns, Channels, DecodedRun, FieldSamples, Packet, RunDecoder, SLAB_SAMPLES, SampleRow,
     SimdLevel, Slab, Splatter,
 };
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
@@ -30,7 +30,11 @@ const LEAST_WEIGHT: f32 = 1e-12;
 enum Color {
     Uniform([f32; 3]),
     Points,
-    Map { table: ColorTable, attribute: bool },
+    /// Of the density, or of an attribute of this number in the file.
+    Map {
+        table: ColorTable,
+        attribute: Option<usize>,
+    },
 }
 
 /// A cloud where the graph puts it.
@@ -47,7 +51,10 @@ pub(super) struct CloudVolume {
     /// The least that a unit of the world becomes here, along any direction.
     least_stretch: f64,
     decoder: RunDecoder,
-    source: AttributeSource,
+    /// What its field carries. The colour, or what it is mapped from, comes first.
+    columns: AttributeColumns,
+    /// The channel of each of the program's attributes, where the cloud has it.
+    named: Vec<Option<usize>>,
     color: Color,
     pub(super) unit_distance: f64,
     /// Density at the boundary.
@@ -67,12 +74,12 @@ impl CloudVolume {
     ) -> Option<Self> {
         let (file, pages) = paged.find(&object.cloud)?;
         let header = object.cloud.header();
-        let source = object.attribute_source();
         let color = match &object.transfer.color {
             ColorRule::Uniform(color) => Color::Uniform(*color),
             ColorRule::Points => Color::Points,
             ColorRule::Map { map, input } => {
-                Color::Map { table: ColorTable::new(map), attribute: matches!(input, MapInput::Attribute(_)) }
+                let attribute = if let MapInput::Attribute(index) = input { Some(*index) } else { None };
+                Color::Map { table: ColorTable::new(map), attribute }
             }
         };
         Some(Self {
@@ -83,8 +90,9 @@ impl CloudVolume {
             local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
             world_from_local: *world_from_local,
             least_stretch: 1.0 / largest_stretch(world_from_local),
-            decoder: RunDecoder::new(header, object.kernel, object.normalised, source),
-            source,
+            decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
+            columns: AttributeColumns::default(),
+            named: Vec::new(),
             color,
             unit_distance,
             boundary_density: object.transfer.opacity.boundary_density(unit_distance) as f32,
@@ -92,6 +100,32 @@ impl CloudVolume {
             material,
             object: object.clone(),
         })
+    }
+
+    /// Says what is wanted of it, and the names of the program's attributes. Nothing but densities comes before.
+    pub(super) fn carry(&mut self, wants: Wants, names: &[Arc<str>]) {
+        let header = self.object.cloud.header();
+        let mut columns = AttributeColumns::default();
+        let mut scalar = None;
+        if wants.color {
+            columns.color = matches!(self.color, Color::Points);
+            scalar = if let Color::Map { attribute, .. } = self.color { attribute } else { None };
+        }
+        columns.scalars.extend(scalar);
+        self.named = vec![None; names.len()];
+        for number in numbers(wants.attributes) {
+            let Some(index) = header.attributes.iter().position(|a| a.name == *names[number]) else {
+                continue;
+            };
+            let known = columns.scalars.iter().position(|&known| known == index);
+            let place = known.unwrap_or_else(|| {
+                columns.scalars.push(index);
+                columns.scalars.len() - 1
+            });
+            self.named[number] = Some(columns.first_scalar() + place);
+        }
+        self.decoder = RunDecoder::new(header, self.object.kernel, self.object.normalised, columns.clone());
+        self.columns = columns;
     }
 
     pub(super) fn cloud(&self) -> &Cloud {
@@ -182,10 +216,7 @@ impl CloudVolume {
 
     /// What the field has to carry for a node of which so much is wanted.
     fn channels(&self, wants: Wants) -> Channels {
-        Channels {
-            gradient: wants.normal || wants.boundary,
-            attributes: wants.color && self.source != AttributeSource::None,
-        }
+        Channels { gradient: wants.normal || wants.boundary, attributes: self.columns.channels() }
     }
 
     /// From the field to opacity, colour and shading vector.
@@ -202,6 +233,9 @@ impl CloudVolume {
             out.opacity[lane] = self.opacity(&field.density[lane], measure, simd);
             if wants.color {
                 self.fill_color(field, lane, out);
+            }
+            for number in numbers(wants.attributes) {
+                self.fill_attribute(field, lane, number, out);
             }
             if wants.normal || wants.boundary {
                 self.fill_normal(field, lane, wants, simd, out);
@@ -244,13 +278,6 @@ impl CloudVolume {
 
     fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut Block) {
         let density = &field.density[lane].0;
-        let mean = |channel: usize, j: usize| {
-            if density[j].abs() > self.least_weight {
-                field.attribute[channel][lane].0[j] / density[j]
-            } else {
-                0.0
-            }
-        };
         match &self.color {
             Color::Uniform(color) => {
                 for (rows, &v) in out.color.iter_mut().zip(color) {
@@ -259,18 +286,33 @@ impl CloudVolume {
             }
             Color::Points => {
                 for (channel, rows) in out.color.iter_mut().enumerate() {
-                    rows[lane] = SampleRow(std::array::from_fn(|j| mean(channel, j)));
+                    rows[lane] = self.mean(field, lane, channel);
                 }
             }
             Color::Map { table, attribute } => {
+                let values = if attribute.is_some() { self.mean(field, lane, 0).0 } else { *density };
                 for j in (0..SLAB_SAMPLES).filter(|&j| density[j] > 0.0) {
-                    let color = table.color(if *attribute { mean(0, j) } else { density[j] });
+                    let color = table.color(values[j]);
                     for (rows, v) in out.color.iter_mut().zip(color) {
                         rows[lane].0[j] = v;
                     }
                 }
             }
         }
+    }
+
+    fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut Block) {
+        out.attributes[number][lane] = match self.named.get(number).copied().flatten() {
+            Some(channel) => self.mean(field, lane, channel),
+            None => SampleRow([0.0; SLAB_SAMPLES]),
+        };
+    }
+
+    /// An attribute: Σ v·ω·a / Σ v·ω.
+    fn mean(&self, field: &FieldSamples, lane: usize, channel: usize) -> SampleRow {
+        let (density, sum) = (&field.density[lane].0, &field.attribute[channel][lane].0);
+        let defined = |j: usize| density[j].abs() > self.least_weight;
+        SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
     }
 
     fn fill_normal(&self, field: &FieldSamples, lane: usize, wants: Wants, simd: SimdLevel, out: &mut Block) {

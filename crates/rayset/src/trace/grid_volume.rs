@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use super::access::{Access, Halt};
-use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane};
+use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, numbers};
 use super::math::ln;
 use super::transfer::ColorTable;
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use crate::octree::format::PAGE_HEAD_BYTES;
-use crate::scene::{ColorRule, GridObject, MAX_OPACITY, largest_stretch};
+use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, MAX_OPACITY, largest_stretch};
 use crate::working_set::{Object, PageGuard, PagedFiles};
 
 /// Priority of bricks that samples wait for, and of their ranges.
@@ -32,6 +32,8 @@ pub(super) struct GridVolume {
     world_gradient: DMat3,
     bounds_voxel: Aabb,
     color: Color,
+    /// The number of the program's attribute that its values are.
+    value_number: Option<usize>,
     unit_distance: f64,
     boundary_value: f64,
     /// What a gradient points to where the object is: the opacity rises with the value, or falls.
@@ -71,12 +73,18 @@ impl GridVolume {
             world_gradient: voxel_from_world.matrix3.transpose(),
             bounds_voxel: Aabb::new(DVec3::ZERO, object.grid.header().last_voxel()),
             color,
+            value_number: None,
             unit_distance,
             boundary_value: object.boundary_value(unit_distance),
             outward: object.outward(),
             material,
             object: object.clone(),
         })
+    }
+
+    /// Says the names of the program's attributes.
+    pub(super) fn carry(&mut self, names: &[Arc<str>]) {
+        self.value_number = names.iter().position(|name| **name == *GRID_ATTRIBUTE);
     }
 
     pub(super) fn uniform_color(&self) -> Option<[f32; 3]> {
@@ -276,6 +284,10 @@ impl GridVolume {
             for (rows, v) in out.color.iter_mut().zip(color) {
                 rows[lane].0[j] = v;
             }
+        }
+        for number in numbers(wants.attributes) {
+            let own = self.value_number == Some(number);
+            out.attributes[number][lane].0[j] = if own { value as f32 } else { 0.0 };
         }
         if wants.normal || wants.boundary {
             let over_voxels = brick.gradient(cell, within) * header.scale;

@@ -4,11 +4,12 @@ use std::sync::Arc;
 
 use super::block::{Block, Wants};
 use super::shadow::{BLOCK_BYTES, LightTable};
+use crate::field::{LANES, SampleRow};
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
 use crate::image::LayerPixel;
 use crate::octree::Cloud;
-use crate::scene::{Lighting, Node, Operator, RenderSettings, Scene, Shape};
+use crate::scene::{Lighting, MOST_ATTRIBUTES, Node, Operator, RenderSettings, Scene, Shape};
 use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
@@ -68,6 +69,7 @@ impl SceneNeeds {
             found
         };
         let turns = has(|n| n.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0));
+        let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
         let wants = Wants {
             color: true,
             normal: lit || settings.layers,
@@ -77,16 +79,21 @@ impl SceneNeeds {
                     || has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _)))),
             outside: false,
             material: settings.layers || (lit && has(|node| node.material.is_some())),
+            attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
         };
         let picture = blocks(&scene.root) * Block::bytes(wants);
+        let opacity_only = Wants { attributes: wants.attributes, ..Wants::default() };
         let shadow = if scene.lighting.throws_shadows() {
-            blocks(&scene.root) * Block::bytes(Wants::default())
+            blocks(&scene.root) * Block::bytes(opacity_only)
         } else {
             0
         };
         let passes = if shadow > 0 { 2 } else { 1 };
         let tree = if turns && settings.max_depth > 0 { TREE_BYTES } else { 0 };
-        let thread_bytes = THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES + tree;
+        // Of the field of a cloud, once for pictures and once for shadows.
+        let sums = u64::from(names) * passes * (LANES * size_of::<SampleRow>()) as u64;
+        let thread_bytes =
+            THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES + tree + sums;
         let shadow_blocks = LightTable::blocks_of(scene, settings.shadows);
         Self { clouds, grids, thread_bytes, shadow_blocks, layers: settings.layers }
     }

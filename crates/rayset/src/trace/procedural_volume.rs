@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane};
+use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, numbers};
 use super::math::ln;
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
@@ -18,6 +18,8 @@ pub(super) struct ProceduralVolume {
     /// How far around the bounds boundaries are looked for, where they are wanted; local space.
     reach_local: f64,
     pub(super) material: [f32; MATERIAL],
+    /// The place among the field's own of each of the program's attributes, where the field has it.
+    named: Vec<Option<usize>>,
 }
 
 impl ProceduralVolume {
@@ -35,7 +37,14 @@ impl ProceduralVolume {
             world_gradient: local_from_world.matrix3.transpose(),
             reach_local: reach_world * largest_stretch(&local_from_world),
             material,
+            named: Vec::new(),
         }
+    }
+
+    /// Says the names of the program's attributes.
+    pub(super) fn carry(&mut self, names: &[Arc<str>]) {
+        let own = self.field.attributes();
+        self.named = names.iter().map(|name| own.iter().position(|own| *own == &**name)).collect();
     }
 
     /// A length over which the field changes along a ray, world space.
@@ -109,6 +118,11 @@ impl ProceduralVolume {
                 for (rows, v) in out.color.iter_mut().zip(sample.color) {
                     rows[lane].0[j] = v as f32;
                 }
+            }
+            for number in numbers(wants.attributes) {
+                let index = self.named.get(number).copied().flatten();
+                out.attributes[number][lane].0[j] =
+                    index.map_or(0.0, |index| self.field.attribute(index, places[j]));
             }
             if wants.normal || wants.boundary {
                 let gradient = self.world_gradient * sample.gradient;

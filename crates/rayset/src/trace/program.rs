@@ -13,10 +13,10 @@ use super::bounce::Turns;
 use super::cloud_volume::CloudVolume;
 use super::grid_volume::GridVolume;
 use super::procedural_volume::ProceduralVolume;
-use super::transfer::CompiledTransfer;
+use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
 use crate::geometry::{Aabb, DAffine3};
-use crate::scene::{Channel, LightKind, Lighting, Material, Node, Operator, Scene, Shape};
+use crate::scene::{LightKind, Lighting, Material, Node, Operator, Scene, Shape};
 use crate::working_set::PagedFiles;
 
 /// What an instruction does.
@@ -77,6 +77,8 @@ struct Compiler<'s> {
     paged: &'s PagedFiles,
     instructions: Vec<Instruction>,
     known: HashMap<Key, usize>,
+    /// Attributes that transfer functions read, in alphabetical order.
+    names: Vec<Arc<str>>,
     /// Every material that is used, each once.
     materials: Vec<[f32; MATERIAL]>,
     /// Leaves so far, where their numbers are wanted.
@@ -96,7 +98,8 @@ impl Program {
     ) -> Result<Self, RenderError> {
         let leaves = (purpose == Purpose::Layers).then_some(0);
         let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
-        let mut compiler = Compiler { scene, simd, paged, instructions, known, materials, leaves };
+        let names = scene.root.attributes_read();
+        let mut compiler = Compiler { scene, simd, paged, instructions, known, names, materials, leaves };
         let material = compiler.material(&Material::default());
         compiler.add(&scene.root, &DAffine3::IDENTITY, material)?;
         Ok(compiler.finish(purpose))
@@ -203,7 +206,8 @@ impl Compiler<'_> {
                 (Action::Operator(operator, children), bounds, first.filter(|_| same))
             }
         };
-        let transfers: Vec<CompiledTransfer> = node.transfers.iter().map(CompiledTransfer::new).collect();
+        let transfers: Vec<CompiledTransfer> =
+            node.transfers.iter().map(|t| CompiledTransfer::new(t, &self.names)).collect();
         let recolored = transfers.iter().any(CompiledTransfer::makes_color);
         self.instructions.push(Instruction {
             action,
@@ -283,6 +287,7 @@ impl Compiler<'_> {
             boundary: self.scene.lighting.throws_shadows() || turns_rays,
             outside: false,
             material: materials_differ || layers,
+            attributes: 0,
         }
     }
 
@@ -290,12 +295,18 @@ impl Compiler<'_> {
         let Instruction { wants, measures, transfers, action, .. } = &mut self.instructions[at];
         let sums = matches!(action, Action::Operator(Operator::Difference | Operator::Blend, _));
         measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
-        let reads_color = transfers.iter().any(|t| t.input != Channel::Opacity);
+        let reads_color = transfers.iter().any(|t| matches!(t.input, Input::Color(_)));
         let makes_color = transfers.iter().any(CompiledTransfer::makes_color);
         // Rows are there for both what goes in and what comes out.
         wants.color |= reads_color;
+        wants.attributes = transfers.iter().fold(wants.attributes, |bits, t| bits | t.input.attributes());
         let below = Wants { color: wants.color && (reads_color || !makes_color), ..*wants };
-        let Action::Operator(operator, children) = action else { return };
+        let (operator, children) = match action {
+            Action::Operator(operator, children) => (operator, children),
+            Action::Cloud(volume) => return volume.carry(below, &self.names),
+            Action::Grid(volume) => return volume.carry(&self.names),
+            Action::Procedural(volume) => return volume.carry(&self.names),
+        };
         let (operator, children, measure) = (*operator, children.clone(), measures.0);
         for (place, child) in children.into_iter().enumerate() {
             let of_child = match operator {
@@ -304,6 +315,7 @@ impl Compiler<'_> {
                     outside: below.outside || (below.normal && place > 0),
                     color: below.color && place == 0,
                     material: below.material && place == 0,
+                    attributes: if place == 0 { below.attributes } else { 0 },
                     ..below
                 },
                 _ => below,

@@ -1,5 +1,7 @@
 //! Transfer functions over what nodes make, prepared for rows of samples.
 
+use std::sync::Arc;
+
 use super::block::{Block, each_lane};
 use crate::field::SLAB_SAMPLES;
 use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer, curve_at};
@@ -39,22 +41,46 @@ enum Output {
     Color(ColorTable),
 }
 
+/// Rows that a transfer function reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Input {
+    Opacity,
+    Color(usize),
+    /// A named attribute, by its number in the program.
+    Attribute(usize),
+}
+
+impl Input {
+    fn new(channel: &Channel, names: &[Arc<str>]) -> Self {
+        match channel {
+            Channel::Opacity => Self::Opacity,
+            Channel::Red => Self::Color(0),
+            Channel::Green => Self::Color(1),
+            Channel::Blue => Self::Color(2),
+            Channel::Attribute(name) => Self::Attribute(names.binary_search(name).unwrap_or(0)),
+        }
+    }
+
+    /// The named attributes that have to be there.
+    pub(super) fn attributes(self) -> u32 {
+        if let Self::Attribute(number) = self { 1 << number } else { 0 }
+    }
+}
+
 /// A transfer function of a node.
 pub(super) struct CompiledTransfer {
-    pub(super) input: Channel,
+    pub(super) input: Input,
     output: Output,
 }
 
 impl CompiledTransfer {
-    pub(super) fn new(transfer: &Transfer) -> Self {
-        match transfer {
-            Transfer::Opacity { input, curve } => {
-                Self { input: *input, output: Output::Opacity(curve.clone()) }
-            }
-            Transfer::Color { input, map } => {
-                Self { input: *input, output: Output::Color(ColorTable::new(map)) }
-            }
-        }
+    /// Of a program whose attributes have these names, in alphabetical order.
+    pub(super) fn new(transfer: &Transfer, names: &[Arc<str>]) -> Self {
+        let (input, output) = match transfer {
+            Transfer::Opacity { input, curve } => (input, Output::Opacity(curve.clone())),
+            Transfer::Color { input, map } => (input, Output::Color(ColorTable::new(map))),
+        };
+        Self { input: Input::new(input, names), output }
     }
 
     pub(super) fn makes_color(&self) -> bool {
@@ -70,10 +96,9 @@ impl CompiledTransfer {
                     continue;
                 }
                 let value = match self.input {
-                    Channel::Opacity => opacity,
-                    Channel::Red => block.color[0][lane].0[j],
-                    Channel::Green => block.color[1][lane].0[j],
-                    Channel::Blue => block.color[2][lane].0[j],
+                    Input::Opacity => opacity,
+                    Input::Color(channel) => block.color[channel][lane].0[j],
+                    Input::Attribute(number) => block.attributes[number][lane].0[j],
                 };
                 match &self.output {
                     Output::Opacity(curve) => {

@@ -6,12 +6,14 @@ mod tree;
 
 use std::sync::Arc;
 
+use crate::field::AttributeColumns;
 use crate::field::judge::JudgeField;
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
 use crate::octree::file::ScanError;
 use crate::scene::{
-    Camera, CameraError, Channel, CloudObject, ColorRule, GridObject, LightKind, Lighting, MAX_OPACITY,
-    MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer, curve_at,
+    Camera, CameraError, Channel, CloudObject, ColorRule, GRID_ATTRIBUTE, GridObject, LightKind, Lighting,
+    MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene,
+    Shape, Transfer, curve_at,
 };
 
 /// A pixel in linear light, premultiplied, and its opacity.
@@ -22,6 +24,8 @@ pub struct Judge<'a> {
     scene: &'a Scene,
     clouds: Vec<(*const Node, JudgeField)>,
     grids: Vec<(*const Node, Vec<f32>)>,
+    /// Attributes that transfer functions read.
+    names: Vec<Arc<str>>,
 }
 
 /// Why the judge has no scene.
@@ -46,6 +50,8 @@ struct Sample {
     /// Signed distance to the boundary that the normal belongs to, world space.
     boundary: f64,
     material: [f64; 6],
+    /// By their places in [`Judge::names`].
+    attributes: [f64; MOST_ATTRIBUTES],
 }
 
 const NOTHING: Sample = Sample {
@@ -54,6 +60,7 @@ const NOTHING: Sample = Sample {
     normal: DVec3::ZERO,
     boundary: f64::INFINITY,
     material: [0.0; 6],
+    attributes: [0.0; MOST_ATTRIBUTES],
 };
 
 /// What of a graph one ray can meet: fields with far points left out, and maps to them.
@@ -77,7 +84,8 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// [`JudgeError`] where a file cannot be read or is damaged.
     pub fn load(scene: &'a Scene) -> Result<Self, JudgeError> {
-        let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new() };
+        let names = scene.root.attributes_read();
+        let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
         judge.load_node(&scene.root)?;
         Ok(judge)
     }
@@ -87,7 +95,12 @@ impl<'a> Judge<'a> {
         match &node.shape {
             Shape::Cloud(object) if !self.clouds.iter().any(known) => {
                 let (kernel, normalised) = (object.kernel, object.normalised);
-                let field = JudgeField::load(&object.cloud, kernel, normalised, object.attribute_source())?;
+                let header = object.cloud.header();
+                let everything = AttributeColumns {
+                    color: header.has_color,
+                    scalars: (0..header.attributes.len()).collect(),
+                };
+                let field = JudgeField::load(&object.cloud, kernel, normalised, &everything)?;
                 self.clouds.push((Arc::as_ptr(node), field));
                 Ok(())
             }
@@ -232,7 +245,13 @@ impl<'a> Judge<'a> {
                 let s = field.sample(node.local_from_world.transform_point3(q));
                 let (normal, boundary) = surface(node, s.implicit, s.gradient);
                 let opacity = s.opacity.clamp(0.0, MAX_OPACITY);
-                Sample { opacity, color: s.color, normal, boundary, material: node.material.to_array() }
+                let place = node.local_from_world.transform_point3(q);
+                let attributes = self.attributes(|name| {
+                    let index = field.attributes().iter().position(|own| *own == name)?;
+                    Some(f64::from(field.attribute(index, place)))
+                });
+                let material = node.material.to_array();
+                Sample { opacity, color: s.color, normal, boundary, material, attributes }
             }
             Seen::Operator(operator, children) => {
                 let samples: Vec<Sample> = children.iter().map(|child| self.sample(child, q)).collect();
@@ -243,17 +262,20 @@ impl<'a> Judge<'a> {
             if !(sample.opacity > 0.0) {
                 break;
             }
-            let value = |channel: Channel| match channel {
+            let value = |channel: &Channel| match channel {
                 Channel::Opacity => sample.opacity,
                 Channel::Red => sample.color[0],
                 Channel::Green => sample.color[1],
                 Channel::Blue => sample.color[2],
+                Channel::Attribute(name) => {
+                    self.names.iter().position(|known| known == name).map_or(0.0, |at| sample.attributes[at])
+                }
             };
             match transfer {
                 Transfer::Opacity { input, curve } => {
-                    sample.opacity = curve_at(curve, value(*input)).min(MAX_OPACITY);
+                    sample.opacity = curve_at(curve, value(input)).min(MAX_OPACITY);
                 }
-                Transfer::Color { input, map } => sample.color = map.color(value(*input)),
+                Transfer::Color { input, map } => sample.color = map.color(value(input)),
             }
         }
         sample
@@ -269,19 +291,31 @@ impl<'a> Judge<'a> {
         let s = field.sample(node.local_from_world.transform_point3(q));
         let least = 1e-12 * object.largest_point_density();
         let mean =
-            |channel: usize| if s.density.abs() > least { s.attribute[channel] / s.density } else { 0.0 };
+            |channel: usize| if s.density.abs() > least { s.attributes[channel] / s.density } else { 0.0 };
+        let header = object.cloud.header();
+        let scalar = |index: usize| mean(index + if header.has_color { 3 } else { 0 });
         let color = match &object.transfer.color {
             ColorRule::Uniform(c) => c.map(f64::from),
             ColorRule::Points => [mean(0), mean(1), mean(2)],
-            ColorRule::Map { map, input } => {
-                map.color(if matches!(input, MapInput::Attribute(_)) { mean(0) } else { s.density })
-            }
+            ColorRule::Map { map, input: MapInput::Attribute(index) } => map.color(scalar(*index)),
+            ColorRule::Map { map, input: MapInput::Density } => map.color(s.density),
         };
+        let attributes =
+            self.attributes(|name| header.attributes.iter().position(|a| a.name == name).map(scalar));
         let unit = self.scene.unit_distance;
         let level = object.transfer.opacity.boundary_density(unit);
         let (normal, boundary) = surface(node, level - s.density, -s.gradient);
         let opacity = object.transfer.opacity.opacity(s.density, unit);
-        Sample { opacity, color, normal, boundary, material: node.material.to_array() }
+        Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
+    }
+
+    /// The attributes that are read anywhere, as one object has them; 0 where it does not.
+    fn attributes(&self, mut of: impl FnMut(&str) -> Option<f64>) -> [f64; MOST_ATTRIBUTES] {
+        let mut attributes = [0.0; MOST_ATTRIBUTES];
+        for (value, name) in attributes.iter_mut().zip(&self.names) {
+            *value = of(name).unwrap_or(0.0);
+        }
+        attributes
     }
 
     fn sample_grid(&self, node: &SeenNode<'_>, object: &GridObject, voxels: &[f32], q: DVec3) -> Sample {
@@ -321,7 +355,8 @@ impl<'a> Judge<'a> {
             ColorRule::Map { map, .. } => map.color(v),
         };
         let opacity = object.transfer.opacity.opacity_of_value(v, unit);
-        Sample { opacity, color, normal, boundary, material: node.material.to_array() }
+        let attributes = self.attributes(|name| (name == GRID_ATTRIBUTE).then_some(v));
+        Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
     }
 
     /// Light on a sample.
@@ -415,7 +450,8 @@ fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
                     attributes = *s;
                 }
             }
-            Sample { color: attributes.color, material: attributes.material, ..shape }
+            let Sample { color, material, attributes, .. } = attributes;
+            Sample { color, material, attributes, ..shape }
         }
         Operator::Difference => samples.iter().skip(1).fold(samples[0], |a, b| {
             let cut = b.boundary.abs() < a.boundary.abs() && b.boundary.abs() <= reach;
@@ -432,6 +468,9 @@ fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
             for s in samples.iter().filter(|s| s.opacity > 0.0) {
                 for channel in 0..3 {
                     mixed.color[channel] += s.opacity * s.color[channel] / sum;
+                }
+                for (mixed, value) in mixed.attributes.iter_mut().zip(&s.attributes) {
+                    *mixed += s.opacity * value / sum;
                 }
                 for number in 0..5 {
                     mixed.material[number] += s.opacity * s.material[number] / sum;
