@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use rayset::grid;
-use rayset::grid::build::GridBuildError;
+use rayset::grid::build::{GridBuildError, GridBuildOptions};
 use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::octree::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
 use rayset::points::{self, ReadOptions};
@@ -98,6 +98,18 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }
 }
 
+/// What was built of a volume, as JSON.
+#[derive(serde::Serialize)]
+struct GridSummary {
+    size: [u64; 3],
+    voxels: &'static str,
+    value_range: (f64, f64),
+    file_bytes: u64,
+    pages: u64,
+    seconds: f64,
+    peak_rss_bytes: Option<u64>,
+}
+
 fn build_grid(args: &BuildArgs) -> Result<()> {
     let [input] = args.inputs.as_slice() else { bail!("a grid is built from one volume at a time") };
     let source = match &args.raw {
@@ -106,9 +118,12 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
     };
     let meter = Meter::new("slices", args.json);
     let started = std::time::Instant::now();
-    let memory = args.memory.saturating_sub(PROCESS_BYTES);
+    let options = GridBuildOptions {
+        memory_bytes: args.memory.saturating_sub(PROCESS_BYTES),
+        temp_dir: args.temp_dir.clone(),
+    };
     let mut progress = |done, total| meter.show("reading", done, total);
-    let built = grid::build::build(source, &args.output, memory, &mut progress);
+    let built = grid::build::build(source, &args.output, &options, &mut progress);
     meter.finish();
     let header = built.map_err(|e| match e {
         GridBuildError::Memory { needed, .. } => anyhow::anyhow!(
@@ -118,6 +133,17 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
         ),
         other => other.into(),
     })?;
+    if args.json {
+        return report::json(&GridSummary {
+            size: header.size,
+            voxels: header.kind.name(),
+            value_range: header.value_range(),
+            file_bytes: header.file_bytes,
+            pages: header.pages(),
+            seconds: started.elapsed().as_secs_f64(),
+            peak_rss_bytes: peak_rss(),
+        });
+    }
     let (low, high) = header.value_range();
     report::say(format_args!(
         "{}: {} x {} x {} voxels of {}, values {low} to {high}, {} in {} pages",

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use rayset::geometry::{Aabb, DAffine3, DVec3};
-use rayset::grid::build::build as build_grid;
+use rayset::grid::build::{GridBuildOptions, build as build_grid};
 use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
@@ -247,8 +247,7 @@ impl Preparation<'_> {
         // Values from 0 to 1, whatever they were.
         // Under another name until it is right: what has the final one is used again.
         let unscaled = self.folder.join("volume.unscaled.rset");
-        let memory_bytes = self.args.memory.saturating_sub(PROCESS_BYTES);
-        let header = build_grid(source, &unscaled, memory_bytes, &mut |_, _| {})?;
+        let header = build_grid(source, &unscaled, &self.grid_options(), &mut |_, _| {})?;
         let (low, high) = header.value_range();
         if self.args.volume.is_some() && high > low {
             self.rescale(&unscaled, low, high)?;
@@ -264,8 +263,12 @@ impl Preparation<'_> {
         source.space_from_voxel = header.header().space_from_voxel;
         source.offset = (source.offset - low) / (high - low);
         source.scale /= high - low;
-        build_grid(source, path, self.args.memory.saturating_sub(PROCESS_BYTES), &mut |_, _| {})?;
+        build_grid(source, path, &self.grid_options(), &mut |_, _| {})?;
         Ok(())
+    }
+
+    fn grid_options(&self) -> GridBuildOptions {
+        GridBuildOptions { memory_bytes: self.args.memory.saturating_sub(PROCESS_BYTES), temp_dir: None }
     }
 
     /// Fractal noise as a volume of bytes.

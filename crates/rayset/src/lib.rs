@@ -49,5 +49,6 @@ pub mod octree;
 pub mod points;
 pub mod scene;
 pub mod scene_file;
+mod spill;
 pub mod trace;
 pub mod working_set;

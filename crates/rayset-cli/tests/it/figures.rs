@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rayset::geometry::{DAffine3, DVec3};
-use rayset::grid::build::build as build_grid;
+use rayset::grid::build::{GridBuildOptions, build as build_grid};
 use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::Workload;
@@ -50,7 +50,8 @@ fn prepared() -> tempfile::TempDir {
     source.scale = 1.0 / 255.0;
     source.space_from_voxel =
         DAffine3::from_scale(DVec3::splat(1.0 / 39.0)) * DAffine3::from_translation(DVec3::splat(-19.5));
-    build_grid(source, &folder.path().join("volume.rset"), 16 << 20, &mut |_, _| {}).expect("a grid");
+    build_grid(source, &folder.path().join("volume.rset"), &GridBuildOptions::default(), &mut |_, _| {})
+        .expect("a grid");
     folder
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rayset::geometry::{DAffine3, DQuat, DVec3};
-use rayset::grid::build::build;
+use rayset::grid::build::{GridBuildError, GridBuildOptions, build};
 use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
@@ -54,7 +54,7 @@ fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
     let layout: RawLayout =
         format!("45x37x52,{},spacing=0.03x0.035x0.028", kind.name()).parse().expect("a layout");
     let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
-    build(source, &path, 64 << 20, &mut |_, _| {}).expect("it builds");
+    build(source, &path, &GridBuildOptions::default(), &mut |_, _| {}).expect("it builds");
     Arc::new(Grid::open(&path).expect("it opens"))
 }
 
@@ -71,6 +71,32 @@ fn object(grid: &Arc<Grid>, shift: f64) -> Node {
 
 fn scene(root: Node) -> Scene {
     Scene { root: Arc::new(root), lighting: Lighting::headlight(), background: None, unit_distance: 0.1 }
+}
+
+#[test]
+fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
+    let folder = folder();
+    let raw = folder.path().join("v.raw");
+    let built = |kind: VoxelKind, memory_bytes: u64| {
+        let layout: RawLayout = format!("45x37x52,{}", kind.name()).parse().expect("a layout");
+        let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+        let options = GridBuildOptions { memory_bytes, temp_dir: Some(folder.path().to_owned()) };
+        let path = folder.path().join("v.rset");
+        build(source, &path, &options, &mut |_, _| {}).map(|_| std::fs::read(&path).expect("a read"))
+    };
+    for kind in VoxelKind::ALL {
+        std::fs::write(&raw, voxels(kind, false)).expect("a write");
+        let Err(GridBuildError::Memory { needed, budget: 1 }) = built(kind, 1) else {
+            panic!("a grid was built in a byte");
+        };
+        let brick = (kind.brick_voxels().pow(3) * kind.bytes()) as u64;
+        let reference = built(kind, 256 << 20).expect("a grid");
+        // Of the least, a brick at a time from the disk; of the next ones, more at a time, and whole rows; then memory.
+        for more in [0, 2 * brick, 3 * brick, 4 * brick, 16 * brick] {
+            let found = built(kind, needed + more).expect("a grid");
+            assert!(found == reference, "{} with {more} bytes more", kind.name());
+        }
+    }
 }
 
 #[test]
@@ -252,7 +278,8 @@ fn the_same_voxels_come_out_of_every_format() {
     for path in &paths {
         let source = VolumeSource::open(path).unwrap_or_else(|e| panic!("{e}"));
         let built = path.with_extension("rset");
-        let header = build(source, &built, 64 << 20, &mut |_, _| {}).unwrap_or_else(|e| panic!("{e}"));
+        let header = build(source, &built, &GridBuildOptions::default(), &mut |_, _| {})
+            .unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((header.size, header.kind), (SIZE, VoxelKind::I16), "{}", path.display());
         let corner = header.space_from_voxel.transform_point3(header.last_voxel());
         assert_eq!(corner, DVec3::new(89.0, 110.0, 207.0), "{}", path.display());
@@ -284,7 +311,8 @@ fn malformed_volumes_are_errors_that_say_where() {
     ] {
         let path = written(f, name, &[text.as_bytes()]);
         let outcome = VolumeSource::open(&path).map_err(|e| e.to_string()).and_then(|source| {
-            build(source, &f.join("out.rset"), 64 << 20, &mut |_, _| {}).map_err(|e| e.to_string())
+            build(source, &f.join("out.rset"), &GridBuildOptions::default(), &mut |_, _| {})
+                .map_err(|e| e.to_string())
         });
         let message = outcome.expect_err("it is malformed");
         assert!(message.contains(expected), "{name}: {message}");
@@ -304,7 +332,8 @@ fn real_volumes_read() {
         let Some(path) = real_data(name) else { return };
         let folder = folder();
         let source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
-        let header = build(source, &folder.path().join("v.rset"), 256 << 20, &mut |_, _| {});
+        let header =
+            build(source, &folder.path().join("v.rset"), &GridBuildOptions::default(), &mut |_, _| {});
         let header = header.unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(size.is_none_or(|size| size == header.size), "{name}: {:?}", header.size);
         assert!(header.range.0 < header.range.1, "{name}: {:?}", header.range);

@@ -3,8 +3,19 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 10] =
-    ["geometry", "points", "octree", "grid", "working_set", "field", "scene", "image", "trace", "scene_file"];
+const ORDER: [&str; 11] = [
+    "geometry",
+    "spill",
+    "points",
+    "octree",
+    "grid",
+    "working_set",
+    "field",
+    "scene",
+    "image",
+    "trace",
+    "scene_file",
+];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("the folder of the library") {

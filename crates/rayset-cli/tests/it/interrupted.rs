@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use rayset::grid::Grid;
 use rayset::octree::Cloud;
 use rayset::octree::verify::{Depth, verify};
 
@@ -84,6 +85,42 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
     assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
     let cloud = Cloud::open(&folder.path().join("c.rset")).expect("the cloud opens");
     verify(&cloud, Depth::Deep).expect("the cloud is whole");
+}
+
+#[test]
+fn a_grid_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans_up() {
+    let folder = folder();
+    let voxels: Vec<u8> = (0..700 * 700 * 64).map(|i: u32| (i >> 5) as u8).collect();
+    std::fs::write(folder.path().join("v.raw"), voxels).expect("a write");
+    let build = || {
+        let mut command = program();
+        let arguments = ["build", "v.raw", "--raw", "700x700x64,u8", "-o", "v.rset", "--memory", "16MiB"];
+        command.current_dir(folder.path()).args(arguments);
+        command
+    };
+    let path = folder.path().join("v.rset");
+    let started = Instant::now();
+    assert!(build().status().expect("the program runs").success());
+    let whole = started.elapsed();
+    let reference = std::fs::read(&path).expect("the grid reads");
+    let mut random = Random(6);
+    let mut interrupted = 0;
+    for round in 0..16 {
+        let _ = std::fs::remove_file(&path);
+        let mut child = build().spawn().expect("the program runs");
+        std::thread::sleep(Duration::from_secs_f64(whole.as_secs_f64() * random.unit()));
+        child.kill().expect("it can be killed");
+        interrupted += usize::from(!child.wait().expect("it ends").success());
+        for name in names(folder.path()).iter().filter(|n| n.contains(".rset")) {
+            if Grid::open(&folder.path().join(name)).is_ok() {
+                let bytes = std::fs::read(folder.path().join(name)).expect("it reads");
+                assert!(bytes == reference, "round {round}: {name} is half a file, and opens");
+            }
+        }
+    }
+    assert!(interrupted > 3, "only {interrupted} builds were interrupted");
+    assert!(build().status().expect("the program runs").success());
+    assert_eq!(names(folder.path()), ["v.raw", "v.rset"]);
 }
 
 #[test]

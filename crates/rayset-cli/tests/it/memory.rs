@@ -69,6 +69,28 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
 }
 
 #[test]
+fn a_grid_whose_layers_exceed_memory_builds_within_the_budget() {
+    let folder = folder();
+    // A layer of bricks is 43 MiB of slices.
+    let voxels: Vec<u8> = (0..1200 * 1200 * 33).map(|i: u32| ((i / 1200) ^ i) as u8).collect();
+    std::fs::write(folder.path().join("v.raw"), voxels).expect("a write");
+    let build = |output: &str, memory: &str| {
+        let arguments =
+            ["build", "v.raw", "--raw", "1200x1200x33,u8", "-o", output, "--memory", memory, "--json"];
+        rayset(folder.path(), &arguments)
+    };
+    let small = build("small.rset", "16MiB");
+    assert!(number(&small, "peak_rss_bytes") <= 16.0 * MIB, "{small}");
+    build("large.rset", "400MiB");
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a grid");
+    assert!(read("small.rset") == read("large.rset"), "the grid depends on the budget");
+    let mut names: Vec<_> =
+        std::fs::read_dir(folder.path()).expect("it lists").map(|e| e.expect("it").file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["large.rset", "small.rset", "v.raw"]);
+}
+
+#[test]
 fn a_picture_larger_than_the_budget_goes_out_in_bands_and_is_the_same() {
     let folder = folder();
     rayset(folder.path(), &["generate", "sphere-20k", "-o", "p.ply"]);

@@ -1,14 +1,17 @@
-//! From a stream of voxels to a grid file: slices pass by once, and a layer of bricks is written as soon as the slices
-//! that it needs are there.
+//! From a stream of voxels to a grid file, out of core: slices pass by once, and a layer of bricks is written as soon as
+//! the slices that it needs are there.
 
 use std::collections::VecDeque;
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE};
+use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use super::read::{ReadError, VolumeSource};
+use super::slices::{Held, PIECE_BYTES, SliceError, Slices, Window};
 use crate::octree::format::{BLOCK_BYTES, Footer, PAGE_HEAD_BYTES, PageHead, PageKind, stored_page_checksum};
+use crate::spill::{Spill, partial_path, publish, remove_leftovers};
 
 /// Why no grid was built.
 #[derive(Debug, thiserror::Error)]
@@ -25,8 +28,16 @@ pub enum GridBuildError {
         /// The system's reason.
         source: io::Error,
     },
-    /// The slices that a layer of bricks needs do not fit.
-    #[error("a layer of bricks needs {needed} bytes of memory, {budget} may be used")]
+    /// A temporary file.
+    #[error("temporary file in {}: {source}", folder.display())]
+    Temporary {
+        /// Where it is.
+        folder: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// Not even a single brick and the buffers fit.
+    #[error("{needed} bytes of memory are needed, {budget} may be used")]
     Memory {
         /// The smallest that would do.
         needed: u64,
@@ -41,6 +52,27 @@ pub enum GridBuildError {
     },
 }
 
+/// Memory for buffers: a piece of voxels before and after conversion, a decompressor's, and the output's.
+const BUFFER_BYTES: u64 = 3 * PIECE_BYTES as u64 + (3 << 20);
+/// More than this is not copied out of the slices at a time.
+const MOST_WINDOW_BYTES: u64 = 16 << 20;
+
+/// What may be used to build; none of it changes a byte of the file.
+#[derive(Clone, Debug)]
+pub struct GridBuildOptions {
+    /// Memory to work in, bytes.
+    pub memory_bytes: u64,
+    /// Folder of the temporary file, where slices do not fit in memory; that of the output by default.
+    pub temp_dir: Option<PathBuf>,
+}
+
+impl Default for GridBuildOptions {
+    /// A quarter of a gibibyte.
+    fn default() -> Self {
+        Self { memory_bytes: 256 << 20, temp_dir: None }
+    }
+}
+
 /// Builds a grid file, beside its name until it is whole. `progress` hears of slices done.
 ///
 /// # Errors
@@ -48,27 +80,64 @@ pub enum GridBuildError {
 pub fn build(
     mut source: VolumeSource,
     path: &Path,
-    memory_bytes: u64,
+    options: &GridBuildOptions,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<GridHeader, GridBuildError> {
     let mut header = header_of(&source)?;
-    let slice_bytes = header.size[0] * header.size[1] * header.kind.bytes() as u64;
-    let needed = slice_bytes * (header.kind.brick_voxels() as u64 + 1) + (4 << 20) + 8 * header.brick_pages();
-    if needed > memory_bytes {
-        return Err(GridBuildError::Memory { needed, budget: memory_bytes });
-    }
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let partial = path.with_file_name(format!(".{name}.rayset-partial"));
-    let outcome = write(&mut source, &partial, &mut header, progress);
+    let room = Room::divide(options.memory_bytes, &header)?;
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = options.temp_dir.clone().unwrap_or_else(|| parent.to_owned());
+    let temporary = |source| GridBuildError::Temporary { folder: folder.clone(), source };
+    remove_leftovers(path, &folder).map_err(temporary)?;
+    let held = if room.holds_slices {
+        Held::Memory(VecDeque::new())
+    } else {
+        let places = header.kind.brick_voxels() as u64;
+        Held::Disk { file: Spill::create(path, &folder).map_err(temporary)?, places }
+    };
+    let partial = partial_path(path);
     let wrong = |source| GridBuildError::Write { path: path.to_owned(), source };
-    match outcome {
-        Ok(()) => std::fs::rename(&partial, path).map_err(wrong)?,
+    let slices = Slices::new(&header, held);
+    let outcome = Writer::create(&partial, &header).map_err(wrong).and_then(|writer| {
+        let failed = |failure| match failure {
+            Failure::Slices(SliceError::Read(error)) => error.into(),
+            Failure::Slices(SliceError::Spill(error)) => temporary(error),
+            Failure::Write(error) => wrong(error),
+        };
+        write(&mut source, slices, room.bricks_at_once, writer, &mut header, progress).map_err(failed)
+    });
+    match outcome.and_then(|()| publish(&partial, path).map_err(wrong)) {
+        Ok(()) => Ok(header),
         Err(error) => {
             let _ = std::fs::remove_file(&partial);
-            return Err(error);
+            Err(error)
         }
     }
-    Ok(header)
+}
+
+/// How memory is divided.
+struct Room {
+    /// Whether the slices of a layer fit.
+    holds_slices: bool,
+    /// Bricks of a row whose voxels are copied out of the slices together.
+    bricks_at_once: u64,
+}
+
+impl Room {
+    fn divide(memory_bytes: u64, header: &GridHeader) -> Result<Self, GridBuildError> {
+        let n = header.kind.brick_voxels() as u64;
+        let column_bytes = n * n * header.kind.bytes() as u64;
+        let needed = BUFFER_BYTES + n * column_bytes;
+        if needed > memory_bytes {
+            return Err(GridBuildError::Memory { needed, budget: memory_bytes });
+        }
+        let free = memory_bytes - BUFFER_BYTES;
+        let window_bytes = (free / 2).clamp(n * column_bytes, MOST_WINDOW_BYTES);
+        Ok(Self {
+            holds_slices: Slices::layer_bytes(header) <= free - window_bytes,
+            bricks_at_once: ((window_bytes / column_bytes - 3) / header.kind.brick_cells()).max(1),
+        })
+    }
 }
 
 fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
@@ -94,94 +163,63 @@ fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
     Err(GridBuildError::Grid { what })
 }
 
+enum Failure {
+    Slices(SliceError),
+    Write(io::Error),
+}
+
+impl From<SliceError> for Failure {
+    fn from(error: SliceError) -> Self {
+        Self::Slices(error)
+    }
+}
+
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        Self::Write(error)
+    }
+}
+
+/// Writes all bricks of all layers, and ends the file.
 fn write(
     source: &mut VolumeSource,
-    partial: &Path,
+    mut slices: Slices,
+    bricks_at_once: u64,
+    mut writer: Writer,
     header: &mut GridHeader,
     progress: &mut dyn FnMut(u64, u64),
-) -> Result<(), GridBuildError> {
-    let wrong = |source| GridBuildError::Write { path: partial.to_owned(), source };
-    let file = File::create(partial).map_err(wrong)?;
-    let mut out = BufWriter::with_capacity(1 << 20, file);
-    out.write_all(&[0; BLOCK_BYTES]).map_err(wrong)?;
-    let (bricks, cells) = (header.bricks(), header.kind.brick_cells());
-    let mut slices = Slices { first: 0, held: VecDeque::new() };
-    let (mut ranges, mut digest, mut page_number) = (Vec::new(), 0, 0);
-    let mut page = vec![0; PAGE_BYTES];
-    for layer in 0..bricks[2] {
-        slices.advance(source, header, layer * cells, progress)?;
-        for row in 0..bricks[1] {
-            for column in 0..bricks[0] {
-                let range = fill_brick(&slices, header, [column, row, layer], &mut page);
-                header.range = (header.range.0.min(range.0), header.range.1.max(range.1));
-                ranges.push(range);
-                let used_bytes =
-                    (PAGE_HEAD_BYTES + header.kind.brick_voxels().pow(3) * header.kind.bytes()) as u32;
-                PageHead { kind: PageKind::Voxels, page: page_number, records: 1, used_bytes }
-                    .seal(&mut page);
-                digest = crc32c::crc32c_append(digest, &stored_page_checksum(&page).to_le_bytes());
-                out.write_all(&page).map_err(wrong)?;
-                page_number += 1;
+) -> Result<(), Failure> {
+    let [columns, rows, layers] = header.bricks();
+    let mut window = Window::new();
+    for layer in 0..layers {
+        let z = voxels_of(header, 2, layer..layer + 1);
+        slices.advance(source, z.clone())?;
+        progress(z.end, header.size[2]);
+        for row in 0..rows {
+            let y = voxels_of(header, 1, row..row + 1);
+            for first in (0..columns).step_by(bricks_at_once as usize) {
+                let bricks = first..(first + bricks_at_once).min(columns);
+                slices.look([voxels_of(header, 0, bricks.clone()), y.clone(), z.clone()], &mut window)?;
+                for column in bricks {
+                    let range = fill_brick(&window, header, [column, row, layer], &mut writer.page);
+                    header.range = (header.range.0.min(range.0), header.range.1.max(range.1));
+                    writer.brick(header.kind, range)?;
+                }
             }
         }
     }
-    source.finish()?;
-    for chunk in ranges.chunks(RANGES_PER_PAGE as usize) {
-        page.fill(0);
-        for (bytes, (low, high)) in page[PAGE_HEAD_BYTES..].chunks_exact_mut(8).zip(chunk) {
-            bytes[..4].copy_from_slice(&low.to_le_bytes());
-            bytes[4..].copy_from_slice(&high.to_le_bytes());
-        }
-        let used_bytes = (PAGE_HEAD_BYTES + 8 * chunk.len()) as u32;
-        PageHead { kind: PageKind::Ranges, page: page_number, records: chunk.len() as u32, used_bytes }
-            .seal(&mut page);
-        digest = crc32c::crc32c_append(digest, &stored_page_checksum(&page).to_le_bytes());
-        out.write_all(&page).map_err(wrong)?;
-        page_number += 1;
-    }
-    let block = header.encode();
-    out.write_all(&Footer::new(&block, digest).encode()).map_err(wrong)?;
-    out.seek(SeekFrom::Start(0)).map_err(wrong)?;
-    out.write_all(&block).map_err(wrong)?;
-    let file = out.into_inner().map_err(|e| wrong(e.into_error()))?;
-    file.sync_all().map_err(wrong)
+    Ok(writer.finish(header)?)
 }
 
-/// The slices that a layer of bricks needs, little-endian.
-struct Slices {
-    first: u64,
-    held: VecDeque<Vec<u8>>,
-}
-
-impl Slices {
-    /// Holds the slices around a layer whose first cell is given.
-    fn advance(
-        &mut self,
-        source: &mut VolumeSource,
-        header: &GridHeader,
-        first_cell: u64,
-        progress: &mut dyn FnMut(u64, u64),
-    ) -> Result<(), GridBuildError> {
-        let first = first_cell.saturating_sub(1);
-        let end = (first_cell + header.kind.brick_cells() + 2).min(header.size[2]);
-        while self.first < first {
-            self.held.pop_front();
-            self.first += 1;
-        }
-        while self.first + (self.held.len() as u64) < end {
-            let bytes = (header.size[0] * header.size[1]) as usize * header.kind.bytes();
-            let mut slice = vec![0; bytes];
-            source.read(&mut slice)?;
-            self.held.push_back(slice);
-            progress(self.first + self.held.len() as u64, header.size[2]);
-        }
-        Ok(())
-    }
+/// The voxels along an axis that bricks hold, without those beyond the grid.
+fn voxels_of(header: &GridHeader, axis: usize, bricks: Range<u64>) -> Range<u64> {
+    let cells = header.kind.brick_cells();
+    (bricks.start * cells).saturating_sub(1)..(bricks.end * cells + 2).min(header.size[axis])
 }
 
 /// Copies the voxels of a brick, those beyond the grid repeated from its edge. Returns the range of those that samples
 /// in its cells may use.
-fn fill_brick(slices: &Slices, header: &GridHeader, brick: [u64; 3], page: &mut [u8]) -> (f32, f32) {
+fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut [u8]) -> (f32, f32) {
     let (kind, n) = (header.kind, header.kind.brick_voxels());
     let width = kind.bytes();
     let place = |axis: usize, local: usize| {
@@ -191,12 +229,9 @@ fn fill_brick(slices: &Slices, header: &GridHeader, brick: [u64; 3], page: &mut 
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
     let mut at = PAGE_HEAD_BYTES;
     for z in 0..n {
-        let slice = &slices.held[(place(2, z) - slices.first) as usize];
         for y in 0..n {
-            let row = place(1, y) * header.size[0];
             for x in 0..n {
-                let from = (row + place(0, x)) as usize * width;
-                page[at..at + width].copy_from_slice(&slice[from..from + width]);
+                page[at..at + width].copy_from_slice(window.voxel([place(0, x), place(1, y), place(2, z)]));
                 let used = [x, y, z].iter().all(|v| (1..n - 1).contains(v));
                 if used {
                     let value = kind.value(&page[at..at + width]);
@@ -207,4 +242,83 @@ fn fill_brick(slices: &Slices, header: &GridHeader, brick: [u64; 3], page: &mut 
         }
     }
     (low, high)
+}
+
+/// The file as it grows: bricks one after another, and pages of their ranges behind where the bricks will end.
+struct Writer {
+    bricks: BufWriter<File>,
+    /// A second place to write in the same file.
+    ranges: File,
+    /// The brick to be written.
+    page: Vec<u8>,
+    range_page: Vec<u8>,
+    ranges_in_page: u64,
+    page_number: u32,
+    range_page_number: u32,
+    /// Of the pages so far.
+    digest: u32,
+    range_checksums: Vec<u8>,
+}
+
+impl Writer {
+    fn create(partial: &Path, header: &GridHeader) -> io::Result<Self> {
+        let mut bricks = BufWriter::with_capacity(1 << 20, File::create(partial)?);
+        bricks.write_all(&[0; BLOCK_BYTES])?;
+        let mut ranges = OpenOptions::new().write(true).open(partial)?;
+        ranges.seek(SeekFrom::Start(header.page_offset(header.brick_pages())))?;
+        Ok(Self {
+            bricks,
+            ranges,
+            page: vec![0; PAGE_BYTES],
+            range_page: vec![0; PAGE_BYTES],
+            ranges_in_page: 0,
+            page_number: 0,
+            range_page_number: header.brick_pages() as u32,
+            digest: 0,
+            range_checksums: Vec::new(),
+        })
+    }
+
+    /// Writes the brick in `page`.
+    fn brick(&mut self, kind: VoxelKind, (low, high): (f32, f32)) -> io::Result<()> {
+        let used_bytes = (PAGE_HEAD_BYTES + kind.brick_voxels().pow(3) * kind.bytes()) as u32;
+        PageHead { kind: PageKind::Voxels, page: self.page_number, records: 1, used_bytes }
+            .seal(&mut self.page);
+        self.digest = crc32c::crc32c_append(self.digest, &stored_page_checksum(&self.page).to_le_bytes());
+        self.bricks.write_all(&self.page)?;
+        self.page_number += 1;
+        let at = PAGE_HEAD_BYTES + 8 * self.ranges_in_page as usize;
+        self.range_page[at..at + 4].copy_from_slice(&low.to_le_bytes());
+        self.range_page[at + 4..at + 8].copy_from_slice(&high.to_le_bytes());
+        self.ranges_in_page += 1;
+        if self.ranges_in_page == RANGES_PER_PAGE { self.end_range_page() } else { Ok(()) }
+    }
+
+    fn end_range_page(&mut self) -> io::Result<()> {
+        let records = self.ranges_in_page as u32;
+        let used_bytes = PAGE_HEAD_BYTES as u32 + 8 * records;
+        PageHead { kind: PageKind::Ranges, page: self.range_page_number, records, used_bytes }
+            .seal(&mut self.range_page);
+        self.range_checksums.extend(stored_page_checksum(&self.range_page).to_le_bytes());
+        self.ranges.write_all(&self.range_page)?;
+        self.range_page.fill(0);
+        self.range_page_number += 1;
+        self.ranges_in_page = 0;
+        Ok(())
+    }
+
+    /// Writes what stands behind the pages, and last of all what says that this is a grid.
+    fn finish(mut self, header: &GridHeader) -> io::Result<()> {
+        if self.ranges_in_page > 0 {
+            self.end_range_page()?;
+        }
+        let block = header.encode();
+        let digest = crc32c::crc32c_append(self.digest, &self.range_checksums);
+        self.ranges.write_all(&Footer::new(&block, digest).encode())?;
+        let mut file = self.bricks.into_inner().map_err(io::IntoInnerError::into_error)?;
+        file.sync_all()?;
+        file.seek(SeekFrom::Start(0))?;
+        file.write_all(&block)?;
+        file.sync_all()
+    }
 }

@@ -5,6 +5,7 @@ pub mod build;
 pub mod file;
 pub mod format;
 pub mod read;
+mod slices;
 
 pub use self::file::Grid;
 pub use self::format::{GridHeader, VoxelKind};

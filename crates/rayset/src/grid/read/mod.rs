@@ -197,14 +197,6 @@ impl VolumeSource {
         }
         Ok(())
     }
-
-    /// Called after the last voxel.
-    ///
-    /// # Errors
-    /// None now: what follows the voxels is left alone, as these formats allow.
-    pub fn finish(&mut self) -> Result<(), ReadError> {
-        Ok(())
-    }
 }
 
 /// One number, little-endian.

@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use super::ingest::Ingested;
 use super::partition::Assemble;
 use super::plan::Cell;
-use super::spill::{Spill, partial_path};
 use super::subtree::{DraftRun, Piece, Summary};
 use super::{BuildError, Context, settled};
 use crate::geometry::DVec3;
@@ -20,6 +19,7 @@ use crate::octree::format::{
 };
 use crate::octree::node::{NODE_BYTES, Node, RunRange, nodes_per_page, to_cell_units};
 use crate::octree::page::{RUN_HEAD_BYTES, RootCell, RunHead};
+use crate::spill::{Spill, partial_path, publish};
 
 /// Below this many points pages are smaller, so that the last ones waste less.
 const SMALL_CLOUD_POINTS: u64 = 500_000;
@@ -107,18 +107,12 @@ impl Output {
             file.flush()?;
             file.get_ref().sync_all()
         })?;
-        std::fs::rename(&self.partial, path).map_err(|source| BuildError::Io {
+        publish(&self.partial, path).map_err(|source| BuildError::Io {
             action: "rename the finished file to",
             path: path.into(),
             source,
         })?;
         self.file = None;
-        #[cfg(unix)]
-        if let Some(parent) = path.parent() {
-            let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
-            let synced = File::open(parent).and_then(|folder| folder.sync_all());
-            synced.map_err(|source| BuildError::Io { action: "sync", path: parent.into(), source })?;
-        }
         Ok(())
     }
 }

@@ -1,11 +1,11 @@
 //! The first pass: every record is read once, checked, and written to a temporary file with what later passes need.
 
 use super::record::RecordLayout;
-use super::spill::{Spill, SpillWriter};
 use super::{BuildError, BuildOptions, Context, InvalidPolicy, Rule, Skipped, Stage};
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::page::RootCell;
 use crate::points::{ColorDepth, PointBatch, PointSource};
+use crate::spill::{Spill, SpillWriter};
 
 /// Points read at a time.
 const BATCH_POINTS: usize = 16 << 10;

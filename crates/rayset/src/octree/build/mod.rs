@@ -12,7 +12,7 @@ mod pipeline;
 mod plan;
 mod record;
 mod spacing;
-mod spill;
+
 mod subtree;
 
 use std::io;
@@ -25,6 +25,7 @@ use self::partition::{Partition, Region};
 use self::record::KeyMaker;
 use super::format::{Column, MAX_ATTRIBUTES, MAX_PAGE_BYTES};
 use crate::points::{PointSource, ReadError};
+use crate::spill;
 
 /// Where a number of each point comes from.
 #[derive(Clone, Debug, PartialEq)]

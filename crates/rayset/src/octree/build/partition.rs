@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::plan::{Cell, Event, LEAF_POINTS, Plan, Pyramid};
 use super::record::{Key, KeyMaker};
-use super::spill::Spill;
 use super::{BuildError, Context, Stage, pipeline};
 use crate::geometry::curve::MAX_LEVEL;
+use crate::spill::Spill;
 
 /// Records of one spill, `first` to `first + count`.
 #[derive(Clone, Copy)]

@@ -9,9 +9,9 @@ use super::ingest::Ingested;
 use super::partition::{Assemble, Pack, Partition, Region, Sorted};
 use super::plan::Cell;
 use super::record::{self, KeyMaker};
-use super::spill::SpillWriter;
 use super::{BuildError, Context, Stage};
 use crate::geometry::curve::MAX_LEVEL;
+use crate::spill::SpillWriter;
 
 const CELL_POINTS: usize = 1024;
 const LEAST_POINTS: usize = 32;

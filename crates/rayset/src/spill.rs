@@ -13,7 +13,7 @@ static NEXT: AtomicU32 = AtomicU32::new(0);
 
 /// An unnamed file for records.
 #[derive(Debug)]
-pub(super) struct Spill {
+pub(crate) struct Spill {
     file: File,
     #[cfg(not(unix))]
     path: PathBuf,
@@ -25,13 +25,13 @@ fn prefix(output: &Path) -> String {
 }
 
 /// The name under which the output grows until it is whole.
-pub(super) fn partial_path(output: &Path) -> PathBuf {
+pub(crate) fn partial_path(output: &Path) -> PathBuf {
     let name = output.file_name().unwrap_or_default().to_string_lossy();
     output.with_file_name(format!(".{name}.rayset-partial"))
 }
 
 /// Removes what an earlier, killed build of the same output may have left.
-pub(super) fn remove_leftovers(output: &Path, temp_dir: &Path) -> io::Result<()> {
+pub(crate) fn remove_leftovers(output: &Path, temp_dir: &Path) -> io::Result<()> {
     let prefix = prefix(output);
     for entry in std::fs::read_dir(temp_dir)? {
         let entry = entry?;
@@ -45,8 +45,19 @@ pub(super) fn remove_leftovers(output: &Path, temp_dir: &Path) -> io::Result<()>
     }
 }
 
+/// Gives a file that is whole its name, for good.
+pub(crate) fn publish(partial: &Path, output: &Path) -> io::Result<()> {
+    std::fs::rename(partial, output)?;
+    #[cfg(unix)]
+    if let Some(parent) = output.parent() {
+        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+        File::open(parent)?.sync_all()?;
+    }
+    Ok(())
+}
+
 impl Spill {
-    pub(super) fn create(output: &Path, temp_dir: &Path) -> io::Result<Self> {
+    pub(crate) fn create(output: &Path, temp_dir: &Path) -> io::Result<Self> {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let path = temp_dir.join(format!("{}{}-{number}", prefix(output), std::process::id()));
         let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path)?;
@@ -59,7 +70,7 @@ impl Spill {
         })
     }
 
-    pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+    pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         #[cfg(unix)]
         return std::os::unix::fs::FileExt::read_exact_at(&self.file, buffer, offset);
         #[cfg(not(unix))]
@@ -80,7 +91,7 @@ impl Spill {
         }
     }
 
-    pub(super) fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
+    pub(crate) fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
         #[cfg(unix)]
         return std::os::unix::fs::FileExt::write_all_at(&self.file, buffer, offset);
         #[cfg(not(unix))]
@@ -107,7 +118,7 @@ impl Drop for Spill {
 
 /// Appends records to a spill through one buffer.
 #[derive(Debug)]
-pub(super) struct SpillWriter {
+pub(crate) struct SpillWriter {
     spill: Spill,
     buffer: Vec<u8>,
     capacity: usize,
@@ -115,11 +126,11 @@ pub(super) struct SpillWriter {
 }
 
 impl SpillWriter {
-    pub(super) fn new(spill: Spill, capacity: usize) -> Self {
+    pub(crate) fn new(spill: Spill, capacity: usize) -> Self {
         Self { spill, buffer: Vec::with_capacity(capacity), capacity, written: 0 }
     }
 
-    pub(super) fn push(&mut self, bytes: &[u8]) -> io::Result<()> {
+    pub(crate) fn push(&mut self, bytes: &[u8]) -> io::Result<()> {
         if self.buffer.len() + bytes.len() > self.capacity {
             self.flush()?;
         }
@@ -134,7 +145,7 @@ impl SpillWriter {
         Ok(())
     }
 
-    pub(super) fn finish(mut self) -> io::Result<Spill> {
+    pub(crate) fn finish(mut self) -> io::Result<Spill> {
         self.flush()?;
         Ok(self.spill)
     }
