@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use rayset::geometry::{DAffine3, DQuat, DVec3};
+use rayset::image::LayerPixel;
 use rayset::scene::{
     Form, LightKind, Lighting, Material, Node, Operator, Pattern, RenderSettings, Scene, Shape, Solid, Step,
 };
-use rayset::trace::ExecSettings;
+use rayset::trace::{ExecSettings, WholePicture, render};
 
 use crate::common::{bits, camera, paged, picture, plain_picture, settings};
 use crate::graph::{Parts, check, light, parts, scene, soft, solid};
@@ -166,4 +167,35 @@ fn rays_that_turn_give_the_same_picture_whatever_the_means() {
             "{threads} threads, slabs of {slab_samples}, tiles of {tile_pixels}, {pages} pages"
         );
     }
+}
+
+#[test]
+fn more_rays_than_are_held_at_a_time_give_the_same_picture_as_each_pixel_alone() {
+    // Fifty panes one behind the other, each of which mirrors a little: more rays than a whole tile may have.
+    let pane = |i: i32| {
+        let pane = Solid { opacity: 0.2, ..Solid::new(Form::Box { size: DVec3::new(2.0, 2.0, 0.012) }) };
+        let place = DVec3::new(0.0, 0.0, 0.03 * f64::from(i - 25));
+        Node::new(Shape::Procedural(Arc::new(pane))).moved(DAffine3::from_translation(place))
+    };
+    let panes = Node::operator(Operator::Union, (0..50).map(pane)).of(mirror(1.0));
+    let lights = vec![light(LightKind::Ambient, [0.3; 3], false), sun()];
+    let scene = scene(Node::operator(Operator::Union, [panes, floor()]), lights);
+    let settings = RenderSettings { step: Step::Fixed(0.01), max_depth: 2, layers: true, ..settings(24, 16) };
+    let found = |tile_pixels| {
+        let exec = ExecSettings { tile_pixels, ..ExecSettings::default() };
+        let mut whole = WholePicture::default();
+        let paged = paged(&scene, 1 << 20);
+        let counts = render(&scene, &camera(), &settings, &exec, &paged, &mut whole).expect("a picture");
+        (bits(&whole.pixels), whole.layers, counts)
+    };
+    let (first, layers, counts) = found(8);
+    let (alone, layers_alone, counts_alone) = found(1);
+    assert!(counts_alone.bounced_rays > 24 * 16 * 20, "{} rays follow", counts_alone.bounced_rays);
+    // Some rays from the eye were traced again, of half a tile.
+    let [together, apart] = [counts, counts_alone].map(|c| c.nonzero_samples);
+    assert!(together > apart, "{together} samples, {apart} pixel by pixel");
+    assert!(first == alone);
+    let told =
+        |l: &LayerPixel| (l.samples, l.depth.to_bits(), l.normal.map(f32::to_bits), l.opacity.to_bits());
+    assert!(layers.iter().map(told).eq(layers_alone.iter().map(told)));
 }

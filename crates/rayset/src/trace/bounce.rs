@@ -16,6 +16,12 @@ const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 /// A bent ray of less weight is not followed.
 const LEAST_PASSED: f64 = 1.0 / 4096.0;
 
+/// The most rays of one generation under a pixel. Mirrored ones have at least [`LEAST_WEIGHT`], and all together no more
+/// than 1; of each ray at most one is bent.
+pub(super) fn most_rays_of_a_pixel(max_depth: u32) -> usize {
+    (1.0 / LEAST_WEIGHT) as usize * (max_depth as usize + 1)
+}
+
 /// What the materials of a scene do to the direction of rays.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Turns {

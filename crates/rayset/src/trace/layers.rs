@@ -21,6 +21,7 @@ struct Gathered {
 }
 
 /// The pixels of a tile.
+#[derive(Clone)]
 pub(super) struct Layers([Gathered; LANES]);
 
 impl Layers {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::block::{Block, Wants};
+use super::packet_tracer::tree_bytes;
 use super::shadow::{BLOCK_BYTES, LightTable};
 use crate::field::{LANES, SampleRow};
 use crate::grid::Grid;
@@ -18,8 +19,6 @@ const THREAD_BYTES: u64 = 640 << 10;
 const CLOUD_BYTES: u64 = 48 << 10;
 /// What look-ahead remembers of a page, most of which it never sees at a time.
 const LOOKAHEAD_BYTES: u64 = 24;
-/// What the trees of reflected and refracted rays under a tile add to that.
-const TREE_BYTES: u64 = 512 << 10;
 /// One part in so many of the pages' memory is lost in between them.
 const ALLOCATOR_PART: u64 = 32;
 /// And more where pages and blocks of shadows, of other sizes, take each other's place.
@@ -89,7 +88,7 @@ impl SceneNeeds {
             0
         };
         let passes = if shadow > 0 { 2 } else { 1 };
-        let tree = if turns && settings.max_depth > 0 { TREE_BYTES } else { 0 };
+        let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
         // Of the field of a cloud, once for pictures and once for shadows.
         let sums = u64::from(names) * passes * (LANES * size_of::<SampleRow>()) as u64;
         let thread_bytes =

@@ -1,8 +1,10 @@
 //! The rays under a tile of pixels, packet by packet, and each packet slab after slab: the loop that all time goes into.
 
+use std::ops::Range;
+
 use super::access::{Access, Halt};
 use super::block::Block;
-use super::bounce::{Courses, TreeRay};
+use super::bounce::{Courses, TreeRay, most_rays_of_a_pixel};
 use super::composite::{RayState, Shares};
 use super::counts::RenderCounts;
 use super::layers::Layers;
@@ -26,6 +28,16 @@ pub(super) struct PacketTracer<'a> {
     counts: RenderCounts,
 }
 
+/// More rays than this, of one generation and the next, are not held at a time where they are of several pixels.
+const MOST_RAYS: usize = 2048;
+/// Bytes for each of them: here twice, what it comes to, and its place in a packet.
+const RAY_BYTES: usize = 3 * size_of::<(usize, TreeRay)>();
+
+/// The most that the rays under a tile take.
+pub(super) fn tree_bytes(max_depth: u32) -> u64 {
+    ((MOST_RAYS + LANES).max(2 * most_rays_of_a_pixel(max_depth)) * RAY_BYTES) as u64
+}
+
 /// One generation of rays, and the next. Kept from tile to tile: memory taken and freed in between pages crumbles the
 /// allocator's, and the process would exceed its budget.
 #[derive(Default)]
@@ -34,6 +46,14 @@ struct Tree {
     ends: Vec<End>,
     /// Each with the number of the ray that it follows.
     next: Vec<(usize, TreeRay)>,
+}
+
+/// Whether all rays of a generation were traced.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Traced {
+    Whole,
+    /// Too many follow.
+    TooMany,
 }
 
 /// What a ray has come to.
@@ -81,34 +101,57 @@ impl<'a> PacketTracer<'a> {
         rays: &[(Ray, f64)],
     ) -> Result<[[f32; 4]; LANES], Halt> {
         let mut seen = [Seen::default(); LANES];
-        let mut tree = std::mem::take(&mut self.tree);
-        tree.rays.clear();
-        let eye = rays.iter().enumerate().map(|(pixel, &(ray, phase))| TreeRay::primary(ray, phase, pixel));
-        tree.rays.extend(eye);
-        let mut outcome = Ok(());
-        // One generation after another, and each ray's light in its turn: sums do not depend on who travelled with whom.
-        while !tree.rays.is_empty() && outcome.is_ok() {
-            outcome = self.generation(access, &mut tree, &mut seen);
-        }
-        self.tree = tree;
+        self.pixels(access, rays, 0..rays.len(), &mut seen)?;
         if let Some(layers) = &mut self.layers {
             (0..rays.len()).for_each(|pixel| layers.hide(pixel, 1.0 - seen[pixel].open as f32));
         }
-        outcome.map(|()| seen.map(|seen| seen.pixel(self.world.background)))
+        Ok(seen.map(|seen| seen.pixel(self.world.background)))
     }
 
-    /// Traces the rays of one generation, and makes the next of those that follow them.
+    /// Traces some of the rays from the eye: together, or half of them at a time where too many would follow.
+    fn pixels(
+        &mut self,
+        access: Access<'_>,
+        rays: &[(Ray, f64)],
+        pixels: Range<usize>,
+        seen: &mut [Seen; LANES],
+    ) -> Result<(), Halt> {
+        let before = self.layers.clone();
+        let mut tree = std::mem::take(&mut self.tree);
+        tree.rays.clear();
+        tree.rays.extend(pixels.clone().map(|pixel| TreeRay::primary(rays[pixel].0, rays[pixel].1, pixel)));
+        let mut outcome = Ok(Traced::Whole);
+        // One generation after another, and each ray's light in its turn: sums do not depend on who travelled with whom.
+        while !tree.rays.is_empty() && matches!(outcome, Ok(Traced::Whole)) {
+            outcome = self.generation(access, &mut tree, seen, pixels.len());
+        }
+        self.tree = tree;
+        if outcome? == Traced::Whole {
+            return Ok(());
+        }
+        self.layers = before;
+        seen[pixels.clone()].fill(Seen::default());
+        let middle = pixels.start + pixels.len() / 2;
+        self.pixels(access, rays, pixels.start..middle, seen)?;
+        self.pixels(access, rays, middle..pixels.end, seen)
+    }
+
+    /// Traces the rays of one generation, of so many pixels, and makes the next of those that follow them.
     fn generation(
         &mut self,
         access: Access<'_>,
         tree: &mut Tree,
         seen: &mut [Seen; LANES],
-    ) -> Result<(), Halt> {
+        pixels: usize,
+    ) -> Result<Traced, Halt> {
         tree.ends.clear();
         tree.ends.resize(tree.rays.len(), End::default());
         tree.next.clear();
         for (step, members) in self.packets(access, &tree.rays)? {
             self.packet(access, tree, &members, step)?;
+            if pixels > 1 && tree.rays.len() + tree.next.len() > MOST_RAYS {
+                return Ok(Traced::TooMany);
+            }
         }
         for (ray, end) in tree.rays.iter().zip(&tree.ends) {
             seen[ray.pixel].add(ray, end, self.world.background);
@@ -116,7 +159,7 @@ impl<'a> PacketTracer<'a> {
         tree.next.sort_by_key(|(parent, _)| *parent);
         tree.rays.clear();
         tree.rays.extend(tree.next.iter().map(|(_, ray)| ray));
-        Ok(())
+        Ok(Traced::Whole)
     }
 
     /// Which rays travel together, and their step.
@@ -163,7 +206,8 @@ impl<'a> PacketTracer<'a> {
         let before = self.counts;
         self.march.begin(&packet);
         let mut block = self.march.block();
-        let pixels = rays[members[0]].is_primary().then_some(members);
+        let places: Vec<usize> = members.iter().map(|&i| rays[i].pixel).collect();
+        let pixels = rays[members[0]].is_primary().then_some(&places[..]);
         let outcome = self.pass(access, &packet, pixels, courses.as_mut(), &mut block);
         self.march.give_back(block);
         if let Some(courses) = &courses {
