@@ -4,15 +4,16 @@ use std::sync::Arc;
 
 use rayset::field::Kernel;
 use rayset::geometry::{DAffine3, DMat3, DQuat, DVec3};
-use rayset::octree::build::BuildOptions;
+use rayset::octree::build::{BuildOptions, Rule};
 use rayset::scene::{
     Channel, ColorMap, Form, Light, LightKind, Lighting, Material, Node, NoiseCloud, Operator, Pattern,
     RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::judge::Judge;
+use rayset::trace::predict::NoPredictor;
 
-use rayset::points::ArraySource;
+use rayset::points::{ArraySource, Workload};
 
 use crate::common::{Random, bits, build_at, camera, folder, look, mixed_points, plain_picture, settings};
 
@@ -380,4 +381,32 @@ fn cached_shadows_are_the_same_whatever_the_means_and_close_to_exact_ones() {
     errors.sort_unstable_by(f32::total_cmp);
     let (mean, p99) = (errors.iter().sum::<f32>() / errors.len() as f32, errors[errors.len() * 99 / 100]);
     assert!(mean < 0.001 && p99 < 0.02, "mean {mean}, 99 % within {p99}");
+}
+
+#[test]
+fn pages_are_asked_for_only_where_they_reach_samples_that_matter() {
+    let folder = folder();
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    let workload: Workload = "cube-200k".parse().expect("a workload");
+    let options = BuildOptions { radius: Some(Rule::Number(0.01)), ..options };
+    let cloud = build_at(&folder.path().join("c.rset"), workload.source(), &options);
+    let cloud =
+        Node::new(Shape::Cloud(look(&cloud, Kernel::Wyvill))).moved(DAffine3::from_scale(DVec3::splat(1.6)));
+    // A thin plate: a slab of 32 samples is as deep as the cloud, and one or two of its samples are inside.
+    let plate = solid(Form::Box { size: DVec3::new(2.0, 2.0, 0.06) }, [1.0; 3])
+        .moved(DAffine3::from_translation(DVec3::new(0.0, 0.0, 0.1)));
+    let scene = scene(Node::operator(Operator::Intersection, [cloud.clone(), plate]), vec![]);
+    let settings = RenderSettings { step: Step::Fixed(0.05), ..settings(64, 64) };
+    let read = |scene: &Scene, slab_samples| {
+        let exec = ExecSettings { slab_samples, predictor: Arc::new(NoPredictor), ..ExecSettings::default() };
+        let paged = crate::common::paged(scene, 1 << 30);
+        let picture = crate::common::picture(scene, &camera(), &settings, &exec, &paged).expect("a picture");
+        (bits(&picture), paged.pages.statistics().total(|kind| kind.bytes_unique))
+    };
+    let (picture, deep) = read(&scene, 32);
+    let (again, thin) = read(&scene, 1);
+    let (_, whole) = read(&Scene { root: Arc::new(cloud), ..scene.clone() }, 32);
+    assert!(picture == again);
+    assert!(deep as f64 <= 1.1 * thin as f64, "{deep} bytes in slabs of 32 samples, {thin} of one by one");
+    assert!(10 * deep < 6 * whole, "{deep} bytes of the plates, {whole} of everything");
 }

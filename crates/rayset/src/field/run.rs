@@ -149,8 +149,8 @@ impl RunDecoder {
     fn decode_attributes(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
         out.attribute.resize(self.columns.channels(), [0.0; RUN_POINTS]);
         let (color, scalars) = out.attribute.split_at_mut(self.columns.first_scalar());
-        if let [red, green, blue] = color {
-            for (i, c) in run.colors(header).into_iter().flatten().enumerate() {
+        if let ([red, green, blue], Some(colors)) = (color, run.colors(header)) {
+            for (i, c) in colors.enumerate() {
                 red[i] = self.linear_from_srgb[usize::from(c[0])];
                 green[i] = self.linear_from_srgb[usize::from(c[1])];
                 blue[i] = self.linear_from_srgb[usize::from(c[2])];

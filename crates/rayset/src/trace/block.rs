@@ -420,8 +420,15 @@ fn bits_where(holds: impl Fn(usize) -> bool) -> u32 {
 }
 
 /// The numbers of the bits that are set.
-pub(super) fn numbers(bits: u32) -> impl Iterator<Item = usize> {
-    (0..32).filter(move |number| bits >> number & 1 == 1)
+#[inline(always)]
+pub(super) fn numbers(mut bits: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let number = bits.trailing_zeros() as usize;
+        (bits != 0).then(|| {
+            bits &= bits - 1;
+            number
+        })
+    })
 }
 
 /// Calls `f` with every lane of a mask.

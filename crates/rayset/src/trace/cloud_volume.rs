@@ -9,7 +9,7 @@ use super::RenderError;
 use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
 use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize, numbers};
 use super::counts::RenderCounts;
-use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, run_bounds};
+use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, bits_between, run_bounds};
 use super::math::{absorbed, ln};
 use super::transfer::ColorTable;
 use crate::field::{
@@ -462,7 +462,7 @@ impl CloudMarch {
     ) -> Result<(), Halt> {
         self.packet = volume.local(packet);
         self.active.clear();
-        let rays = LiveRays::new(&self.packet, packet.all(), packet.all(), simd);
+        let rays = LiveRays::new(&self.packet, simd);
         self.frontier.begin(Place { access, volume, packet: &self.packet, rays: &rays })?;
         self.rays = Some(rays);
         Ok(())
@@ -489,7 +489,7 @@ impl CloudMarch {
         out.touched = 0;
         let lanes = live.lanes() & going;
         let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
-        rays.become_rays(&self.packet, lanes, going, simd);
+        rays.become_rays(&self.packet, slab, live, going, simd);
         let place = Place { access, volume, packet: &self.packet, rays };
         self.frontier.advance(place, slab.end(), &mut self.active)?;
         self.active.retain(|run| run.last >= slab.first);
@@ -525,12 +525,24 @@ impl CloudMarch {
         let Some(rays) = &self.rays else { return Ok(()) };
         self.active.sort_unstable();
         let slab = request.slab;
+        let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
+        let matters = |runs: &ActiveRuns| {
+            let first = runs.first.max(slab.first) - slab.first;
+            first < slab.samples as u64 && live & bits_between(first, runs.last - slab.first) != 0
+        };
         let mut at = 0;
         while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
+            let of_page = self.active[at..].iter().take_while(|a| a.runs.page == page);
+            let (count, needed) = of_page.fold((0, false), |(n, any), a| (n + 1, any || matters(a)));
+            if !needed {
+                at += count;
+                continue;
+            }
             let guard = request.access.retain(volume, page, POINT_PRIORITY)?;
             let points = PointPage::trusted(&guard, volume.header());
             while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
                 let Runs { first, end, .. } = active.runs;
+                let end = if matters(active) { end } else { first };
                 for index in usize::from(first)..usize::from(end) {
                     // One by itself has been looked at before.
                     let reaches = end - first == 1 || {

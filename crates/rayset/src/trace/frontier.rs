@@ -7,8 +7,9 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
+use super::block::{Live, each_lane};
 use super::cloud_volume::CloudVolume;
-use crate::field::{Packet, RayColumns, SLAB_SAMPLES, SimdLevel};
+use crate::field::{LANES, Packet, RayColumns, SLAB_SAMPLES, SimdLevel, Slab};
 use crate::geometry::{Aabb, Beam};
 use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
@@ -64,7 +65,8 @@ impl Ord for Entry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct ActiveRuns {
     pub(super) runs: Runs,
-    /// Last sample that it may reach.
+    /// First and last sample that it may reach.
+    pub(super) first: u64,
     pub(super) last: u64,
 }
 
@@ -112,11 +114,71 @@ impl RaySet {
     }
 }
 
-/// Those rays of a packet that still go on, and those of them whose samples in the current slab can matter.
+/// Samples of a slab that can matter, where these are not all samples of the rays that go on.
+struct LiveSamples {
+    slab: Slab,
+    live: Live,
+    /// Those of any ray.
+    any: u32,
+    rays: SomeRays,
+}
+
+/// Some rays of a packet, each by itself.
+struct SomeRays {
+    mask: u64,
+    lanes: Vec<u8>,
+    columns: RayColumns,
+    /// One over the greatest and the least step of them.
+    inverse_steps: (f32, f32),
+}
+
+impl SomeRays {
+    fn new(packet: &Packet, mask: u64, simd: SimdLevel) -> Self {
+        let mut lanes = Vec::with_capacity(mask.count_ones() as usize);
+        each_lane(mask, |lane| lanes.push(lane as u8));
+        let (least, most) = packet.step_range(mask);
+        let inverse_steps = ((1.0 / most) as f32, (1.0 / least) as f32);
+        Self { mask, lanes, columns: RayColumns::new(simd, packet.rays(mask)), inverse_steps }
+    }
+}
+
+impl LiveSamples {
+    /// Whether any of them may lie in a box, whose samples of the whole packet are known.
+    fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
+        let from = first.max(self.slab.first) - self.slab.first;
+        if last < self.slab.first || self.any & bits_between(from, last - self.slab.first) == 0 {
+            return false;
+        }
+        let crossing = self.rays.columns.cross(bounds, 0.0);
+        let (slow, fast) = self.rays.inverse_steps;
+        // Samples of slack, as of the beam; single precision is far finer than one of them, where it is used at all.
+        let first_sample = self.slab.first as f32;
+        let mut near = crossing.near & (u64::MAX >> (LANES - self.rays.lanes.len()));
+        while near != 0 {
+            let column = near.trailing_zeros() as usize;
+            near &= near - 1;
+            let enter = crossing.enter_near[column] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
+            let exit = crossing.exit_near[column] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
+            // Numbers below 0 become 0.
+            let bits = if exit < 0.0 { 0 } else { bits_between(enter as u64, exit as u64) };
+            if bits & self.live.0[usize::from(self.rays.lanes[column])] != 0 {
+                return true;
+            }
+        }
+        false
+    }
+}
+
+/// The bits from one to another, both included.
+pub(super) fn bits_between(first: u64, last: u64) -> u32 {
+    let last = last.min(31) as u32;
+    if first > 31 { 0 } else { (u32::MAX >> (31 - last)) & (u32::MAX << first) }
+}
+
+/// Those rays of a packet that still go on, and those of their samples in the current slab that can matter.
 pub(super) struct LiveRays {
     going: RaySet,
-    /// Where they are fewer.
-    now: Option<RaySet>,
+    now: Option<LiveSamples>,
 }
 
 impl LiveRays {
@@ -125,21 +187,35 @@ impl LiveRays {
         self.going.samples_in(packet, bounds)
     }
 
-    pub(super) fn new(packet: &Packet, now: u64, going: u64, simd: SimdLevel) -> Self {
-        let now = (now != going).then(|| RaySet::new(packet, now, simd));
-        Self { going: RaySet::new(packet, going, simd), now }
+    /// All rays of a packet.
+    pub(super) fn new(packet: &Packet, simd: SimdLevel) -> Self {
+        Self { going: RaySet::new(packet, packet.all(), simd), now: None }
     }
 
-    /// Turns to other rays of the same packet.
-    pub(super) fn become_rays(&mut self, packet: &Packet, now: u64, going: u64, simd: SimdLevel) {
+    /// Turns to other rays of the same packet, and those of their samples that can matter.
+    pub(super) fn become_rays(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        live: &Live,
+        going: u64,
+        simd: SimdLevel,
+    ) {
         if self.going.lanes != going {
             self.going = RaySet::new(packet, going, simd);
         }
-        if now == going {
+        let all = bits_between(0, slab.samples as u64 - 1);
+        let mut partial = live.lanes() != going;
+        each_lane(going, |lane| partial |= live.0[lane] & all != all);
+        let mask = live.lanes();
+        if !partial || mask == 0 {
             self.now = None;
-        } else if self.now.as_ref().is_none_or(|set| set.lanes != now) {
-            self.now = Some(RaySet::new(packet, now, simd));
+            return;
         }
+        let known = self.now.take().map(|now| now.rays).filter(|rays| rays.mask == mask);
+        let rays = known.unwrap_or_else(|| SomeRays::new(packet, mask, simd));
+        let any = live.0.iter().fold(0, |any, lane| any | lane);
+        self.now = Some(LiveSamples { slab, live: *live, any, rays });
     }
 }
 
@@ -183,8 +259,8 @@ impl Frontier {
         self.heap.peek().map(|e| e.first)
     }
 
-    /// Opens everything that samples before `end` may need and moves its runs to `active`. What only rays reach that do
-    /// not matter now is left for later.
+    /// Opens everything that samples before `end` may need and moves its runs to `active`. What only samples reach that
+    /// do not matter is left for later.
     pub(super) fn advance(
         &mut self,
         place: Place<'_>,
@@ -196,17 +272,15 @@ impl Frontier {
             self.heap.pop();
             let node = match entry.item {
                 Item::Runs(runs) => {
-                    active.push(ActiveRuns { runs, last: entry.last });
+                    active.push(ActiveRuns { runs, first: entry.first, last: entry.last });
                     continue;
                 }
                 Item::Node(node) => node,
             };
             let bounds = node.bounds(volume.root_cell);
             // Rays that met it may have ended since.
-            if rays.going.samples_in(packet, &bounds).is_none() {
-                continue;
-            }
-            if rays.now.as_ref().is_some_and(|now| now.samples_in(packet, &bounds).is_none()) {
+            let Some(range) = rays.going.samples_in(packet, &bounds) else { continue };
+            if rays.now.as_ref().is_some_and(|now| !now.meets(&bounds, range)) {
                 if entry.last >= end {
                     self.heap.push(Entry { first: end, ..entry });
                 }
