@@ -85,12 +85,18 @@ pub(crate) struct FigureArgs {
     /// Axis that points up in the scan
     #[arg(long, value_enum, default_value = "y")]
     scan_up: Up,
+    /// Degrees by which the scan is turned about the vertical
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    scan_turn: f64,
     /// Second scan, of figures 10 and 11
     #[arg(long)]
     other: Option<PathBuf>,
     /// Axis that points up in the second scan
     #[arg(long, value_enum, default_value = "y")]
     other_up: Up,
+    /// Degrees by which the second scan is turned about the vertical
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    other_turn: f64,
     /// Volume to show, of figures 1, 2 and 10
     #[arg(long)]
     volume: Option<PathBuf>,
@@ -138,9 +144,10 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path) -> Result<()> {
             return Ok(());
         }
         _ => {
-            preparation.cloud("scan.rset", args.scan.as_deref(), args.scan_up, "vase-300k")?;
+            preparation.cloud("scan.rset", args.scan.as_deref(), args.scan_pose(), "vase-300k")?;
             if matches!(figure.number, 10 | 11) {
-                preparation.cloud("other.rset", args.other.as_deref(), args.other_up, "knot-200k")?;
+                let pose = Pose { up: args.other_up, turn_degrees: args.other_turn };
+                preparation.cloud("other.rset", args.other.as_deref(), pose, "knot-200k")?;
             }
             if matches!(figure.number, 1 | 2 | 10) {
                 preparation.volume()?;
@@ -177,7 +184,7 @@ impl Preparation<'_> {
     }
 
     /// A cloud of height 1 that stands on the ground, from a scan or a workload.
-    fn cloud(&self, name: &str, scan: Option<&Path>, up: Up, workload: &str) -> Result<()> {
+    fn cloud(&self, name: &str, scan: Option<&Path>, pose: Pose, workload: &str) -> Result<()> {
         let path = self.folder.join(name);
         if path.exists() {
             return Ok(());
@@ -188,8 +195,8 @@ impl Preparation<'_> {
                 None => Ok(workload.parse::<Workload>()?.source()),
             }
         };
-        let up = if scan.is_some() { up } else { Up::Y };
-        let standing = standing(&mut *open()?, up)?;
+        let pose = if scan.is_some() { pose } else { Pose::default() };
+        let standing = standing(&mut *open()?, pose)?;
         let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
         build::run(vec![Box::new(moved)], &path, &self.build_options(), &NoProgress)?;
         Ok(())
@@ -202,7 +209,7 @@ impl Preparation<'_> {
             match &self.args.scan {
                 None => drop(generate::write(&format!("vase-{STATUE_POINTS}").parse()?, &ply)?),
                 Some(mesh) => {
-                    let by = standing(&mut MeshSource::open(mesh, 100_000)?, self.args.scan_up)?;
+                    let by = standing(&mut MeshSource::open(mesh, 100_000)?, self.args.scan_pose())?;
                     let source = Box::new(MeshSource::open(mesh, STATUE_POINTS)?);
                     generate::write_source(&mut Moved { source, by, selected: Vec::new() }, &ply)?;
                 }
@@ -304,18 +311,33 @@ impl Preparation<'_> {
 }
 
 /// Which axis points up in a scan.
-#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 enum Up {
+    #[default]
     Y,
     Z,
 }
 
+/// How a scan is to stand.
+#[derive(Clone, Copy, Default)]
+struct Pose {
+    up: Up,
+    turn_degrees: f64,
+}
+
+impl FigureArgs {
+    fn scan_pose(&self) -> Pose {
+        Pose { up: self.scan_up, turn_degrees: self.scan_turn }
+    }
+}
+
 /// The map that makes points of height 1 stand on the ground about the y axis.
-fn standing(source: &mut dyn PointSource, up: Up) -> Result<DAffine3> {
-    let turn = match up {
+fn standing(source: &mut dyn PointSource, pose: Pose) -> Result<DAffine3> {
+    let upright = match pose.up {
         Up::Y => DAffine3::IDENTITY,
         Up::Z => DAffine3::from_rotation_x(-FRAC_PI_2),
     };
+    let turn = DAffine3::from_rotation_y(pose.turn_degrees.to_radians()) * upright;
     let (mut bounds, mut batch) = (Aabb::EMPTY, PointBatch::default());
     source.select(&[]);
     loop {
