@@ -5,7 +5,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::buffer::PageBuffer;
-use super::{KINDS, Kind, Object, ObjectId, Resident, Slot, lock};
+use super::slot::{Object, ObjectId, READ_FOR_HINT, Resident, Slot, lock};
+use super::source::{KINDS, Kind};
 
 /// Hard limits in bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -466,7 +467,7 @@ impl Books {
         };
         self.give_back(object.kind(page), object);
         self.spare.push(resident.buffer);
-        let hinted = resident.hint.into_inner() == super::READ_FOR_HINT;
+        let hinted = resident.hint.into_inner() == READ_FOR_HINT;
         Some(Evicted { kind: object.kind(page), unused_hint_bytes: if hinted { object.bytes() } else { 0 } })
     }
 }

@@ -1,0 +1,101 @@
+//! What a working set holds pages of, and why a page cannot be had.
+
+use std::io;
+use std::sync::Arc;
+
+use super::read::Storage;
+
+/// What a page holds; budgets and statistics are kept by kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// Nodes of an octree.
+    Octree,
+    /// Points.
+    Points,
+    /// Bricks of a grid.
+    Voxels,
+    /// Light that reaches places, computed.
+    Shadows,
+}
+
+/// Number of kinds.
+pub const KINDS: usize = 4;
+
+impl Kind {
+    /// Every kind.
+    pub const ALL: [Self; KINDS] = [Self::Octree, Self::Points, Self::Voxels, Self::Shadows];
+
+    pub(super) fn index(self) -> usize {
+        match self {
+            Self::Octree => 0,
+            Self::Points => 1,
+            Self::Voxels => 2,
+            Self::Shadows => 3,
+        }
+    }
+
+    /// The name used in statistics.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ["octree", "points", "voxels", "shadows"][self.index()]
+    }
+}
+
+/// Something on disk that consists of pages.
+pub trait PageSource: Send + Sync {
+    /// Number of pages.
+    fn pages(&self) -> u32;
+    /// Bytes of every page.
+    fn page_bytes(&self) -> usize;
+    /// What a page holds.
+    fn kind(&self, page: u32) -> Kind;
+    /// Where a page starts in the storage.
+    fn offset(&self, page: u32) -> u64;
+    /// What the pages are read from.
+    fn storage(&self) -> Arc<dyn Storage>;
+    /// Checks the bytes of a page that has just been read; the error says what is wrong with them.
+    ///
+    /// # Errors
+    /// A sentence for the user.
+    fn check(&self, page: u32, bytes: &[u8]) -> Result<(), String>;
+    /// What to call the source in messages.
+    fn name(&self) -> String;
+}
+
+/// Why a page could not be had.
+#[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PageFault {
+    /// The read failed.
+    #[error("{name}, byte {offset}: cannot read page {page}: {source}")]
+    Read {
+        /// The source.
+        name: String,
+        /// The page.
+        page: u32,
+        /// Its place.
+        offset: u64,
+        /// The system's reason.
+        source: Arc<io::Error>,
+    },
+    /// The page is damaged.
+    #[error("{name}, byte {offset} (page {page}): {what}")]
+    Damaged {
+        /// The source.
+        name: String,
+        /// The page.
+        page: u32,
+        /// Its place.
+        offset: u64,
+        /// What is wrong.
+        what: String,
+    },
+    /// Everything in the budget is retained.
+    #[error("the budget of {budget} bytes is full of retained pages; at least {needed} bytes are needed")]
+    Full {
+        /// The budget.
+        budget: u64,
+        /// The smallest that would have done at this moment.
+        needed: u64,
+    },
+}
