@@ -1,13 +1,14 @@
 //! The judge renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
 //! brute-force fields in `f64`. Slow by design; it shares no code with what it judges beyond the description of the
-//! scene and the closed forms of procedural fields.
+//! scene and the closed forms of procedural fields. Fields of clouds may come from elsewhere: then it is the discrete ray
+//! tracer that another engine's samples are compared in.
 
 mod tree;
 
 use std::sync::Arc;
 
 use crate::field::AttributeColumns;
-use crate::field::judge::JudgeField;
+use crate::field::judge::{JudgeField, JudgeSample};
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
 use crate::octree::file::ScanError;
 use crate::scene::{
@@ -19,10 +20,43 @@ use crate::scene::{
 /// A pixel in linear light, premultiplied, and its opacity.
 pub type JudgePixel = [f64; 4];
 
+/// What a field is sampled for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// What is seen along a ray.
+    Opacity,
+    /// What of a light reaches a sample.
+    Shadow,
+}
+
+/// The field of a cloud from somewhere else: another engine that is to make the same picture.
+pub trait PointField {
+    /// A ray sets out, in the space of the cloud; samples on it follow, in this order.
+    fn ray(&self, _ray: &Ray, _purpose: Purpose) {}
+
+    /// The field at a place in the space of the cloud. Attributes are those of all columns of its file, colours first, as
+    /// [`AttributeColumns`] numbers them; none where the point reaches nothing.
+    fn sample(&self, q: DVec3, purpose: Purpose) -> JudgeSample;
+}
+
+/// Where the field of a cloud comes from.
+enum Loaded<'a> {
+    Points(JudgeField),
+    Given(&'a dyn PointField),
+}
+
+/// The same, for one ray.
+enum Along<'a> {
+    /// The points that reach it.
+    Near(JudgeField),
+    Given(&'a dyn PointField, Purpose),
+    Nothing,
+}
+
 /// A scene whose clouds are in memory, point by point.
 pub struct Judge<'a> {
     scene: &'a Scene,
-    clouds: Vec<(*const Node, JudgeField)>,
+    clouds: Vec<(*const Node, Loaded<'a>)>,
     grids: Vec<(*const Node, Vec<f32>)>,
     /// Attributes that transfer functions read.
     names: Vec<Arc<str>>,
@@ -65,7 +99,7 @@ const NOTHING: Sample = Sample {
 
 /// What of a graph one ray can meet: fields with far points left out, and maps to them.
 enum Seen<'a> {
-    Cloud { object: &'a CloudObject, field: JudgeField },
+    Cloud { object: &'a CloudObject, field: Along<'a> },
     Grid { object: &'a GridObject, voxels: &'a [f32] },
     Procedural(&'a dyn Procedural),
     Operator(Operator, Vec<SeenNode<'a>>),
@@ -86,14 +120,36 @@ impl<'a> Judge<'a> {
     pub fn load(scene: &'a Scene) -> Result<Self, JudgeError> {
         let names = scene.root.attributes_read();
         let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
-        judge.load_node(&scene.root)?;
+        judge.load_node(&scene.root, &mut |_| None)?;
         Ok(judge)
     }
 
-    fn load_node(&mut self, node: &Arc<Node>) -> Result<(), JudgeError> {
-        let known = |(at, _): &(*const Node, JudgeField)| *at == Arc::as_ptr(node);
+    /// The same, with fields from somewhere else for the clouds of a scene.
+    ///
+    /// # Errors
+    /// [`JudgeError`] where a grid cannot be read.
+    pub fn with_fields(
+        scene: &'a Scene,
+        mut field: impl FnMut(&CloudObject) -> &'a dyn PointField,
+    ) -> Result<Self, JudgeError> {
+        let names = scene.root.attributes_read();
+        let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
+        judge.load_node(&scene.root, &mut |object| Some(field(object)))?;
+        Ok(judge)
+    }
+
+    fn load_node(
+        &mut self,
+        node: &Arc<Node>,
+        given: &mut dyn FnMut(&CloudObject) -> Option<&'a dyn PointField>,
+    ) -> Result<(), JudgeError> {
+        let known = |(at, _): &(*const Node, Loaded<'a>)| *at == Arc::as_ptr(node);
         match &node.shape {
             Shape::Cloud(object) if !self.clouds.iter().any(known) => {
+                if let Some(field) = given(object) {
+                    self.clouds.push((Arc::as_ptr(node), Loaded::Given(field)));
+                    return Ok(());
+                }
                 let (kernel, normalised) = (object.kernel, object.normalised);
                 let header = object.cloud.header();
                 let everything = AttributeColumns {
@@ -101,7 +157,7 @@ impl<'a> Judge<'a> {
                     scalars: (0..header.attributes.len()).collect(),
                 };
                 let field = JudgeField::load(&object.cloud, kernel, normalised, &everything)?;
-                self.clouds.push((Arc::as_ptr(node), field));
+                self.clouds.push((Arc::as_ptr(node), Loaded::Points(field)));
                 Ok(())
             }
             Shape::Grid(object) => {
@@ -109,7 +165,9 @@ impl<'a> Judge<'a> {
                 Ok(())
             }
             Shape::Cloud(_) | Shape::Procedural(_) => Ok(()),
-            Shape::Operator(_, children) => children.iter().try_for_each(|child| self.load_node(child)),
+            Shape::Operator(_, children) => {
+                children.iter().try_for_each(|child| self.load_node(child, given))
+            }
         }
     }
 
@@ -152,9 +210,17 @@ impl<'a> Judge<'a> {
     ) -> Result<DVec3, CameraError> {
         let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
         let mut sum = DVec3::ZERO;
-        self.march(settings, &ray, settings.phase_of(x, y), step_world, f64::INFINITY, |_, sample, share| {
-            sum += sample.normal * share;
-        });
+        let phase = settings.phase_of(x, y);
+        self.march(
+            settings,
+            &ray,
+            phase,
+            step_world,
+            (f64::INFINITY, Purpose::Opacity),
+            |_, sample, share| {
+                sum += sample.normal * share;
+            },
+        );
         Ok(sum)
     }
 
@@ -165,10 +231,10 @@ impl<'a> Judge<'a> {
         ray: &Ray,
         phase: f64,
         step: f64,
-        end: f64,
+        (end, purpose): (f64, Purpose),
         mut visit: impl FnMut(DVec3, &Sample, f64),
     ) -> f64 {
-        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), ray);
+        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, purpose));
         let mut transmittance = 1.0;
         for t in self.lattice(ray, phase, step).take_while(|t| *t < end) {
             let q = ray.at(t);
@@ -204,7 +270,7 @@ impl<'a> Judge<'a> {
         node: &'s Arc<Node>,
         world_from_parent: &DAffine3,
         material: Material,
-        ray: &Ray,
+        (ray, purpose): (&Ray, Purpose),
     ) -> SeenNode<'s> {
         let material = node.material.unwrap_or(material);
         let world_from_local = *world_from_parent * node.parent_from_local;
@@ -216,13 +282,15 @@ impl<'a> Judge<'a> {
                     direction: local_from_world.transform_vector3(ray.direction).normalize(),
                 };
                 let known = self.clouds.iter().find(|(at, _)| *at == Arc::as_ptr(node));
-                let field = known.map(|(_, field)| field.near(&local));
-                let nothing = || JudgeField {
-                    points: Vec::new(),
-                    kernel: object.kernel,
-                    normalised: object.normalised,
+                let field = match known {
+                    Some((_, Loaded::Points(field))) => Along::Near(field.near(&local)),
+                    Some((_, Loaded::Given(field))) => {
+                        field.ray(&local, purpose);
+                        Along::Given(*field, purpose)
+                    }
+                    None => Along::Nothing,
                 };
-                Seen::Cloud { object, field: field.unwrap_or_else(nothing) }
+                Seen::Cloud { object, field }
             }
             Shape::Grid(object) => {
                 let known = self.grids.iter().find(|(at, _)| *at == Arc::as_ptr(node));
@@ -230,7 +298,9 @@ impl<'a> Judge<'a> {
             }
             Shape::Procedural(field) => Seen::Procedural(&**field),
             Shape::Operator(operator, children) => {
-                let seen = children.iter().map(|child| self.seen(child, &world_from_local, material, ray));
+                let seen = children
+                    .iter()
+                    .map(|child| self.seen(child, &world_from_local, material, (ray, purpose)));
                 Seen::Operator(*operator, seen.collect())
             }
         };
@@ -281,14 +351,13 @@ impl<'a> Judge<'a> {
         sample
     }
 
-    fn sample_cloud(
-        &self,
-        node: &SeenNode<'_>,
-        object: &CloudObject,
-        field: &JudgeField,
-        q: DVec3,
-    ) -> Sample {
-        let s = field.sample(node.local_from_world.transform_point3(q));
+    fn sample_cloud(&self, node: &SeenNode<'_>, object: &CloudObject, field: &Along<'_>, q: DVec3) -> Sample {
+        let q = node.local_from_world.transform_point3(q);
+        let s = match field {
+            Along::Near(field) => field.sample(q),
+            Along::Given(field, purpose) => field.sample(q, *purpose),
+            Along::Nothing => JudgeSample::default(),
+        };
         let least = 1e-12 * object.largest_point_density();
         let mean =
             |channel: usize| if s.density.abs() > least { s.attributes[channel] / s.density } else { 0.0 };
@@ -401,7 +470,8 @@ impl<'a> Judge<'a> {
                     _ => (toward, distance),
                 };
                 let from = Ray { origin: place + toward * (0.5 * step), direction: toward };
-                self.march(settings, &from, phase, step, distance - 0.5 * step, |_, _, _| {})
+                let end = (distance - 0.5 * step, Purpose::Shadow);
+                self.march(settings, &from, phase, step, end, |_, _, _| {})
             } else {
                 1.0
             };

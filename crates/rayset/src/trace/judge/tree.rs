@@ -1,6 +1,6 @@
 //! The tree of rays under a pixel: what reflects and what refracts, ray by ray and sample by sample.
 
-use super::Judge;
+use super::{Judge, Purpose};
 use crate::geometry::{DAffine3, DVec3, Ray};
 use crate::scene::{Lighting, Material, RenderSettings};
 
@@ -45,7 +45,8 @@ impl Judge<'_> {
         step: f64,
     ) -> ([f64; 3], f64) {
         let ray = &course.ray;
-        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), ray);
+        let root =
+            self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, Purpose::Opacity));
         let turns = course.depth < settings.max_depth && self.scene.lighting != Lighting::Unlit;
         let mut light = DVec3::ZERO;
         let mut transmittance = 1.0;

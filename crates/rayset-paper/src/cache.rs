@@ -1,0 +1,417 @@
+//! A record cache: records of one size in memory, found by the lowest bits of their number, retained and released, and
+//! driven out by priority (sections 4.2 and 4.4 of the paper).
+
+use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::io;
+
+use crate::disk::{Disk, Extent, Ticket};
+
+/// A place in the cache.
+pub type Slot = u32;
+
+/// What a cache did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct CacheCounts {
+    /// Records asked for that were there.
+    pub hits: u64,
+    /// That were on their way.
+    pub late: u64,
+    /// That had to be fetched.
+    pub misses: u64,
+    /// Records asked for ahead of their use.
+    pub prefetched: u64,
+    /// Of these, used later.
+    pub prefetched_used: u64,
+    /// Reads.
+    pub reads: u64,
+    /// Bytes of them.
+    pub bytes: u64,
+    /// Records driven out.
+    pub evictions: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum State {
+    Free,
+    /// Part of a read: its ticket, and where in its bytes the record is.
+    Loading(Ticket, usize),
+    Resident,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    record: u64,
+    state: State,
+    retained: u32,
+    priority: u8,
+    last_use: u64,
+    /// Brought in ahead, and not used yet.
+    ahead: bool,
+}
+
+/// Reads that more than one record waits for.
+struct Arrived {
+    bytes: Vec<u8>,
+    waiting: usize,
+}
+
+/// Why a record cannot be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CacheError {
+    /// The disk.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// Every place is retained or on its way.
+    #[error("a cache of {records} records is too small: all of them are needed at once")]
+    Full {
+        /// Places.
+        records: usize,
+    },
+}
+
+/// Records of a file in memory.
+pub struct RecordCache {
+    file: usize,
+    record_bytes: usize,
+    /// Records that stand together on disk and are read together.
+    group: u64,
+    entries: Vec<Entry>,
+    bytes: Vec<u8>,
+    buckets: Vec<Vec<Slot>>,
+    free: Vec<Slot>,
+    /// Unretained residents, next to go first.
+    order: BTreeSet<(u8, u64, Slot)>,
+    arrived: HashMap<Ticket, Arrived>,
+    /// Places that are on their way, first asked for first.
+    loading: VecDeque<Slot>,
+    clock: u64,
+    counts: CacheCounts,
+}
+
+impl RecordCache {
+    /// A cache of `capacity` records over a file of a disk; records are read in groups of `group`.
+    #[must_use]
+    pub fn new(file: usize, record_bytes: usize, group: u64, capacity: usize) -> Self {
+        let mut cache = Self {
+            file,
+            record_bytes,
+            group,
+            entries: Vec::new(),
+            bytes: Vec::new(),
+            buckets: Vec::new(),
+            free: Vec::new(),
+            order: BTreeSet::new(),
+            arrived: HashMap::new(),
+            loading: VecDeque::new(),
+            clock: 0,
+            counts: CacheCounts::default(),
+        };
+        cache.set_capacity(capacity);
+        cache
+    }
+
+    /// Changes the number of records, also while it is in use: what is retained or on its way stays.
+    pub fn set_capacity(&mut self, capacity: usize) {
+        let capacity = capacity.max(1);
+        while self.entries.len() - self.free.len() > capacity
+            && let Some(slot) = self.evict(u8::MAX)
+        {
+            self.free.push(slot);
+        }
+        // Places that are in use keep their numbers: those beyond go when they are free.
+        let used = |cache: &Self| {
+            let last =
+                (0..cache.entries.len()).rev().find(|&i| !matches!(cache.entries[i].state, State::Free));
+            last.map_or(0, |last| last + 1)
+        };
+        let places = capacity.max(used(self));
+        let none =
+            Entry { record: 0, state: State::Free, retained: 0, priority: 0, last_use: 0, ahead: false };
+        self.entries.resize(places, none);
+        self.bytes.resize(places * self.record_bytes, 0);
+        self.free =
+            (0..places as Slot).rev().filter(|&s| matches!(self.entry(s).state, State::Free)).collect();
+        let mut buckets = vec![Vec::new(); places.next_power_of_two()];
+        let mask = buckets.len() as u64 - 1;
+        for (slot, entry) in self.entries.iter().enumerate() {
+            if !matches!(entry.state, State::Free) {
+                buckets[(entry.record & mask) as usize].push(slot as Slot);
+            }
+        }
+        self.buckets = buckets;
+    }
+
+    /// What has happened so far.
+    #[must_use]
+    pub fn counts(&self) -> CacheCounts {
+        self.counts
+    }
+
+    /// Records that it holds at most.
+    #[must_use]
+    pub fn capacity(&self) -> usize {
+        self.entries.len()
+    }
+
+    fn entry(&self, slot: Slot) -> &Entry {
+        &self.entries[slot as usize]
+    }
+
+    /// The lowest bits of the number are the hash: records that follow each other never collide.
+    fn find(&self, record: u64) -> Option<Slot> {
+        let bucket = &self.buckets[(record & (self.buckets.len() as u64 - 1)) as usize];
+        bucket.iter().copied().find(|&slot| self.entry(slot).record == record)
+    }
+
+    /// Whether a record is in memory now.
+    #[must_use]
+    pub fn is_resident(&self, record: u64) -> bool {
+        self.find(record).is_some_and(|slot| matches!(self.entry(slot).state, State::Resident))
+    }
+
+    /// Whether a record is in memory or on its way.
+    #[must_use]
+    pub fn is_known(&self, record: u64) -> bool {
+        self.find(record).is_some()
+    }
+
+    /// The place of a record that is in memory now, or whose read has ended.
+    ///
+    /// # Errors
+    /// [`CacheError::Io`] where that read failed.
+    pub fn peek(&mut self, disk: &mut dyn Disk, record: u64) -> Result<Option<Slot>, CacheError> {
+        let Some(slot) = self.find(record) else { return Ok(None) };
+        if let State::Loading(ticket, _) = self.entry(slot).state {
+            let known = self.arrived.get(&ticket).is_some_and(|a| !a.bytes.is_empty());
+            if !known && !disk.is_done(ticket) {
+                return Ok(None);
+            }
+            self.arrive(disk, slot)?;
+        }
+        Ok(Some(slot))
+    }
+
+    /// The bytes of a record that is retained, or has just been found.
+    #[must_use]
+    pub fn bytes(&self, slot: Slot) -> &[u8] {
+        let from = slot as usize * self.record_bytes;
+        &self.bytes[from..from + self.record_bytes]
+    }
+
+    /// Retains a record, fetching it if need be.
+    ///
+    /// # Errors
+    /// [`CacheError`] where it cannot be read, or has no room.
+    pub fn retain(&mut self, disk: &mut dyn Disk, record: u64, priority: u8) -> Result<Slot, CacheError> {
+        let slot = match self.find(record) {
+            Some(slot) => {
+                if let State::Loading(..) = self.entry(slot).state {
+                    self.counts.late += 1;
+                    self.arrive(disk, slot)?;
+                } else {
+                    self.counts.hits += 1;
+                }
+                slot
+            }
+            None => {
+                self.counts.misses += 1;
+                self.fetch(disk, record, priority)?
+            }
+        };
+        self.clock += 1;
+        let clock = self.clock;
+        let entry = &mut self.entries[slot as usize];
+        if entry.retained == 0 {
+            self.order.remove(&(entry.priority, entry.last_use, slot));
+        }
+        entry.retained += 1;
+        entry.priority = entry.priority.max(priority);
+        entry.last_use = clock;
+        self.counts.prefetched_used += u64::from(std::mem::take(&mut entry.ahead));
+        Ok(slot)
+    }
+
+    /// Gives a record back. It stays; its priority decays.
+    pub fn release(&mut self, slot: Slot) {
+        let entry = &mut self.entries[slot as usize];
+        entry.retained -= 1;
+        if entry.retained == 0 {
+            entry.priority /= 2;
+            self.order.insert((entry.priority, entry.last_use, slot));
+        }
+    }
+
+    /// Asks for records that will be wanted, those that are absent with one call of at most `batch` reads each time.
+    ///
+    /// # Errors
+    /// [`CacheError::Io`] where an earlier read failed.
+    pub fn prefetch(
+        &mut self,
+        disk: &mut dyn Disk,
+        records: &[u64],
+        priority: u8,
+        batch: usize,
+    ) -> Result<(), CacheError> {
+        self.settle(disk, false)?;
+        let mut wanted: Vec<Vec<(u64, Slot)>> = Vec::new();
+        'records: for &record in records {
+            if self.is_known(record) {
+                continue;
+            }
+            let mut together = Vec::new();
+            for member in self.members(record) {
+                if self.is_known(member) {
+                    continue;
+                }
+                let Some(slot) = self.place(member, priority) else {
+                    if !together.is_empty() {
+                        wanted.push(together);
+                    }
+                    break 'records;
+                };
+                self.entries[slot as usize].ahead = true;
+                self.counts.prefetched += 1;
+                together.push((member, slot));
+            }
+            wanted.push(together);
+        }
+        wanted.retain(|together| !together.is_empty());
+        for batch in wanted.chunks(batch.max(1)) {
+            self.submit(disk, batch);
+        }
+        Ok(())
+    }
+
+    /// The records that are read together with one.
+    fn members(&self, record: u64) -> std::ops::Range<u64> {
+        let first = record / self.group * self.group;
+        first..first + self.group
+    }
+
+    /// Starts one read for each group of records.
+    fn submit(&mut self, disk: &mut dyn Disk, groups: &[Vec<(u64, Slot)>]) {
+        let width = self.record_bytes;
+        let extents: Vec<Extent> = groups
+            .iter()
+            .filter_map(|group| {
+                let (first, last) = (group.first()?.0, group.last()?.0);
+                let bytes = (last - first + 1) as usize * width;
+                Some(Extent { file: self.file, offset: first * width as u64, bytes })
+            })
+            .collect();
+        self.counts.reads += extents.len() as u64;
+        self.counts.bytes += extents.iter().map(|e| e.bytes as u64).sum::<u64>();
+        let tickets = disk.submit(&extents);
+        for (group, ticket) in groups.iter().zip(tickets) {
+            let first = group[0].0;
+            self.arrived.insert(ticket, Arrived { bytes: Vec::new(), waiting: group.len() });
+            for &(record, slot) in group {
+                let at = (record - first) as usize * width;
+                self.entries[slot as usize].state = State::Loading(ticket, at);
+                self.loading.push_back(slot);
+            }
+        }
+    }
+
+    /// Fetches a record that somebody waits for, with those that stand beside it as far as there is room.
+    fn fetch(&mut self, disk: &mut dyn Disk, record: u64, priority: u8) -> Result<Slot, CacheError> {
+        let slot = match self.place(record, u8::MAX) {
+            Some(slot) => slot,
+            None => {
+                self.settle(disk, true)?;
+                self.place(record, u8::MAX).ok_or(CacheError::Full { records: self.capacity() })?
+            }
+        };
+        self.entries[slot as usize].priority = priority;
+        let mut together = vec![(record, slot)];
+        // Its own place must not be taken for its neighbours.
+        self.entries[slot as usize].retained = 1;
+        for member in self.members(record).filter(|&member| member != record) {
+            if !self.is_known(member)
+                && let Some(slot) = self.place(member, priority)
+            {
+                self.entries[slot as usize].ahead = true;
+                together.push((member, slot));
+            }
+        }
+        self.entries[slot as usize].retained = 0;
+        together.sort_unstable();
+        self.submit(disk, &[together]);
+        self.arrive(disk, slot)?;
+        Ok(slot)
+    }
+
+    /// Waits for the record of a place that is on its way.
+    fn arrive(&mut self, disk: &mut dyn Disk, slot: Slot) -> Result<(), CacheError> {
+        let State::Loading(ticket, at) = self.entry(slot).state else { return Ok(()) };
+        if let Some(arrived) = self.arrived.get_mut(&ticket)
+            && arrived.bytes.is_empty()
+        {
+            arrived.bytes = disk.wait(ticket)?;
+        }
+        let Some(arrived) = self.arrived.get_mut(&ticket) else { return Ok(()) };
+        let to = slot as usize * self.record_bytes;
+        self.bytes[to..to + self.record_bytes].copy_from_slice(&arrived.bytes[at..at + self.record_bytes]);
+        arrived.waiting -= 1;
+        if arrived.waiting == 0 {
+            self.arrived.remove(&ticket);
+        }
+        let entry = &mut self.entries[slot as usize];
+        entry.state = State::Resident;
+        if entry.retained == 0 {
+            self.order.insert((entry.priority, entry.last_use, slot));
+        }
+        Ok(())
+    }
+
+    /// Completes reads, first asked for first: all of them where `waits`, else those that have ended.
+    fn settle(&mut self, disk: &mut dyn Disk, waits: bool) -> Result<(), CacheError> {
+        while let Some(&slot) = self.loading.front() {
+            if let State::Loading(ticket, _) = self.entry(slot).state {
+                let known = self.arrived.get(&ticket).is_some_and(|a| !a.bytes.is_empty());
+                if !waits && !known && !disk.is_done(ticket) {
+                    return Ok(());
+                }
+                self.arrive(disk, slot)?;
+            }
+            self.loading.pop_front();
+        }
+        Ok(())
+    }
+
+    /// A place for a record, if need be that of one of a lower priority, or of the same and used longer ago.
+    fn place(&mut self, record: u64, priority: u8) -> Option<Slot> {
+        let slot = match self.free.pop() {
+            Some(slot) => slot,
+            None => self.evict(priority)?,
+        };
+        self.clock += 1;
+        self.entries[slot as usize] = Entry {
+            record,
+            state: State::Loading(u64::MAX, 0),
+            retained: 0,
+            priority,
+            last_use: self.clock,
+            ahead: false,
+        };
+        let mask = self.buckets.len() as u64 - 1;
+        self.buckets[(record & mask) as usize].push(slot);
+        Some(slot)
+    }
+
+    /// Drives out the record of least priority, the least recently used among equals, if that is at most `priority`.
+    fn evict(&mut self, priority: u8) -> Option<Slot> {
+        let &(least, last_use, slot) = self.order.first()?;
+        if least > priority {
+            return None;
+        }
+        self.order.remove(&(least, last_use, slot));
+        let record = self.entry(slot).record;
+        let mask = self.buckets.len() as u64 - 1;
+        self.buckets[(record & mask) as usize].retain(|&other| other != slot);
+        self.entries[slot as usize].state = State::Free;
+        self.counts.evictions += 1;
+        Some(slot)
+    }
+}

@@ -1,0 +1,60 @@
+//! Whole-process peaks for the bunny, in core and out of core, each in a process of its own.
+
+use std::process::Command;
+
+use anyhow::{Context as _, Result, ensure};
+
+use super::{Setting, Subject, scan_or};
+use crate::index::Limits;
+use crate::report::{Table, megabytes, number};
+
+pub(super) fn run(setting: &Setting) -> Result<()> {
+    let side = setting.pick(16, 256);
+    let folder = setting.work.join("memory");
+    std::fs::create_dir_all(&folder)?;
+    let cloud = folder.join("c.rset");
+    let source = scan_or(setting, setting.pick("vase-8k", "vase-35947"))?;
+    let subject = Subject::build(source, None, side, &cloud)?;
+    let index = subject.index(&folder, Limits { height: 8, leaf_points: 16 })?;
+    let summary = folder.join("index.json");
+    std::fs::write(&summary, serde_json::to_string(&index.summary)?)?;
+    let mut table = Table::new(
+        "Memory: whole-process peaks",
+        &["engine", "paper MB", "peak MB", "render s", "nodes in core", "points in core"],
+    );
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let runs = [
+        ("reference, in core", "300", None),
+        ("reference, out of core", "under 20", Some((8192, 4096))),
+        ("reference, out of core", "under 20", Some((1024, 1024))),
+    ];
+    for (name, paper, caches) in runs {
+        let mut command = Command::new(&program);
+        command.arg("render").arg(&cloud).arg("--index").arg(&folder).args(["--side", &side.to_string()]);
+        if let Some((nodes, points)) = caches {
+            command.args(["--nodes", &nodes.to_string(), "--points", &points.to_string()]);
+        }
+        let output = command.output().context("cannot start a render")?;
+        ensure!(output.status.success(), "no picture: {}", String::from_utf8_lossy(&output.stderr));
+        let found: serde_json::Value = serde_json::from_slice(&output.stdout)?;
+        let peak = found["peak_rss_bytes"].as_u64().unwrap_or(0);
+        let shown = |n: Option<usize>| n.map_or_else(|| "all".into(), |n| n.to_string());
+        table.row([
+            name.into(),
+            paper.into(),
+            megabytes(peak),
+            number(found["seconds"].as_f64().unwrap_or(0.0)),
+            shown(caches.map(|c| c.0)),
+            shown(caches.map(|c| c.1)),
+        ]);
+    }
+    std::fs::remove_dir_all(&folder)?;
+    table.note(format!(
+        "{} points, {} nodes, {} MB of index; {side}×{side} rays on this machine's disk, direct reads, predictor `line`. \
+         The peak is the largest resident set of the process, as the system counts it.",
+        index.summary.points,
+        index.summary.nodes,
+        megabytes(index.summary.index_bytes())
+    ));
+    table.write(&setting.out, "memory")
+}

@@ -1,0 +1,283 @@
+//! The experiments of section 5, each beside the paper's own figures.
+
+mod ablation;
+mod fig5;
+mod fig8;
+mod memory;
+mod minimum;
+pub mod render;
+mod table1;
+mod table2;
+mod table3;
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context as _, Result};
+use rayset::field::Kernel;
+use rayset::geometry::{Aabb, DVec3};
+use rayset::octree::Cloud;
+use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::points::{self, PointSource, ReadOptions, Workload};
+use rayset::scene::{
+    Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, Step, TransferFunction,
+};
+use rayset::trace::judge::PointField;
+use rayset::trace::{self, ExecSettings, WholePicture};
+use rayset::working_set::read::{self, BackendKind};
+use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
+
+use crate::disk::{Clock, SimulatedDisk};
+use crate::engine::{self, IndexField, Picture};
+use crate::index::{Index, Limits as IndexLimits};
+use crate::predict::Variant;
+use crate::records::{Budget, InCore, OutOfCore, Records};
+
+/// How much is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Size {
+    /// Under two minutes, for every change.
+    Quick,
+    /// The paper's sizes.
+    Full,
+}
+
+/// The experiments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Experiment {
+    /// Speed-up and space of octrees over points on a sphere.
+    Table1,
+    /// Growing radii: index and memory.
+    Fig5,
+    /// Time over index size by memory, policy by policy, on a disk of the paper's day.
+    Fig8,
+    /// Node cache by point cache.
+    Table2,
+    /// Many point sets in one scene.
+    Table3,
+    /// Whole-process peaks, in core and out of core.
+    Memory,
+    /// The smallest caches that run.
+    Minimum,
+    /// Predictors and batch sizes.
+    Ablation,
+    /// All of them.
+    All,
+}
+
+/// Where experiments find and leave things.
+pub struct Setting {
+    /// How much.
+    pub size: Size,
+    /// Where results go.
+    pub out: PathBuf,
+    /// A scan in place of generated points.
+    pub scan: Option<PathBuf>,
+    /// Temporary data.
+    pub work: PathBuf,
+}
+
+impl Setting {
+    fn pick<T>(&self, quick: T, full: T) -> T {
+        if self.size == Size::Quick { quick } else { full }
+    }
+}
+
+/// Runs an experiment.
+///
+/// # Errors
+/// Whatever stopped it.
+pub fn run(experiment: Experiment, setting: &Setting) -> Result<()> {
+    let all = experiment == Experiment::All;
+    let wanted = |one: Experiment| all || experiment == one;
+    type Run = fn(&Setting) -> Result<()>;
+    let known: [(Experiment, Run); 8] = [
+        (Experiment::Table1, table1::run),
+        (Experiment::Fig5, fig5::run),
+        (Experiment::Fig8, fig8::run),
+        (Experiment::Table2, table2::run),
+        (Experiment::Table3, table3::run),
+        (Experiment::Memory, memory::run),
+        (Experiment::Minimum, minimum::run),
+        (Experiment::Ablation, ablation::run),
+    ];
+    for (one, run) in known.into_iter().filter(|(one, _)| wanted(*one)) {
+        run(setting).with_context(|| format!("experiment {one:?}"))?;
+    }
+    Ok(())
+}
+
+/// A scene of one cloud, and how it is seen.
+pub(crate) struct Subject {
+    pub(crate) cloud: Arc<Cloud>,
+    pub(crate) scene: Scene,
+    pub(crate) camera: Camera,
+    pub(crate) settings: RenderSettings,
+    pub(crate) step: f64,
+}
+
+impl Subject {
+    /// Builds a cloud of points and looks at it.
+    pub(crate) fn build(
+        source: Box<dyn PointSource>,
+        radius: Option<f64>,
+        side: u32,
+        path: &Path,
+    ) -> Result<Self> {
+        let options = BuildOptions { radius: radius.map(Rule::Number), ..BuildOptions::default() };
+        build::run(vec![source], path, &options, &NoProgress)?;
+        Self::open(path, side)
+    }
+
+    /// Looks at a cloud file.
+    pub(crate) fn open(path: &Path, side: u32) -> Result<Self> {
+        let cloud = Arc::new(Cloud::open(path)?);
+        let scene = Scene::of_cloud(object(&cloud));
+        let step = 0.25 * cloud.header().radius_mean;
+        let bounds = scene.root.bounds();
+        let settings = RenderSettings {
+            width: side,
+            height: side,
+            step: Step::Fixed(step),
+            ..RenderSettings::default()
+        };
+        Ok(Self { camera: camera_on(bounds), cloud, scene, settings, step })
+    }
+
+    /// The reference index.
+    pub(crate) fn index(&self, folder: &Path, limits: IndexLimits) -> Result<Index> {
+        Ok(Index::build(&self.cloud, folder, limits)?)
+    }
+
+    pub(crate) fn object(&self) -> CloudObject {
+        object(&self.cloud)
+    }
+
+    /// The picture of the reference engine over some records, and those again.
+    pub(crate) fn reference<R: Records>(
+        &self,
+        records: R,
+        variant: Variant,
+        pixels: impl IntoIterator<Item = (u32, u32)>,
+    ) -> Result<(Picture, R)> {
+        let records = Rc::new(RefCell::new(records));
+        let failure = Rc::new(RefCell::new(None));
+        let lit = self.scene.lighting != Lighting::Unlit;
+        let field = IndexField::new(&self.object(), lit, variant, records.clone(), failure.clone());
+        let given = |_: &CloudObject| &field as &dyn PointField;
+        let picture =
+            engine::render(&self.scene, (&self.camera, &self.settings, self.step), &failure, given, pixels)?;
+        drop(field);
+        let records = Rc::try_unwrap(records).ok().context("the field still holds its records")?;
+        Ok((picture, records.into_inner()))
+    }
+
+    /// The picture of the engine that ships, and seconds on one thread.
+    pub(crate) fn shipping(&self) -> Result<(Picture, f64)> {
+        let (picture, seconds, _) =
+            shipping(&self.scene, std::slice::from_ref(&self.cloud), &self.camera, &self.settings, 1 << 40)?;
+        Ok((picture, seconds))
+    }
+
+    /// The reference engine out of core on the simulated disk: picture, seconds of counted time, records.
+    pub(crate) fn simulated(&self, index: &Index, run: SimulatedRun) -> Result<(Picture, f64, OutOfCore)> {
+        let clock = Clock::default();
+        let disk = SimulatedDisk::open(&index.files(), clock.clone())?;
+        let prefetches = run.variant != Variant::None;
+        let records = OutOfCore::new(Box::new(disk), run.budget, run.batch, prefetches, Some(clock.clone()));
+        let limit = run.limit_seconds;
+        let watch = clock.clone();
+        let pixels = engine::all_pixels(&self.settings).take_while(move |_| seconds(&watch) < limit);
+        let (picture, records) = self.reference(records, run.variant, pixels)?;
+        Ok((picture, seconds(&clock), records))
+    }
+}
+
+/// How a run on the simulated disk is made.
+#[derive(Clone, Copy)]
+pub(crate) struct SimulatedRun {
+    pub(crate) budget: Budget,
+    pub(crate) variant: Variant,
+    pub(crate) batch: usize,
+    /// It is stopped when it has taken so long.
+    pub(crate) limit_seconds: f64,
+}
+
+/// Reads that `lio_listio` starts with one call.
+pub(crate) const BATCH: usize = 16;
+
+pub(crate) fn seconds(clock: &Clock) -> f64 {
+    clock.now() as f64 * 1e-9
+}
+
+/// As the paper sees a cloud: Wyvill's kernel, O = min(1, D).
+pub(crate) fn object(cloud: &Arc<Cloud>) -> CloudObject {
+    let transfer =
+        TransferFunction { opacity: OpacityRule::Clamp, color: ColorRule::Uniform([0.8, 0.7, 0.6]) };
+    CloudObject { kernel: Kernel::Wyvill, transfer, ..CloudObject::plain(cloud.clone()) }
+}
+
+pub(crate) fn camera_on(bounds: Aabb) -> Camera {
+    let eye = bounds.center() + DVec3::new(0.3, 0.25, 1.0).normalize() * 1.3 * bounds.size().length();
+    Camera::look_at(eye, bounds.center(), DVec3::Y, 35_f64.to_radians())
+}
+
+/// The picture of the engine that ships with so many bytes for pages, seconds on one thread, and what its working set did.
+pub(crate) fn shipping(
+    scene: &Scene,
+    clouds: &[Arc<Cloud>],
+    camera: &Camera,
+    settings: &RenderSettings,
+    page_bytes: u64,
+) -> Result<(Picture, f64, Statistics)> {
+    let set = WorkingSet::new(Limits::total(page_bytes), read::backend(BackendKind::Auto)?);
+    let mut paged = PagedFiles::new(set);
+    for cloud in clouds {
+        paged.open(cloud, true)?;
+    }
+    let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
+    let mut whole = WholePicture::default();
+    let started = Instant::now();
+    trace::render(scene, camera, settings, &exec, &paged, &mut whole)?;
+    Ok((whole.pixels, started.elapsed().as_secs_f64(), paged.pages.statistics()))
+}
+
+/// The part of the pixels of two pictures that differ by more than 1/1024 in linear light.
+pub(crate) fn differing(a: &Picture, b: &Picture) -> f64 {
+    let far = |(a, b): (&[f32; 4], &[f32; 4])| (0..4).any(|c| !((a[c] - b[c]).abs() <= 1.0 / 1024.0));
+    a.iter().zip(b).filter(|&pair| far(pair)).count() as f64 / a.len().max(1) as f64
+}
+
+/// What every table says of its two engines.
+pub(crate) fn same_picture_note(worst: f64) -> String {
+    format!(
+        "Pictures of the two engines: at most {:.2} % of the pixels differ by more than 1/1024 in linear light.",
+        100.0 * worst
+    )
+}
+
+/// A budget in bytes, divided between nodes and points: points may have half, or less if they are fewer.
+pub(crate) fn budget_of(bytes: u64, points: u64) -> Budget {
+    use crate::record::{NODE_BYTES, POINT_BYTES};
+    let for_points = (bytes / 2).min(points * POINT_BYTES as u64);
+    Budget {
+        nodes: ((bytes - for_points) / NODE_BYTES as u64) as usize,
+        points: (for_points / POINT_BYTES as u64).max(1) as usize,
+    }
+}
+
+/// The scan that was given, or a generated surface.
+pub(crate) fn scan_or(setting: &Setting, workload: &str) -> Result<Box<dyn PointSource>> {
+    match &setting.scan {
+        Some(scan) => Ok(points::open(scan, &ReadOptions::default())?),
+        None => Ok(workload.parse::<Workload>()?.source()),
+    }
+}
+
+/// The whole index in memory.
+pub(crate) fn in_core(index: &Index) -> Result<InCore> {
+    Ok(InCore::load(index)?)
+}

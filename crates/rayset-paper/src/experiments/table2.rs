@@ -1,0 +1,77 @@
+//! Table 2: time for the bunny over node cache by point cache.
+
+use anyhow::Result;
+
+use super::{BATCH, Setting, SimulatedRun, Subject, differing, same_picture_note, scan_or};
+use crate::index::Limits;
+use crate::predict::Variant;
+use crate::records::Budget;
+use crate::report::{Series, Table, number, plot};
+
+const NODES: [usize; 5] = [131_072, 65_536, 32_768, 16_384, 8_192];
+const POINTS: [usize; 4] = [32_768, 16_384, 8_192, 4_096];
+/// Seconds on a PowerMac G5, of which 55 to 65 are for building.
+const PAPER: [[f64; 4]; 5] = [
+    [94.59, 98.67, 100.31, 107.15],
+    [90.67, 96.25, 96.62, 101.63],
+    [88.28, 95.20, 94.89, 100.91],
+    [88.78, 96.58, 95.84, 103.38],
+    [92.39, 98.56, 100.31, 108.25],
+];
+
+pub(super) fn run(setting: &Setting) -> Result<()> {
+    let side = setting.pick(16, 128);
+    let folder = setting.work.join("table2");
+    std::fs::create_dir_all(&folder)?;
+    let source = scan_or(setting, setting.pick("vase-8k", "vase-35947"))?;
+    let subject = Subject::build(source, None, side, &folder.join("c.rset"))?;
+    let index = subject.index(&folder, Limits { height: 8, leaf_points: 16 })?;
+    // Smaller data, smaller caches, in proportion.
+    let part = setting.pick(8, 1);
+    let (shipped, _) = subject.shipping()?;
+    let mut worst: f64 = 0.0;
+    let mut table = Table::new(
+        "Table 2: node cache by point cache",
+        &[
+            "nodes in core",
+            "32768 points: paper s",
+            "s",
+            "16384: paper s",
+            "s",
+            "8192: paper s",
+            "s",
+            "4096: paper s",
+            "s",
+        ],
+    );
+    let mut lines: Vec<Series> = Vec::new();
+    for (nodes, paper) in NODES.into_iter().zip(PAPER) {
+        let mut cells = vec![nodes.to_string()];
+        let mut line = Series { name: format!("{nodes} nodes"), points: Vec::new() };
+        for (points, paper) in POINTS.into_iter().zip(paper) {
+            let budget = Budget { nodes: nodes / part, points: points / part };
+            let run =
+                SimulatedRun { budget, variant: Variant::Line, batch: BATCH, limit_seconds: f64::INFINITY };
+            let (picture, seconds, _) = subject.simulated(&index, run)?;
+            worst = worst.max(differing(&picture, &shipped));
+            cells.extend([number(paper), number(seconds)]);
+            line.points.push((points as f64, seconds));
+        }
+        line.points.reverse();
+        table.row(cells);
+        lines.push(line);
+    }
+    std::fs::remove_dir_all(&folder)?;
+    table.note(format!(
+        "{} points, {} nodes, {} secondary records, {side}×{side} rays; caches are the paper's divided by {part}. Seconds \
+         of rendering on the simulated disk, predictor `line`; the paper's include 55 to 65 of building (here {} of the \
+         processor).",
+        index.summary.points,
+        index.summary.nodes,
+        index.summary.secondary,
+        number(index.summary.build.as_secs_f64())
+    ));
+    table.note(same_picture_note(worst));
+    table.write(&setting.out, "table2")?;
+    plot(&setting.out.join("table2.svg"), "Table 2: time by caches", ("points in core", "seconds"), &lines)
+}

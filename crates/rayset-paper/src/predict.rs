@@ -1,0 +1,180 @@
+//! Which octree node comes next: Algorithm 1 of the paper and its variants.
+//!
+//! The prose of section 4.3 and the printed listing disagree in two places. By the prose, a sample on the line of the last
+//! two tries again where the last attempt did not succeed, one off the line starts a new line from the last two samples,
+//! and the last two are renewed at each access. As printed, an attempt is made only *off* the line, and the two samples
+//! are renewed only while they are not yet set.
+
+use std::fmt;
+use std::str::FromStr;
+
+use rayset::geometry::DVec3;
+
+/// A way to predict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub enum Variant {
+    /// Not at all.
+    None,
+    /// By the prose.
+    Line,
+    /// By the listing.
+    LineAsPrinted,
+    /// By the prose, and the place where a ray starts counts as its first sample: the extension that the paper describes.
+    LineOrigins,
+}
+
+impl Variant {
+    /// Every variant.
+    pub const ALL: [Self; 4] = [Self::None, Self::Line, Self::LineAsPrinted, Self::LineOrigins];
+}
+
+impl fmt::Display for Variant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "none",
+            Self::Line => "line",
+            Self::LineAsPrinted => "line-as-printed",
+            Self::LineOrigins => "line+origins",
+        })
+    }
+}
+
+impl FromStr for Variant {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = Self::ALL.into_iter().find(|v| v.to_string() == text);
+        known.ok_or_else(|| format!("`{text}`: expected none, line, line-as-printed or line+origins"))
+    }
+}
+
+/// Sines of angles below this are none.
+const STRAIGHT: f64 = 1e-6;
+
+/// What is known of past samples.
+#[derive(Clone, Debug)]
+pub struct Predictor {
+    variant: Variant,
+    /// s₁ and s₂, the last two samples.
+    last: [Option<DVec3>; 2],
+    /// c: whether the next cell is cached, for the leaf below.
+    cached: bool,
+    leaf: Option<u64>,
+    /// Where the current ray starts.
+    origin: Option<DVec3>,
+    /// Distance between samples of a line.
+    spacing: f64,
+}
+
+impl Predictor {
+    /// Without any past.
+    #[must_use]
+    pub fn new(variant: Variant) -> Self {
+        Self { variant, last: [None; 2], cached: false, leaf: None, origin: None, spacing: 0.0 }
+    }
+
+    /// A ray starts. Only [`Variant::LineOrigins`] takes note.
+    pub fn ray(&mut self, origin: DVec3) {
+        if self.variant == Variant::LineOrigins {
+            self.origin = Some(origin);
+        }
+    }
+
+    /// A sample was taken in a leaf. Returns the way from it to the sample that is expected next, where an attempt is to be
+    /// made to bring in what comes behind the leaf.
+    pub fn access(&mut self, s: DVec3, leaf: u64) -> Option<DVec3> {
+        if self.leaf != Some(leaf) {
+            (self.leaf, self.cached) = (Some(leaf), false);
+        }
+        let attempt = match (self.variant, self.last) {
+            (Variant::None, _) => return None,
+            (Variant::LineAsPrinted, [Some(s1), Some(s2)]) => {
+                return (!on_line(s1, s2, s)).then_some(s - s2).filter(|way| *way != DVec3::ZERO);
+            }
+            (Variant::LineAsPrinted, _) => {
+                self.cached = false;
+                None
+            }
+            (_, [Some(s1), Some(s2)]) if on_line(s1, s2, s) => {
+                self.spacing = s.distance(s2);
+                (!self.cached).then_some(s - s2)
+            }
+            (Variant::Line, [_, Some(s2)]) => {
+                self.cached = false;
+                // From the last two samples.
+                Some(s - s2)
+            }
+            (Variant::LineOrigins, [_, last]) => {
+                self.cached = false;
+                let from_origin = self.origin.map(|origin| (s - origin).normalize_or_zero() * self.spacing);
+                from_origin.or(last.map(|s2| s - s2))
+            }
+            (Variant::Line, [_, None]) => None,
+        };
+        self.last = [self.last[1], Some(s)];
+        attempt.filter(|way| *way != DVec3::ZERO)
+    }
+
+    /// What came of the attempt.
+    pub fn attempted(&mut self, cached: bool) {
+        self.cached = cached;
+    }
+}
+
+/// Whether a third sample goes on the way of two.
+fn on_line(s1: DVec3, s2: DVec3, s: DVec3) -> bool {
+    let (before, after) = (s2 - s1, s - s2);
+    let product = before.length() * after.length();
+    product > 0.0 && before.dot(after) > 0.0 && before.cross(after).length() <= STRAIGHT * product
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn attempts(variant: Variant, samples: &[(f64, u64)], cached_after: usize) -> Vec<bool> {
+        let mut predictor = Predictor::new(variant);
+        predictor.ray(DVec3::ZERO);
+        let mut made = 0;
+        let of = |&(x, leaf): &(f64, u64)| {
+            let attempt = predictor.access(DVec3::new(x, 1.0, 0.0), leaf).is_some();
+            if attempt {
+                made += 1;
+                predictor.attempted(made >= cached_after);
+            }
+            attempt
+        };
+        samples.iter().map(of).collect()
+    }
+
+    const STRAIGHT_ON: [(f64, u64); 6] = [(0.0, 1), (1.0, 1), (2.0, 1), (3.0, 1), (4.0, 1), (5.0, 2)];
+
+    #[test]
+    fn on_the_line_the_prose_tries_until_the_next_cell_is_cached_and_again_in_the_next_leaf() {
+        assert_eq!(attempts(Variant::Line, &STRAIGHT_ON, 3), [false, true, true, true, false, true]);
+    }
+
+    #[test]
+    fn the_printed_listing_never_tries_on_the_line() {
+        assert_eq!(attempts(Variant::LineAsPrinted, &STRAIGHT_ON, 3), [false; 6]);
+    }
+
+    #[test]
+    fn nothing_is_predicted_where_nothing_is_asked() {
+        assert_eq!(attempts(Variant::None, &STRAIGHT_ON, 1), [false; 6]);
+    }
+
+    #[test]
+    fn with_origins_the_first_sample_of_a_second_ray_is_enough() {
+        let mut predictor = Predictor::new(Variant::LineOrigins);
+        let origin = DVec3::new(0.0, 0.0, -5.0);
+        predictor.ray(origin);
+        for z in 0..4 {
+            predictor.access(DVec3::new(0.0, 0.0, f64::from(z)), 1);
+        }
+        predictor.ray(origin);
+        let s = DVec3::new(1.0, 0.0, 0.0);
+        let way = predictor.access(s, 2).expect("an attempt");
+        assert!((way - (s - origin).normalize()).length() < 1e-12, "{way}");
+    }
+}

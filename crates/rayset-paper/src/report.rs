@@ -1,0 +1,156 @@
+//! Results as Markdown, CSV and SVG.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow};
+use plotters::prelude::*;
+
+/// A table of results.
+pub struct Table {
+    /// What stands above it.
+    pub title: String,
+    /// Sentences that say how it came about.
+    pub notes: Vec<String>,
+    columns: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// A table without rows.
+    #[must_use]
+    pub fn new(title: &str, columns: &[&str]) -> Self {
+        let columns = columns.iter().map(|c| (*c).to_owned()).collect();
+        Self { title: title.into(), notes: Vec::new(), columns, rows: Vec::new() }
+    }
+
+    /// Adds a row, a cell for each column.
+    pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
+        self.rows.push(cells.into_iter().collect());
+    }
+
+    /// Says how the table came about.
+    pub fn note(&mut self, sentence: impl Into<String>) {
+        self.notes.push(sentence.into());
+    }
+
+    fn markdown(&self) -> String {
+        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+        let rule: Vec<String> = self.columns.iter().map(|_| "---:".into()).collect();
+        let mut text = format!("# {}\n\n", self.title);
+        for note in &self.notes {
+            let _ = writeln!(text, "{note}\n");
+        }
+        text += &line(&self.columns);
+        text += &line(&rule);
+        self.rows.iter().for_each(|row| text += &line(row));
+        text
+    }
+
+    fn csv(&self) -> String {
+        let quoted = |cell: &String| {
+            if cell.contains([',', '"', '\n']) {
+                format!("\"{}\"", cell.replace('"', "\"\""))
+            } else {
+                cell.clone()
+            }
+        };
+        let line = |cells: &[String]| cells.iter().map(quoted).collect::<Vec<_>>().join(",") + "\n";
+        std::iter::once(&self.columns).chain(&self.rows).map(|cells| line(cells)).collect()
+    }
+
+    /// Writes `name.md` and `name.csv` into a folder.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        for (ending, text) in [("md", self.markdown()), ("csv", self.csv())] {
+            let path = folder.join(format!("{name}.{ending}"));
+            std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        Ok(())
+    }
+}
+
+/// A line of a plot.
+pub struct Series {
+    /// Its name.
+    pub name: String,
+    /// Its points, in ascending order of x; both coordinates above 0.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Writes lines as an SVG picture, both axes logarithmic.
+///
+/// # Errors
+/// What the system says.
+pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> Result<()> {
+    const COLORS: [RGBColor; 6] = [
+        RGBColor(31, 119, 180),
+        RGBColor(214, 39, 40),
+        RGBColor(44, 160, 44),
+        RGBColor(148, 103, 189),
+        RGBColor(255, 127, 14),
+        RGBColor(90, 90, 90),
+    ];
+    let all = || series.iter().flat_map(|s| &s.points);
+    let span = |values: Vec<f64>| {
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(0.0, f64::max);
+        (low / 1.3)..(high * 1.3)
+    };
+    if all().next().is_none() {
+        return Ok(());
+    }
+    let (x, y) = (span(all().map(|p| p.0).collect()), span(all().map(|p| p.1).collect()));
+    let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw {}: {e}", path.display());
+    let area = SVGBackend::new(path, (720, 440)).into_drawing_area();
+    area.fill(&WHITE).map_err(|e| failed(&e))?;
+    let mut chart = ChartBuilder::on(&area)
+        .caption(title, ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(44)
+        .y_label_area_size(72)
+        .build_cartesian_2d(x.log_scale(), y.log_scale())
+        .map_err(|e| failed(&e))?;
+    chart
+        .configure_mesh()
+        .x_desc(axes.0)
+        .y_desc(axes.1)
+        .light_line_style(WHITE)
+        .draw()
+        .map_err(|e| failed(&e))?;
+    for (one, color) in series.iter().zip(COLORS.iter().cycle()) {
+        let line = LineSeries::new(one.points.iter().copied(), color.stroke_width(2)).point_size(3);
+        let drawn = chart.draw_series(line).map_err(|e| failed(&e))?;
+        let color = *color;
+        drawn
+            .label(one.name.clone())
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperLeft)
+        .background_style(WHITE.mix(0.85))
+        .border_style(BLACK.mix(0.3))
+        .draw()
+        .map_err(|e| failed(&e))?;
+    area.present().map_err(|e| failed(&e))
+}
+
+/// A number with three digits that count.
+#[must_use]
+pub fn number(v: f64) -> String {
+    if v == 0.0 || !v.is_finite() {
+        return v.to_string();
+    }
+    let digits = (2 - v.abs().log10().floor() as i32).clamp(0, 6) as usize;
+    format!("{v:.digits$}")
+}
+
+/// Bytes in MB, as the paper counts them.
+#[must_use]
+pub fn megabytes(bytes: u64) -> String {
+    number(bytes as f64 / 1e6)
+}
