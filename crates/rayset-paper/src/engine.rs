@@ -249,3 +249,111 @@ pub fn all_pixels(settings: &RenderSettings) -> impl Iterator<Item = (u32, u32)>
     let (width, height) = (settings.width, settings.height);
     (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use rayset::points::Workload;
+
+    use super::*;
+    use crate::disk::{Clock, RealDisk, SimulatedDisk};
+    use crate::experiments::{Subject, budget_of, differing};
+    use crate::index::{Index, Limits};
+    use crate::records::{Budget, InCore, OutOfCore, Paged, write_image};
+
+    const SIDE: u32 = 20;
+
+    fn subject(folder: &Path) -> (Subject, Index) {
+        let workload: Workload = "sphere-3k".parse().expect("a workload");
+        let subject =
+            Subject::build(workload.source(), Some(0.12), SIDE, &folder.join("c.rset")).expect("a cloud");
+        let index = subject.index(folder, Limits { height: 5, leaf_points: 8 }).expect("an index");
+        (subject, index)
+    }
+
+    fn bits(picture: &Picture) -> Vec<[u32; 4]> {
+        picture.iter().map(|p| p.map(f32::to_bits)).collect()
+    }
+
+    #[test]
+    fn the_reference_makes_the_picture_of_the_engine_that_ships() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (subject, index) = subject(folder.path());
+        let records = InCore::load(&index).expect("the index loads");
+        let (found, _) =
+            subject.reference(records, Variant::None, all_pixels(&subject.settings)).expect("a picture");
+        let (shipped, _) = subject.shipping().expect("a picture");
+        assert!(found.iter().filter(|p| p[3] > 0.1).count() > 60, "there is something to see");
+        assert!(differing(&found, &shipped) <= 0.005, "{} of the pixels differ", differing(&found, &shipped));
+    }
+
+    #[test]
+    fn the_picture_is_the_same_wherever_the_records_are_and_whatever_is_predicted() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (subject, index) = subject(folder.path());
+        let pixels = || all_pixels(&subject.settings);
+        let records = InCore::load(&index).expect("the index loads");
+        let (first, _) = subject.reference(records, Variant::None, pixels()).expect("a picture");
+        for variant in Variant::ALL {
+            for budget in [budget_of(20_000, 3000), Budget { nodes: 40, points: 3 }, budget_of(1 << 30, 3000)]
+            {
+                for (batch, prefetches) in [(16, true), (1, true), (16, false)] {
+                    let clock = Clock::default();
+                    let disk = SimulatedDisk::open(&index.files(), clock.clone()).expect("a disk");
+                    let records = OutOfCore::new(Box::new(disk), budget, batch, prefetches, Some(clock));
+                    let (again, _) = subject.reference(records, variant, pixels()).expect("a picture");
+                    assert!(bits(&again) == bits(&first), "{variant}, {budget:?}, batches of {batch}");
+                }
+            }
+        }
+        let disk = RealDisk::open(&index.files(), true, Default::default()).expect("a disk");
+        let records = OutOfCore::new(Box::new(disk), budget_of(50_000, 3000), 16, true, None);
+        let (again, records) = subject.reference(records, Variant::Line, pixels()).expect("a picture");
+        assert!(bits(&again) == bits(&first), "on the real disk");
+        let [nodes, _, points] = records.counts();
+        assert!(nodes.prefetched_used > 0 && points.prefetched_used > 0, "{nodes:?} {points:?}");
+        let image = folder.path().join("image.bin");
+        write_image(&index, &image).expect("an image");
+        let clock = Clock::default();
+        let disk = SimulatedDisk::open(&[image], clock.clone()).expect("a disk");
+        let records = Paged::new(&index, Box::new(disk), 100_000, clock).expect("a paged memory");
+        let (again, records) = subject.reference(records, Variant::None, pixels()).expect("a picture");
+        assert!(bits(&again) == bits(&first), "paged");
+        assert!(records.counts().evictions > 0, "nothing was paged out");
+    }
+
+    #[test]
+    fn caches_may_shrink_and_grow_while_they_are_used() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (subject, index) = subject(folder.path());
+        let records = InCore::load(&index).expect("the index loads");
+        let (first, _) =
+            subject.reference(records, Variant::None, all_pixels(&subject.settings)).expect("a picture");
+        let clock = Clock::default();
+        let disk = SimulatedDisk::open(&index.files(), clock.clone()).expect("a disk");
+        let mut records = OutOfCore::new(Box::new(disk), budget_of(1 << 20, 3000), 16, true, Some(clock));
+        let mut picture = Picture::new();
+        for (row, nodes) in (0..SIDE).zip([4000, 30, 300, 60, 5000].into_iter().cycle()) {
+            records.set_capacities(nodes, nodes / 4, nodes);
+            let pixels = (0..SIDE).map(|x| (x, row));
+            let (part, again) = subject.reference(records, Variant::Line, pixels).expect("a row");
+            picture.extend(part);
+            records = again;
+        }
+        assert!(bits(&picture) == bits(&first));
+    }
+
+    #[test]
+    fn a_cache_without_room_for_a_path_is_an_error_that_says_so() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (subject, index) = subject(folder.path());
+        let clock = Clock::default();
+        let disk = SimulatedDisk::open(&index.files(), clock.clone()).expect("a disk");
+        let mut records = OutOfCore::new(Box::new(disk), budget_of(1 << 20, 3000), 16, true, Some(clock));
+        records.set_capacities(2, 1, 1);
+        let outcome = subject.reference(records, Variant::Line, all_pixels(&subject.settings));
+        let error = outcome.err().expect("an error").to_string();
+        assert!(error.contains("too small"), "{error}");
+    }
+}

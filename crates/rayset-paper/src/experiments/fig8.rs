@@ -17,11 +17,12 @@ const RATIOS: [u64; 7] = [1, 2, 4, 8, 16, 32, 64];
 const STOPPED_AT: f64 = 20.0;
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
-    let (points, height, side) = setting.pick((4_000, 5, 48), (100_000, 6, 128));
+    let (points, height, side) = setting.pick((4_000, 4, 32), (20_000, 5, 160));
     let folder = setting.work.join("fig8");
     std::fs::create_dir_all(&folder)?;
-    let workload: Workload = format!("sphere-{points}").parse()?;
-    let subject = Subject::build(workload.source(), Some(0.1), side, &folder.join("c.rset"))?;
+    let workload: Workload = format!("cube-{points}").parse()?;
+    let mut subject = Subject::build(workload.source(), workload.radius(), side, &folder.join("c.rset"))?;
+    subject.make_translucent();
     let index = subject.index(&folder, Limits { height, leaf_points: 16 })?;
     let whole = index.summary.index_bytes() + index.summary.point_bytes();
     let image = folder.join("image.bin");
@@ -79,7 +80,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     }
     std::fs::remove_dir_all(&folder)?;
     table.note(format!(
-        "{points} points on a sphere, radius 0.1, height {height}: {} nodes, {} MB of index and points; {side}×{side} \
+        "{points} points at random in a cube, 30 supports overlapping, translucent, height {height}: {} nodes, {} MB of index and points; {side}×{side} \
          rays. One index, and memory that is a part of it: the paper holds the memory and grows the octree. Paging is by \
          4 KiB on demand, least recently used, of the same structures one behind the other. Time is counted, so the table \
          is the same on every machine: 500 ns a sample, 50 ns a point of it, 100 ns a step from node to node. A run is \

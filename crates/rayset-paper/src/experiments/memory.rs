@@ -15,7 +15,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let cloud = folder.join("c.rset");
     let source = scan_or(setting, setting.pick("vase-8k", "vase-35947"))?;
     let subject = Subject::build(source, None, side, &cloud)?;
-    let index = subject.index(&folder, Limits { height: 8, leaf_points: 16 })?;
+    let index = subject.index(&folder, Limits { height: 6, leaf_points: 32 })?;
     let summary = folder.join("index.json");
     std::fs::write(&summary, serde_json::to_string(&index.summary)?)?;
     let mut table = Table::new(

@@ -117,6 +117,7 @@ pub(crate) struct Subject {
     pub(crate) camera: Camera,
     pub(crate) settings: RenderSettings,
     pub(crate) step: f64,
+    opacity: OpacityRule,
 }
 
 impl Subject {
@@ -144,7 +145,14 @@ impl Subject {
             step: Step::Fixed(step),
             ..RenderSettings::default()
         };
-        Ok(Self { camera: camera_on(bounds), cloud, scene, settings, step })
+        Ok(Self { camera: camera_on(bounds), cloud, scene, settings, step, opacity: OpacityRule::Clamp })
+    }
+
+    /// Lets rays through, so that they need all of the cloud and not only the side that faces them.
+    pub(crate) fn make_translucent(&mut self) {
+        let kappa = 0.02 / self.cloud.header().radius_mean;
+        self.opacity = OpacityRule::Extinction(kappa);
+        self.scene = Scene::of_cloud(self.object());
     }
 
     /// The reference index.
@@ -153,7 +161,9 @@ impl Subject {
     }
 
     pub(crate) fn object(&self) -> CloudObject {
-        object(&self.cloud)
+        let object = object(&self.cloud);
+        let transfer = TransferFunction { opacity: self.opacity.clone(), ..object.transfer };
+        CloudObject { transfer, ..object }
     }
 
     /// The picture of the reference engine over some records, and those again.

@@ -25,7 +25,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     std::fs::create_dir_all(&folder)?;
     let source = scan_or(setting, setting.pick("vase-8k", "vase-35947"))?;
     let subject = Subject::build(source, None, side, &folder.join("c.rset"))?;
-    let index = subject.index(&folder, Limits { height: 8, leaf_points: 16 })?;
+    let index = subject.index(&folder, Limits { height: 6, leaf_points: 32 })?;
     // Smaller data, smaller caches, in proportion.
     let part = setting.pick(8, 1);
     let (shipped, _) = subject.shipping()?;
