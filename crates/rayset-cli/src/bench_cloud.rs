@@ -13,12 +13,12 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
 use rayset::trace::memory::least_pages;
-use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
 use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use crate::render::PredictorArg;
 use crate::statistics::{PageStatistics, WorkStatistics};
 use crate::{generate, report};
 
@@ -28,7 +28,7 @@ pub(crate) struct Case {
     /// Bytes for pages; `None`: all of them.
     pages: Pages,
     direct: bool,
-    packet: bool,
+    predictor: PredictorArg,
     delay: Option<Duration>,
 }
 
@@ -43,17 +43,20 @@ impl Case {
     pub(crate) fn in_core(memory: Option<u64>) -> Self {
         let pages = memory.map_or(Pages::All, |m| Pages::Bytes(m.saturating_sub(PROCESS_BYTES)));
         let name = if memory.is_some() { "given memory" } else { "in core" };
-        Self { name, pages, direct: false, packet: true, delay: None }
+        Self { name, pages, direct: false, predictor: PredictorArg::Packet, delay: None }
     }
 
-    pub(crate) fn out_of_core() -> [Self; 4] {
-        let case = |name, packet, delay| Self { name, pages: Pages::Tenth, direct: true, packet, delay };
+    pub(crate) fn out_of_core() -> [Self; 6] {
+        let case =
+            |name, predictor, delay| Self { name, pages: Pages::Tenth, direct: true, predictor, delay };
         let slow = Some(Duration::from_millis(2));
         [
-            case("tenth, direct, packet", true, None),
-            case("tenth, direct, none", false, None),
-            case("tenth, +2 ms, packet", true, slow),
-            case("tenth, +2 ms, none", false, slow),
+            case("tenth, direct, packet", PredictorArg::Packet, None),
+            case("tenth, direct, line", PredictorArg::Line, None),
+            case("tenth, direct, none", PredictorArg::None, None),
+            case("tenth, +2 ms, packet", PredictorArg::Packet, slow),
+            case("tenth, +2 ms, line", PredictorArg::Line, slow),
+            case("tenth, +2 ms, none", PredictorArg::None, slow),
         ]
     }
 }
@@ -171,8 +174,7 @@ impl Prepared {
         }
         let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(budget), backend));
         paged.add(&self.cloud, Arc::new(storage));
-        let predictor: Arc<dyn Predictor> =
-            if case.packet { Arc::new(PacketPredictor) } else { Arc::new(NoPredictor) };
+        let predictor = case.predictor.predictor();
         let exec = ExecSettings { threads, predictor, simd, ..ExecSettings::default() };
         Ok(Run {
             paged,

@@ -7,6 +7,8 @@ mod shot;
 mod sink;
 mod work;
 
+pub(crate) use work::PredictorArg;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

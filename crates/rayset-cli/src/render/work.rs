@@ -9,7 +9,7 @@ use rayset::field::SimdLevel;
 use rayset::scene::{RenderSettings, Scene};
 use rayset::trace::ExecSettings;
 use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
-use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
+use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
 use rayset::working_set::read::{self, BackendKind, Delayed};
 use rayset::working_set::{Kind, Limits, PagedFiles, WorkingSet};
 
@@ -54,7 +54,18 @@ pub(crate) struct WorkArgs {
 #[derive(Clone, Copy, ValueEnum, PartialEq, Eq)]
 pub(crate) enum PredictorArg {
     None,
+    Line,
     Packet,
+}
+
+impl PredictorArg {
+    pub(crate) fn predictor(self) -> Arc<dyn Predictor> {
+        match self {
+            Self::None => Arc::new(NoPredictor),
+            Self::Line => Arc::new(LinePredictor),
+            Self::Packet => Arc::new(PacketPredictor),
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -113,10 +124,7 @@ impl Work {
             let opened = paged.open_grid(grid, args.direct);
             opened.with_context(|| format!("cannot open {}", grid.path().display()))?;
         }
-        let predictor: Arc<dyn Predictor> = match args.predictor {
-            PredictorArg::None => Arc::new(NoPredictor),
-            PredictorArg::Packet => Arc::new(PacketPredictor),
-        };
+        let predictor = args.predictor.predictor();
         let exec = ExecSettings {
             threads,
             predictor,

@@ -9,7 +9,7 @@ use rayset::octree::build::BuildOptions;
 use rayset::points::ArraySource;
 use rayset::scene::{Camera, Phase, RenderSettings, Scene, Step};
 use rayset::trace::memory::least_pages;
-use rayset::trace::predict::{NoPredictor, PacketPredictor, Predictor};
+use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, Region, WholePicture, render, render_region};
 use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
 
@@ -40,7 +40,8 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
     for (scene, settings) in scenes(folder.path()) {
         let expected = bits(&plain_picture(&scene, &settings));
         let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
-        let predictors: [Arc<dyn Predictor>; 2] = [Arc::new(NoPredictor), Arc::new(PacketPredictor)];
+        let predictors: [Arc<dyn Predictor>; 3] =
+            [Arc::new(NoPredictor), Arc::new(LinePredictor), Arc::new(PacketPredictor)];
         let mut backends: Vec<Arc<dyn ReadBackend>> = vec![read::backend(BackendKind::Pool).expect("a pool")];
         if let Ok(uring) = read::backend(BackendKind::Uring) {
             backends.push(uring);

@@ -39,6 +39,8 @@ pub(super) struct Access<'a> {
     pub(super) waits: bool,
     /// Where it does not: how many slabs ahead the pages of are asked for together with one that is absent.
     pub(super) slabs_on_a_miss: u64,
+    /// Whether it asks for what comes next on the line of a packet.
+    pub(super) follows_lines: bool,
     /// Bytes of the pages that were asked for.
     pub(super) asked_bytes: &'a Cell<u64>,
 }

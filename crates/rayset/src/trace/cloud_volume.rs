@@ -492,6 +492,9 @@ impl CloudMarch {
         rays.become_rays(&self.packet, slab, live, going, simd);
         let place = Place { access, volume, packet: &self.packet, rays };
         self.frontier.advance(place, slab.end(), &mut self.active)?;
+        if access.follows_lines {
+            self.frontier.precache(place);
+        }
         self.active.retain(|run| run.last >= slab.first);
         if self.active.is_empty() {
             return Ok(());

@@ -15,6 +15,8 @@ use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
 use crate::octree::page::PointPage;
 
+/// Priority of a page that is expected on a line: below that of pages in use.
+const LINE_PRIORITY: u8 = 100;
 /// Rays whose directions differ by more than this along some axis are tested one by one.
 const MOST_SPREAD: f64 = 0.25;
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
@@ -308,6 +310,40 @@ impl Frontier {
             }
         }
         access.pages.hint(&volume.pages, &pages, POINT_PRIORITY, u64::MAX);
+    }
+
+    /// Goes on from the nearest node ahead that the middle ray of the packet meets, down to where it meets it first,
+    /// through nothing but what is in memory; asks for the first page that is not.
+    pub(super) fn precache(&self, place: Place<'_>) {
+        let Place { access, volume, packet, .. } = place;
+        let middle = packet.ray(packet.len() / 2);
+        let enters = |node: &Node| node.bounds(volume.root_cell).clip(&middle).map(|(enter, _)| enter);
+        let nearest = |nodes: &mut dyn Iterator<Item = Node>| {
+            let met = nodes.filter_map(|node| enters(&node).map(|enter| (enter, node)));
+            met.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, node)| node)
+        };
+        let ask = |pages: &[u32]| access.pages.hint(&volume.pages, pages, LINE_PRIORITY, u64::MAX);
+        let mut ahead = self.heap.iter().filter_map(|entry| match entry.item {
+            Item::Node(node) => Some(node),
+            Item::Runs(_) => None,
+        });
+        let mut next = nearest(&mut ahead);
+        while let Some(node) = next.take() {
+            if node.child_mask == 0 {
+                let own: Vec<u32> = volume.own_pages(&node).collect();
+                ask(&own);
+                return;
+            }
+            let page = volume.first_node_page + node.first_child.page;
+            let Some(guard) = access.pages.peek(&volume.pages, page) else {
+                ask(&[page]);
+                return;
+            };
+            let nodes = NodePage::trusted(&guard);
+            let first = usize::from(node.first_child.index);
+            let children = (0..node.child_mask.count_ones() as usize).filter_map(|k| nodes.get(first + k));
+            next = nearest(&mut children.filter(|child| child.is_child_of(&node)));
+        }
     }
 
     fn push_node(&mut self, place: Place<'_>, node: Node) {

@@ -105,7 +105,8 @@ impl<'a> Agenda<'a> {
 
     fn access(&self, waits: bool) -> Access<'a> {
         let (slabs_on_a_miss, asked_bytes) = (self.world.slabs_on_a_miss, self.asked_bytes);
-        Access { pages: &self.world.pages, waits, slabs_on_a_miss, asked_bytes }
+        let follows_lines = self.world.follows_lines;
+        Access { pages: &self.world.pages, waits, slabs_on_a_miss, follows_lines, asked_bytes }
     }
 
     fn is_there(&self, lacking: &Lacking) -> bool {

@@ -28,6 +28,8 @@ pub(super) struct World {
     pub(super) background: Option<[f32; 3]>,
     /// See [`Predictor::slabs_on_a_miss`](super::predict::Predictor::slabs_on_a_miss).
     pub(super) slabs_on_a_miss: u64,
+    /// See [`Predictor::follows_lines`](super::predict::Predictor::follows_lines).
+    pub(super) follows_lines: bool,
 }
 
 impl World {
@@ -75,6 +77,7 @@ impl World {
             layers: settings.layers,
             background: scene.background,
             slabs_on_a_miss: exec.predictor.slabs_on_a_miss(),
+            follows_lines: exec.predictor.follows_lines(),
         })
     }
 }

@@ -14,6 +14,11 @@ pub trait Predictor: Send + Sync {
     /// batch, before its tile is put off until they are there. Where 0, it waits for each page as it comes to it.
     fn slabs_on_a_miss(&self) -> u64;
 
+    /// Whether a packet asks, after each slab, for the first absent page that comes next on the line of its samples.
+    fn follows_lines(&self) -> bool {
+        false
+    }
+
     /// What to call it in reports.
     fn name(&self) -> &'static str;
 }
@@ -31,6 +36,27 @@ impl Predictor for NoPredictor {
 
     fn name(&self) -> &'static str {
         "none"
+    }
+}
+
+/// The paper's predictor (its Algorithms 1 and 2), for packets: past samples give a line; goes on along it through what is
+/// in memory, and asks for the first page that is not. A packet's line is that of the ray in its middle.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LinePredictor;
+
+impl Predictor for LinePredictor {
+    fn ahead(&self, _: &Lookahead<'_>, _: u32, _: u32) {}
+
+    fn slabs_on_a_miss(&self) -> u64 {
+        0
+    }
+
+    fn follows_lines(&self) -> bool {
+        true
+    }
+
+    fn name(&self) -> &'static str {
+        "line"
     }
 }
 
