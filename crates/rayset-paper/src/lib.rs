@@ -7,10 +7,12 @@
 //! the same picture.
 
 pub mod cache;
+pub mod cap;
 pub mod disk;
 pub mod engine;
 pub mod experiments;
 pub mod index;
+pub mod mapped;
 pub mod predict;
 pub mod record;
 pub mod records;

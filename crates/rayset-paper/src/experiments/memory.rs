@@ -31,8 +31,11 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     for (name, paper, caches) in runs {
         let mut command = Command::new(&program);
         command.arg("render").arg(&cloud).arg("--index").arg(&folder).args(["--side", &side.to_string()]);
-        if let Some((nodes, points)) = caches {
-            command.args(["--nodes", &nodes.to_string(), "--points", &points.to_string()]);
+        match caches {
+            Some((nodes, points)) => {
+                command.args(["--nodes", &nodes.to_string(), "--points", &points.to_string()]);
+            }
+            None => drop(command.args(["--records", "in-core"])),
         }
         let output = command.output().context("cannot start a render")?;
         ensure!(output.status.success(), "no picture: {}", String::from_utf8_lossy(&output.stderr));

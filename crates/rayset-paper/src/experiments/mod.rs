@@ -5,6 +5,7 @@ mod fig5;
 mod fig8;
 mod memory;
 mod minimum;
+mod paging;
 pub mod render;
 mod table1;
 mod table2;
@@ -54,6 +55,8 @@ pub enum Experiment {
     Fig5,
     /// Time over index size by memory, policy by policy, on a disk of the paper's day.
     Fig8,
+    /// The same on the disk there is, under a hard cap on memory.
+    Paging,
     /// Node cache by point cache.
     Table2,
     /// Many point sets in one scene.
@@ -94,10 +97,11 @@ pub fn run(experiment: Experiment, setting: &Setting) -> Result<()> {
     let all = experiment == Experiment::All;
     let wanted = |one: Experiment| all || experiment == one;
     type Run = fn(&Setting) -> Result<()>;
-    let known: [(Experiment, Run); 8] = [
+    let known: [(Experiment, Run); 9] = [
         (Experiment::Table1, table1::run),
         (Experiment::Fig5, fig5::run),
         (Experiment::Fig8, fig8::run),
+        (Experiment::Paging, paging::run),
         (Experiment::Table2, table2::run),
         (Experiment::Table3, table3::run),
         (Experiment::Memory, memory::run),
@@ -187,8 +191,18 @@ impl Subject {
 
     /// The picture of the engine that ships, and seconds on one thread.
     pub(crate) fn shipping(&self) -> Result<(Picture, f64)> {
-        let (picture, seconds, _) =
-            shipping(&self.scene, std::slice::from_ref(&self.cloud), &self.camera, &self.settings, 1 << 40)?;
+        self.shipping_in(1 << 40)
+    }
+
+    /// The same, with so many bytes for pages.
+    pub(crate) fn shipping_in(&self, page_bytes: u64) -> Result<(Picture, f64)> {
+        let (picture, seconds, _) = shipping(
+            &self.scene,
+            std::slice::from_ref(&self.cloud),
+            &self.camera,
+            &self.settings,
+            page_bytes,
+        )?;
         Ok((picture, seconds))
     }
 

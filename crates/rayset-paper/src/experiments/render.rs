@@ -12,6 +12,7 @@ use crate::cache::CacheCounts;
 use crate::disk::RealDisk;
 use crate::engine::all_pixels;
 use crate::index::Index;
+use crate::mapped::{Access, Mapped};
 use crate::predict::Variant;
 use crate::records::{Budget, OutOfCore};
 
@@ -26,15 +27,36 @@ pub struct RenderArgs {
     /// Pixels along each side
     #[arg(long, default_value_t = 64)]
     side: u32,
-    /// Nodes in core; everything is, where neither this nor --points is given
-    #[arg(long)]
-    nodes: Option<usize>,
-    /// Points in core
-    #[arg(long)]
-    points: Option<usize>,
+    /// Where the records are
+    #[arg(long, value_enum, default_value = "caches")]
+    records: Kept,
+    /// Nodes in core, of caches
+    #[arg(long, default_value_t = 8192)]
+    nodes: usize,
+    /// Points in core, of caches
+    #[arg(long, default_value_t = 4096)]
+    points: usize,
+    /// Bytes for pages, of the engine that ships
+    #[arg(long, default_value_t = 8 << 20)]
+    page_bytes: u64,
     /// none, line, line-as-printed or line+origins
     #[arg(long, default_value = "line")]
     predictor: Variant,
+}
+
+/// Where records are while they are rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Kept {
+    /// All in memory.
+    InCore,
+    /// In record caches over the disk.
+    Caches,
+    /// In a memory map.
+    Map,
+    /// In a memory map that is said to be used at random.
+    MapRandom,
+    /// Nowhere: the engine that ships renders, from its own file.
+    Shipping,
 }
 
 #[derive(Serialize)]
@@ -57,17 +79,24 @@ pub fn run(args: &RenderArgs) -> Result<String> {
     let index = Index { folder: args.index.clone(), summary: serde_json::from_str(&text)? };
     let started = Instant::now();
     let pixels = all_pixels(&subject.settings);
-    let (stalled, caches) = if args.nodes.is_none() && args.points.is_none() {
-        subject.reference(in_core(&index)?, args.predictor, pixels)?;
-        (0, Vec::new())
-    } else {
-        let budget = Budget { nodes: args.nodes.unwrap_or(8192), points: args.points.unwrap_or(4096) };
-        let disk = RealDisk::open(&index.files(), true, BackendKind::Auto)?;
-        let prefetches = args.predictor != Variant::None;
-        let records = OutOfCore::new(Box::new(disk), budget, BATCH, prefetches, None);
-        let (_, records) = subject.reference(records, args.predictor, pixels)?;
-        (records.stalled_nanoseconds(), records.counts().to_vec())
-    };
+    let mut cost = (0, Vec::new());
+    match args.records {
+        Kept::InCore => drop(subject.reference(in_core(&index)?, args.predictor, pixels)?),
+        Kept::Map => drop(subject.reference(Mapped::open(&index, Access::Plain)?, args.predictor, pixels)?),
+        Kept::MapRandom => {
+            drop(subject.reference(Mapped::open(&index, Access::Random)?, args.predictor, pixels)?);
+        }
+        Kept::Shipping => drop(subject.shipping_in(args.page_bytes)?),
+        Kept::Caches => {
+            let budget = Budget { nodes: args.nodes, points: args.points };
+            let disk = RealDisk::open(&index.files(), true, BackendKind::Auto)?;
+            let prefetches = args.predictor != Variant::None;
+            let records = OutOfCore::new(Box::new(disk), budget, BATCH, prefetches, None);
+            let (_, records) = subject.reference(records, args.predictor, pixels)?;
+            cost = (records.stalled_nanoseconds(), records.counts().to_vec());
+        }
+    }
+    let (stalled, caches) = cost;
     let found = Found {
         seconds: started.elapsed().as_secs_f64(),
         peak_rss_bytes: peak_rss(),
