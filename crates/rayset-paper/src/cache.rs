@@ -9,6 +9,12 @@ use crate::disk::{Disk, Extent, Ticket};
 /// A place in the cache.
 pub type Slot = u32;
 
+/// No place.
+const NO_SLOT: Slot = Slot::MAX;
+
+/// What a cache takes for each record besides its bytes: its state, its chain, its place in the order of eviction.
+pub const OVERHEAD_BYTES: usize = size_of::<Entry>() + 2 * size_of::<Slot>() + 48;
+
 /// What a cache did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct CacheCounts {
@@ -47,6 +53,10 @@ struct Entry {
     last_use: u64,
     /// Brought in ahead, and not used yet.
     ahead: bool,
+    /// The next place of the same chain.
+    next: Slot,
+    /// Its key in the order of eviction.
+    queued: Option<(u8, u64)>,
 }
 
 /// Reads that more than one record waits for.
@@ -78,9 +88,10 @@ pub struct RecordCache {
     group: u64,
     entries: Vec<Entry>,
     bytes: Vec<u8>,
-    buckets: Vec<Vec<Slot>>,
+    /// The first place of each chain.
+    buckets: Vec<Slot>,
     free: Vec<Slot>,
-    /// Unretained residents, next to go first.
+    /// Residents, next to go first. A key may be older than its record's last use: it is put right when its turn comes.
     order: BTreeSet<(u8, u64, Slot)>,
     arrived: HashMap<Ticket, Arrived>,
     /// Places that are on their way, first asked for first.
@@ -126,20 +137,26 @@ impl RecordCache {
             last.map_or(0, |last| last + 1)
         };
         let places = capacity.max(used(self));
-        let none =
-            Entry { record: 0, state: State::Free, retained: 0, priority: 0, last_use: 0, ahead: false };
+        let none = Entry {
+            record: 0,
+            state: State::Free,
+            retained: 0,
+            priority: 0,
+            last_use: 0,
+            ahead: false,
+            next: NO_SLOT,
+            queued: None,
+        };
         self.entries.resize(places, none);
         self.bytes.resize(places * self.record_bytes, 0);
         self.free =
             (0..places as Slot).rev().filter(|&s| matches!(self.entry(s).state, State::Free)).collect();
-        let mut buckets = vec![Vec::new(); places.next_power_of_two()];
-        let mask = buckets.len() as u64 - 1;
-        for (slot, entry) in self.entries.iter().enumerate() {
-            if !matches!(entry.state, State::Free) {
-                buckets[(entry.record & mask) as usize].push(slot as Slot);
+        self.buckets = vec![NO_SLOT; places.next_power_of_two()];
+        for slot in 0..places as Slot {
+            if !matches!(self.entry(slot).state, State::Free) {
+                self.link(slot);
             }
         }
-        self.buckets = buckets;
     }
 
     /// What has happened so far.
@@ -159,9 +176,42 @@ impl RecordCache {
     }
 
     /// The lowest bits of the number are the hash: records that follow each other never collide.
+    fn bucket(&self, record: u64) -> usize {
+        (record & (self.buckets.len() as u64 - 1)) as usize
+    }
+
     fn find(&self, record: u64) -> Option<Slot> {
-        let bucket = &self.buckets[(record & (self.buckets.len() as u64 - 1)) as usize];
-        bucket.iter().copied().find(|&slot| self.entry(slot).record == record)
+        let mut slot = self.buckets[self.bucket(record)];
+        while slot != NO_SLOT {
+            let entry = self.entry(slot);
+            if entry.record == record {
+                return Some(slot);
+            }
+            slot = entry.next;
+        }
+        None
+    }
+
+    fn link(&mut self, slot: Slot) {
+        let bucket = self.bucket(self.entry(slot).record);
+        self.entries[slot as usize].next = std::mem::replace(&mut self.buckets[bucket], slot);
+    }
+
+    fn unlink(&mut self, slot: Slot) {
+        let (bucket, next) = (self.bucket(self.entry(slot).record), self.entry(slot).next);
+        if self.buckets[bucket] == slot {
+            self.buckets[bucket] = next;
+            return;
+        }
+        let mut before = self.buckets[bucket];
+        while before != NO_SLOT {
+            let entry = &mut self.entries[before as usize];
+            if entry.next == slot {
+                entry.next = next;
+                return;
+            }
+            before = entry.next;
+        }
     }
 
     /// Whether a record is in memory now.
@@ -222,9 +272,6 @@ impl RecordCache {
         self.clock += 1;
         let clock = self.clock;
         let entry = &mut self.entries[slot as usize];
-        if entry.retained == 0 {
-            self.order.remove(&(entry.priority, entry.last_use, slot));
-        }
         entry.retained += 1;
         entry.priority = entry.priority.max(priority);
         entry.last_use = clock;
@@ -238,8 +285,21 @@ impl RecordCache {
         entry.retained -= 1;
         if entry.retained == 0 {
             entry.priority /= 2;
-            self.order.insert((entry.priority, entry.last_use, slot));
+            self.queue(slot);
         }
+    }
+
+    /// Puts an unretained record in the order of eviction, unless it stands there early enough.
+    fn queue(&mut self, slot: Slot) {
+        let entry = &mut self.entries[slot as usize];
+        if let Some((priority, last_use)) = entry.queued {
+            if priority <= entry.priority {
+                return;
+            }
+            self.order.remove(&(priority, last_use, slot));
+        }
+        entry.queued = Some((entry.priority, entry.last_use));
+        self.order.insert((entry.priority, entry.last_use, slot));
     }
 
     /// Asks for records that will be wanted, those that are absent with one call of at most `batch` reads each time.
@@ -360,7 +420,7 @@ impl RecordCache {
         let entry = &mut self.entries[slot as usize];
         entry.state = State::Resident;
         if entry.retained == 0 {
-            self.order.insert((entry.priority, entry.last_use, slot));
+            self.queue(slot);
         }
         Ok(())
     }
@@ -394,22 +454,33 @@ impl RecordCache {
             priority,
             last_use: self.clock,
             ahead: false,
+            next: NO_SLOT,
+            queued: None,
         };
-        let mask = self.buckets.len() as u64 - 1;
-        self.buckets[(record & mask) as usize].push(slot);
+        self.link(slot);
         Some(slot)
     }
 
     /// Drives out the record of least priority, the least recently used among equals, if that is at most `priority`.
     fn evict(&mut self, priority: u8) -> Option<Slot> {
-        let &(least, last_use, slot) = self.order.first()?;
-        if least > priority {
-            return None;
-        }
-        self.order.remove(&(least, last_use, slot));
-        let record = self.entry(slot).record;
-        let mask = self.buckets.len() as u64 - 1;
-        self.buckets[(record & mask) as usize].retain(|&other| other != slot);
+        let slot = loop {
+            let &(least, last_use, slot) = self.order.first()?;
+            let entry = &mut self.entries[slot as usize];
+            let is_right = entry.retained == 0 && (entry.priority, entry.last_use) == (least, last_use);
+            if is_right && least > priority {
+                return None;
+            }
+            self.order.pop_first();
+            entry.queued = None;
+            if is_right {
+                break slot;
+            }
+            // What is retained is queued again when it is released.
+            if entry.retained == 0 {
+                self.queue(slot);
+            }
+        };
+        self.unlink(slot);
         self.entries[slot as usize].state = State::Free;
         self.counts.evictions += 1;
         Some(slot)

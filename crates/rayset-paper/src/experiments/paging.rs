@@ -7,10 +7,13 @@ use std::process::Command;
 use anyhow::{Context as _, Result};
 use rayset::points::Workload;
 
-use super::{Setting, Subject, budget_of};
+use super::{Setting, Subject};
+use crate::cache::OVERHEAD_BYTES;
 use crate::cap::Cap;
 use crate::index::{Index, Limits};
 use crate::mapped::make_cold;
+use crate::record::{NODE_BYTES, POINT_BYTES};
+use crate::records::Budget;
 use crate::report::{Series, Table, number, plot};
 
 /// What a process may use, page cache included.
@@ -54,7 +57,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let index = subject.index(&folder, Limits { height, leaf_points: 1 })?;
         std::fs::write(folder.join("index.json"), serde_json::to_string(&index.summary)?)?;
         let whole = index.summary.index_bytes() + index.summary.point_bytes();
-        let budget = budget_of(CAP_BYTES - PROCESS_BYTES, points);
+        let budget = budget_with_overhead(CAP_BYTES - PROCESS_BYTES, points);
         let (nodes, points_in_core) = (budget.nodes.to_string(), budget.points.to_string());
         let caches = ["--records", "caches", "--nodes", &nodes, "--points", &points_in_core];
         let page_bytes = (CAP_BYTES - PROCESS_BYTES).to_string();
@@ -97,6 +100,13 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     ));
     table.write(&setting.out, "paging")?;
     plot(&setting.out.join("paging.svg"), "Paging on a real disk, 32 MiB", ("data / cap", "seconds"), &lines)
+}
+
+/// As [`budget_of`](super::budget_of), with what caches take besides the records.
+fn budget_with_overhead(bytes: u64, points: u64) -> Budget {
+    let (node, point) = ((NODE_BYTES + OVERHEAD_BYTES) as u64, (POINT_BYTES + OVERHEAD_BYTES) as u64);
+    let for_points = (bytes / 2).min(points * point);
+    Budget { nodes: ((bytes - for_points) / node) as usize, points: (for_points / point) as usize }
 }
 
 /// Seconds of a render in a process under the cap, or the limit where it is ended there.

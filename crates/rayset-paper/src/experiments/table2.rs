@@ -8,8 +8,9 @@ use crate::predict::Variant;
 use crate::records::Budget;
 use crate::report::{Series, Table, number, plot};
 
-const NODES: [usize; 5] = [131_072, 65_536, 32_768, 16_384, 8_192];
-const POINTS: [usize; 4] = [32_768, 16_384, 8_192, 4_096];
+/// The paper's, and two smaller ones.
+const NODES: [usize; 7] = [131_072, 65_536, 32_768, 16_384, 8_192, 1_024, 256];
+const POINTS: [usize; 6] = [32_768, 16_384, 8_192, 4_096, 1_024, 256];
 /// Seconds on a PowerMac G5, of which 55 to 65 are for building.
 const PAPER: [[f64; 4]; 5] = [
     [94.59, 98.67, 100.31, 107.15],
@@ -42,19 +43,24 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             "s",
             "4096: paper s",
             "s",
+            "1024: paper s",
+            "s",
+            "256: paper s",
+            "s",
         ],
     );
     let mut lines: Vec<Series> = Vec::new();
-    for (nodes, paper) in NODES.into_iter().zip(PAPER) {
+    for (row, nodes) in NODES.into_iter().enumerate() {
         let mut cells = vec![nodes.to_string()];
         let mut line = Series { name: format!("{nodes} nodes"), points: Vec::new() };
-        for (points, paper) in POINTS.into_iter().zip(paper) {
+        for (column, points) in POINTS.into_iter().enumerate() {
+            let paper = PAPER.get(row).and_then(|row| row.get(column));
             let budget = Budget { nodes: nodes / part, points: points / part };
             let run =
                 SimulatedRun { budget, variant: Variant::Line, batch: BATCH, limit_seconds: f64::INFINITY };
             let (picture, seconds, _) = subject.simulated(&index, run)?;
             worst = worst.max(differing(&picture, &shipped));
-            cells.extend([number(paper), number(seconds)]);
+            cells.extend([paper.map_or_else(|| "–".into(), |s| number(*s)), number(seconds)]);
             line.points.push((points as f64, seconds));
         }
         line.points.reverse();

@@ -29,7 +29,7 @@ const PAPER: [(usize, f64, f64); 5] =
 const OBJECTS: usize = 20;
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
-    let side = setting.pick(16, 96);
+    let side = setting.pick(16, 40);
     let repeats = setting.pick(1, 7);
     let sets_wanted: &[_] = setting.pick(&PAPER[..2], &PAPER[..]);
     let folder = setting.work.join("table3");
