@@ -16,7 +16,7 @@ use crate::index::{Index, Limits};
 use crate::predict::Variant;
 use crate::record::{NODE_BYTES, POINT_BYTES};
 use crate::records::{Budget, OutOfCore};
-use crate::report::{Series, Table, number, plot};
+use crate::report::{Series, Table, plot};
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     let (points, side) = setting.pick((1_500, 8), (20_000, 24));
@@ -49,7 +49,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         "{points} points, one point in the point cache, predictor `line`. A run fails where a node has no place because \
          all are retained. Each of n point sets has caches of its own, so the bytes are n times those of one. The engine \
          that ships needs {} pages for one thread, whatever the height and however many the clouds.",
-        number(rayset::trace::memory::least_pages(1) as f64)
+        rayset::trace::memory::least_pages(1)
     ));
     table.write(&setting.out, "minimum")?;
     plot(&setting.out.join("minimum.svg"), "Smallest node cache by height", ("height", "records"), &[line])
