@@ -260,6 +260,7 @@ mod tests {
     use crate::disk::{Clock, RealDisk, SimulatedDisk};
     use crate::experiments::{Subject, budget_of, differing};
     use crate::index::{Index, Limits};
+    use crate::mapped::{self, Access};
     use crate::records::{Budget, InCore, OutOfCore, Paged, write_image};
 
     const SIDE: u32 = 20;
@@ -313,6 +314,11 @@ mod tests {
         assert!(bits(&again) == bits(&first), "on the real disk");
         let [nodes, _, points] = records.counts();
         assert!(nodes.prefetched_used > 0 && points.prefetched_used > 0, "{nodes:?} {points:?}");
+        for access in [Access::Plain, Access::Random] {
+            let records = mapped::open(&index, access).expect("maps");
+            let (again, _) = subject.reference(records, Variant::None, pixels()).expect("a picture");
+            assert!(bits(&again) == bits(&first), "mapped, {access:?}");
+        }
         let image = folder.path().join("image.bin");
         write_image(&index, &image).expect("an image");
         let clock = Clock::default();

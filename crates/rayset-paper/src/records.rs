@@ -1,6 +1,7 @@
 //! Where the records of an index are while it is rendered: in memory, in caches over a disk, or in pages that an operating
 //! system would bring in.
 
+use std::ops::Deref;
 use std::path::Path;
 
 use rayset::geometry::DVec3;
@@ -78,12 +79,15 @@ impl Work {
     }
 }
 
-/// Everything in memory.
-pub struct InCore {
-    nodes: Vec<u8>,
-    secondary: Vec<u8>,
-    points: Vec<Point>,
+/// All records at once, in bytes of the file: in memory, or where an operating system puts a map.
+pub struct Whole<B> {
+    nodes: B,
+    secondary: B,
+    points: B,
 }
+
+/// Everything in memory.
+pub type InCore = Whole<Vec<u8>>;
 
 impl InCore {
     /// Loads an index.
@@ -92,21 +96,26 @@ impl InCore {
     /// What the system says.
     pub fn load(index: &Index) -> std::io::Result<Self> {
         let [nodes, secondary, points] = index.files();
-        let count = index.summary.points as usize;
-        let bytes = std::fs::read(points)?;
-        let points = bytes.chunks_exact(POINT_BYTES).take(count).map(Point::decode).collect();
-        Ok(Self { nodes: std::fs::read(nodes)?, secondary: std::fs::read(secondary)?, points })
+        Ok(Self::new([std::fs::read(nodes)?, std::fs::read(secondary)?, std::fs::read(points)?]))
     }
 }
 
-fn record(bytes: &[u8], number: u64) -> &[u8] {
-    let from = number as usize * NODE_BYTES;
-    &bytes[from..from + NODE_BYTES]
+impl<B: Deref<Target = [u8]>> Whole<B> {
+    /// Over the bytes of [`Index::files`].
+    #[must_use]
+    pub fn new([nodes, secondary, points]: [B; 3]) -> Self {
+        Self { nodes, secondary, points }
+    }
 }
 
-impl Records for InCore {
+fn record(bytes: &[u8], number: u64, width: usize) -> &[u8] {
+    let from = number as usize * width;
+    &bytes[from..from + width]
+}
+
+impl<B: Deref<Target = [u8]>> Records for Whole<B> {
     fn retain(&mut self, number: u64, _priority: u8) -> Result<(Node, Hold), CacheError> {
-        Ok((Node::decode(record(&self.nodes, number)), number as Hold))
+        Ok((Node::decode(record(&self.nodes, number, NODE_BYTES)), number as Hold))
     }
 
     fn release(&mut self, _hold: Hold) {}
@@ -118,17 +127,17 @@ impl Records for InCore {
         out: &mut Vec<u32>,
     ) -> Result<(), CacheError> {
         let Below::Points { count, secondary: first } = leaf.below else { return Ok(()) };
-        out.extend(direct(record(&self.nodes, u64::from(hold)), count));
+        out.extend(direct(record(&self.nodes, u64::from(hold), NODE_BYTES), count));
         let mut left = (count as usize).saturating_sub(DIRECT);
         for number in 0..secondary_records(count) {
-            out.extend(secondary(record(&self.secondary, first + number), left));
+            out.extend(secondary(record(&self.secondary, first + number, NODE_BYTES), left));
             left = left.saturating_sub(SECONDARY);
         }
         Ok(())
     }
 
     fn point(&mut self, number: u32, _priority: u8) -> Result<Point, CacheError> {
-        Ok(self.points[number as usize])
+        Ok(Point::decode(record(&self.points, u64::from(number), POINT_BYTES)))
     }
 }
 

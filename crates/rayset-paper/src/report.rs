@@ -104,6 +104,13 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         return Ok(());
     }
     let (x, y) = (span(all().map(|p| p.0).collect()), span(all().map(|p| p.1).collect()));
+    // Where lines that rise, or fall, leave room.
+    let falls = |s: &Series| s.points.first().map(|p| p.1) > s.points.last().map(|p| p.1);
+    let corner = if series.iter().all(falls) {
+        SeriesLabelPosition::UpperRight
+    } else {
+        SeriesLabelPosition::UpperLeft
+    };
     let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw {}: {e}", path.display());
     let area = SVGBackend::new(path, (720, 440)).into_drawing_area();
     area.fill(&WHITE).map_err(|e| failed(&e))?;
@@ -131,7 +138,7 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperLeft)
+        .position(corner)
         .background_style(WHITE.mix(0.85))
         .border_style(BLACK.mix(0.3))
         .draw()

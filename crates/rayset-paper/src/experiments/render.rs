@@ -12,7 +12,7 @@ use crate::cache::CacheCounts;
 use crate::disk::RealDisk;
 use crate::engine::all_pixels;
 use crate::index::Index;
-use crate::mapped::{Access, Mapped};
+use crate::mapped::{self, Access};
 use crate::predict::Variant;
 use crate::records::{Budget, OutOfCore};
 
@@ -82,9 +82,9 @@ pub fn run(args: &RenderArgs) -> Result<String> {
     let mut cost = (0, Vec::new());
     match args.records {
         Kept::InCore => drop(subject.reference(in_core(&index)?, args.predictor, pixels)?),
-        Kept::Map => drop(subject.reference(Mapped::open(&index, Access::Plain)?, args.predictor, pixels)?),
+        Kept::Map => drop(subject.reference(mapped::open(&index, Access::Plain)?, args.predictor, pixels)?),
         Kept::MapRandom => {
-            drop(subject.reference(Mapped::open(&index, Access::Random)?, args.predictor, pixels)?);
+            drop(subject.reference(mapped::open(&index, Access::Random)?, args.predictor, pixels)?);
         }
         Kept::Shipping => drop(subject.shipping_in(args.page_bytes)?),
         Kept::Caches => {

@@ -53,6 +53,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let mut worst: f64 = 0.0;
     for &(height, row) in heights {
         let mut line = Series { name: format!("reference, H = {height}"), points: Vec::new() };
+        let mut of_paper = Series { name: format!("paper, H = {height}"), points: Vec::new() };
         for (points, paper_speed, paper_space, paper_eta) in row {
             if points > most_points {
                 continue;
@@ -88,6 +89,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             let shipping_index = u64::from(header.node_pages) * pages;
             let speed_up = brute_seconds / reference_seconds;
             line.points.push((points as f64, speed_up));
+            of_paper.points.push((points as f64, paper_speed));
             table.row([
                 points.to_string(),
                 height.to_string(),
@@ -108,7 +110,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             ]);
             std::fs::remove_dir_all(&folder)?;
         }
-        lines.push(line);
+        lines.extend([line, of_paper]);
     }
     table.note(format!(
         "Radius {RADIUS} of the sphere's (the paper gives none), steps of a quarter of it, {side}×{side} rays, a \
