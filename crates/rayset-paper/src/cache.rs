@@ -86,6 +86,8 @@ pub struct RecordCache {
     record_bytes: usize,
     /// Records that stand together on disk and are read together.
     group: u64,
+    /// Places that may be taken. There are more where a larger cache was made smaller while they were in use.
+    limit: usize,
     entries: Vec<Entry>,
     bytes: Vec<u8>,
     /// The first place of each chain.
@@ -108,6 +110,7 @@ impl RecordCache {
             file,
             record_bytes,
             group,
+            limit: 0,
             entries: Vec::new(),
             bytes: Vec::new(),
             buckets: Vec::new(),
@@ -125,12 +128,13 @@ impl RecordCache {
     /// Changes the number of records, also while it is in use: what is retained or on its way stays.
     pub fn set_capacity(&mut self, capacity: usize) {
         let capacity = capacity.max(1);
+        self.limit = capacity;
         while self.entries.len() - self.free.len() > capacity
             && let Some(slot) = self.evict(u8::MAX)
         {
             self.free.push(slot);
         }
-        // Places that are in use keep their numbers: those beyond go when they are free.
+        // Places that are in use keep their numbers.
         let used = |cache: &Self| {
             let last =
                 (0..cache.entries.len()).rev().find(|&i| !matches!(cache.entries[i].state, State::Free));
@@ -148,6 +152,7 @@ impl RecordCache {
             queued: None,
         };
         self.entries.resize(places, none);
+        self.loading.retain(|&slot| (slot as usize) < places);
         self.bytes.resize(places * self.record_bytes, 0);
         self.free =
             (0..places as Slot).rev().filter(|&s| matches!(self.entry(s).state, State::Free)).collect();
@@ -168,7 +173,7 @@ impl RecordCache {
     /// Records that it holds at most.
     #[must_use]
     pub fn capacity(&self) -> usize {
-        self.entries.len()
+        self.limit
     }
 
     fn entry(&self, slot: Slot) -> &Entry {
@@ -320,7 +325,8 @@ impl RecordCache {
                 continue;
             }
             let mut together = Vec::new();
-            for member in self.members(record) {
+            let others = self.members(record).filter(|&member| member != record);
+            for member in std::iter::once(record).chain(others) {
                 if self.is_known(member) {
                     continue;
                 }
@@ -336,6 +342,7 @@ impl RecordCache {
             }
             wanted.push(together);
         }
+        wanted.iter_mut().for_each(|together| together.sort_unstable());
         wanted.retain(|together| !together.is_empty());
         for batch in wanted.chunks(batch.max(1)) {
             self.submit(disk, batch);
@@ -392,13 +399,19 @@ impl RecordCache {
                 && let Some(slot) = self.place(member, priority)
             {
                 self.entries[slot as usize].ahead = true;
+                self.counts.prefetched += 1;
                 together.push((member, slot));
             }
         }
-        self.entries[slot as usize].retained = 0;
         together.sort_unstable();
-        self.submit(disk, &[together]);
-        self.arrive(disk, slot)?;
+        self.submit(disk, std::slice::from_ref(&together));
+        for &(_, arriving) in &together {
+            self.arrive(disk, arriving)?;
+        }
+        let entry = &mut self.entries[slot as usize];
+        entry.retained = 0;
+        self.queue(slot);
+        self.settle(disk, false)?;
         Ok(slot)
     }
 
@@ -442,7 +455,9 @@ impl RecordCache {
 
     /// A place for a record, if need be that of one of a lower priority, or of the same and used longer ago.
     fn place(&mut self, record: u64, priority: u8) -> Option<Slot> {
-        let slot = match self.free.pop() {
+        let used = self.entries.len() - self.free.len();
+        let free = if used < self.limit { self.free.pop() } else { None };
+        let slot = match free {
             Some(slot) => slot,
             None => self.evict(priority)?,
         };

@@ -62,7 +62,9 @@ pub struct Predictor {
     leaf: Option<u64>,
     /// Where the current ray starts.
     origin: Option<DVec3>,
-    /// Distance between samples of a line.
+    /// The sample before, whatever the variant remembers of it.
+    previous: Option<DVec3>,
+    /// Least distance between samples that follow each other: that of a ray's samples.
     spacing: f64,
 }
 
@@ -70,7 +72,15 @@ impl Predictor {
     /// Without any past.
     #[must_use]
     pub fn new(variant: Variant) -> Self {
-        Self { variant, last: [None; 2], cached: false, leaf: None, origin: None, spacing: 0.0 }
+        Self {
+            variant,
+            last: [None; 2],
+            cached: false,
+            leaf: None,
+            origin: None,
+            previous: None,
+            spacing: f64::INFINITY,
+        }
     }
 
     /// A ray starts. Only [`Variant::LineOrigins`] takes note.
@@ -86,19 +96,21 @@ impl Predictor {
         if self.leaf != Some(leaf) {
             (self.leaf, self.cached) = (Some(leaf), false);
         }
+        if let Some(previous) = self.previous.replace(s)
+            && previous != s
+        {
+            self.spacing = self.spacing.min(previous.distance(s));
+        }
         let attempt = match (self.variant, self.last) {
             (Variant::None, _) => return None,
             (Variant::LineAsPrinted, [Some(s1), Some(s2)]) => {
-                return (!on_line(s1, s2, s)).then_some(s - s2).filter(|way| *way != DVec3::ZERO);
+                return (!on_line(s1, s2, s)).then(|| self.paced(s - s2)).flatten();
             }
             (Variant::LineAsPrinted, _) => {
                 self.cached = false;
                 None
             }
-            (_, [Some(s1), Some(s2)]) if on_line(s1, s2, s) => {
-                self.spacing = s.distance(s2);
-                (!self.cached).then_some(s - s2)
-            }
+            (_, [Some(s1), Some(s2)]) if on_line(s1, s2, s) => (!self.cached).then_some(s - s2),
             (Variant::Line, [_, Some(s2)]) => {
                 self.cached = false;
                 // From the last two samples.
@@ -106,13 +118,18 @@ impl Predictor {
             }
             (Variant::LineOrigins, [_, last]) => {
                 self.cached = false;
-                let from_origin = self.origin.map(|origin| (s - origin).normalize_or_zero() * self.spacing);
-                from_origin.or(last.map(|s2| s - s2))
+                self.origin.or(last).map(|from| s - from)
             }
             (Variant::Line, [_, None]) => None,
         };
         self.last = [self.last[1], Some(s)];
-        attempt.filter(|way| *way != DVec3::ZERO)
+        attempt.and_then(|way| self.paced(way))
+    }
+
+    /// A way as long as from one sample to the next.
+    fn paced(&self, way: DVec3) -> Option<DVec3> {
+        let length = if self.spacing.is_finite() { self.spacing } else { way.length() };
+        way.try_normalize().map(|way| way * length)
     }
 
     /// What came of the attempt.

@@ -17,7 +17,7 @@ const RATIOS: [u64; 7] = [1, 2, 4, 8, 16, 32, 64];
 const STOPPED_AT: f64 = 20.0;
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
-    let (points, height, side) = setting.pick((4_000, 4, 32), (20_000, 5, 160));
+    let (points, height, side) = setting.pick((4_000, 4, 32), (20_000, 5, 80));
     let folder = setting.work.join("fig8");
     std::fs::create_dir_all(&folder)?;
     let workload: Workload = format!("cube-{points}").parse()?;
@@ -49,7 +49,16 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let memory = whole / ratio;
         let run = |variant, limit_seconds| {
             let budget = budget_of(memory, index.summary.points);
-            subject.simulated(&index, SimulatedRun { budget, variant, batch: BATCH, limit_seconds })
+            subject.simulated(
+                &index,
+                SimulatedRun {
+                    budget,
+                    variant,
+                    prefetches: variant != Variant::None,
+                    batch: BATCH,
+                    limit_seconds,
+                },
+            )
         };
         let (picture, line, records) = run(Variant::Line, f64::INFINITY)?;
         worst = worst.max(differing(&picture, &shipped));

@@ -31,9 +31,12 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let workload: Workload = format!("sphere-{points}").parse()?;
         let subject = Subject::build(workload.source(), Some(0.1), side, &folder.join("c.rset"))?;
         let index = subject.index(&folder, Limits { height, leaf_points: 1 })?;
-        let smallest =
-            (1..).find(|&nodes| runs(&subject, &index, nodes).unwrap_or(false)).unwrap_or(usize::MAX);
-        let bytes = (smallest * NODE_BYTES + POINT_BYTES) as u64;
+        let mut smallest = 1;
+        while !runs(&subject, &index, smallest)? {
+            smallest += 1;
+        }
+        // With the one secondary record and the one point.
+        let bytes = ((smallest + 1) * NODE_BYTES + POINT_BYTES) as u64;
         line.points.push((f64::from(height), smallest as f64));
         table.row([
             height.to_string(),
@@ -46,7 +49,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         std::fs::remove_dir_all(&folder)?;
     }
     table.note(format!(
-        "{points} points, one point in the point cache, predictor `line`. A run fails where a node has no place because \
+        "{points} points; one secondary record and one point in core besides; predictor `line`. A run fails where a node has no place because \
          all are retained. Each of n point sets has caches of its own, so the bytes are n times those of one. The engine \
          that ships needs {} pages for one thread, whatever the height and however many the clouds.",
         rayset::trace::memory::least_pages(1)

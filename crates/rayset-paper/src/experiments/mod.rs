@@ -210,8 +210,8 @@ impl Subject {
     pub(crate) fn simulated(&self, index: &Index, run: SimulatedRun) -> Result<(Picture, f64, OutOfCore)> {
         let clock = Clock::default();
         let disk = SimulatedDisk::open(&index.files(), clock.clone())?;
-        let prefetches = run.variant != Variant::None;
-        let records = OutOfCore::new(Box::new(disk), run.budget, run.batch, prefetches, Some(clock.clone()));
+        let records =
+            OutOfCore::new(Box::new(disk), run.budget, run.batch, run.prefetches, Some(clock.clone()));
         let limit = run.limit_seconds;
         let watch = clock.clone();
         let pixels = engine::all_pixels(&self.settings).take_while(move |_| seconds(&watch) < limit);
@@ -225,6 +225,8 @@ impl Subject {
 pub(crate) struct SimulatedRun {
     pub(crate) budget: Budget,
     pub(crate) variant: Variant,
+    /// Whether children come with their parent, and the list of a leaf and its points together.
+    pub(crate) prefetches: bool,
     pub(crate) batch: usize,
     /// It is stopped when it has taken so long.
     pub(crate) limit_seconds: f64,
@@ -272,13 +274,15 @@ pub(crate) fn shipping(
 /// The part of the pixels of two pictures that differ by more than 1/1024 in linear light.
 pub(crate) fn differing(a: &Picture, b: &Picture) -> f64 {
     let far = |(a, b): (&[f32; 4], &[f32; 4])| (0..4).any(|c| !((a[c] - b[c]).abs() <= 1.0 / 1024.0));
-    a.iter().zip(b).filter(|&pair| far(pair)).count() as f64 / a.len().max(1) as f64
+    let unmatched = a.len().abs_diff(b.len());
+    (a.iter().zip(b).filter(|&pair| far(pair)).count() + unmatched) as f64
+        / a.len().max(b.len()).max(1) as f64
 }
 
 /// What every table says of its two engines.
 pub(crate) fn same_picture_note(worst: f64) -> String {
     format!(
-        "Pictures of the two engines: at most {:.2} % of the pixels differ by more than 1/1024 in linear light.",
+        "Pictures of the two engines: at most {:.3} % of the pixels differ by more than 1/1024 in linear light.",
         100.0 * worst
     )
 }

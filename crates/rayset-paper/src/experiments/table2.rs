@@ -56,8 +56,13 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         for (column, points) in POINTS.into_iter().enumerate() {
             let paper = PAPER.get(row).and_then(|row| row.get(column));
             let budget = Budget { nodes: nodes / part, points: points / part };
-            let run =
-                SimulatedRun { budget, variant: Variant::Line, batch: BATCH, limit_seconds: f64::INFINITY };
+            let run = SimulatedRun {
+                budget,
+                variant: Variant::Line,
+                prefetches: true,
+                batch: BATCH,
+                limit_seconds: f64::INFINITY,
+            };
             let (picture, seconds, _) = subject.simulated(&index, run)?;
             worst = worst.max(differing(&picture, &shipped));
             cells.extend([paper.map_or_else(|| "–".into(), |s| number(*s)), number(seconds)]);
