@@ -219,12 +219,6 @@ impl RecordCache {
         }
     }
 
-    /// Whether a record is in memory now.
-    #[must_use]
-    pub fn is_resident(&self, record: u64) -> bool {
-        self.find(record).is_some_and(|slot| matches!(self.entry(slot).state, State::Resident))
-    }
-
     /// Whether a record is in memory or on its way.
     #[must_use]
     pub fn is_known(&self, record: u64) -> bool {

@@ -150,14 +150,6 @@ pub struct Budget {
     pub points: usize,
 }
 
-impl Budget {
-    /// Bytes of the records.
-    #[must_use]
-    pub fn bytes(self) -> u64 {
-        (self.nodes * NODE_BYTES + self.points * POINT_BYTES) as u64
-    }
-}
-
 /// The node controller and the point controller of a cloud, over one disk.
 pub struct OutOfCore {
     disk: Box<dyn Disk>,
