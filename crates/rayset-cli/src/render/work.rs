@@ -63,7 +63,7 @@ impl PredictorArg {
         match self {
             Self::None => Arc::new(NoPredictor),
             Self::Line => Arc::new(LinePredictor),
-            Self::Packet => Arc::new(PacketPredictor),
+            Self::Packet => Arc::new(PacketPredictor::default()),
         }
     }
 }

@@ -41,7 +41,7 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
         let expected = bits(&plain_picture(&scene, &settings));
         let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
         let predictors: [Arc<dyn Predictor>; 3] =
-            [Arc::new(NoPredictor), Arc::new(LinePredictor), Arc::new(PacketPredictor)];
+            [Arc::new(NoPredictor), Arc::new(LinePredictor), Arc::new(PacketPredictor::default())];
         let mut backends: Vec<Arc<dyn ReadBackend>> = vec![read::backend(BackendKind::Pool).expect("a pool")];
         if let Ok(uring) = read::backend(BackendKind::Uring) {
             backends.push(uring);

@@ -66,7 +66,7 @@ impl Default for ExecSettings {
     fn default() -> Self {
         Self {
             threads: std::thread::available_parallelism().map_or(1, usize::from),
-            predictor: Arc::new(predict::PacketPredictor),
+            predictor: Arc::new(predict::PacketPredictor::default()),
             simd: SimdLevel::default(),
             tile_pixels: 8,
             slab_samples: SLAB_SAMPLES,

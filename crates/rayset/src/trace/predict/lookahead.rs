@@ -20,8 +20,6 @@ use crate::working_set::Object;
 
 /// Edge, in pixels, of the blocks of tiles that are looked at together.
 const BLOCK_PIXELS: u32 = 32;
-/// Blocks looked at ahead of the one being traced.
-const BLOCKS_AHEAD: u32 = 16;
 /// Priority of a page that is expected: above that of pages released, below that of pages in use.
 const HINT_PRIORITY: u8 = 150;
 
@@ -151,8 +149,8 @@ impl<'a> Lookahead<'a> {
         (j * self.columns + i) as usize
     }
 
-    /// Looks at the blocks that come within reach with the tile at a pixel, and hints at what there is room for.
-    pub(super) fn scout(&self, x: u32, y: u32) {
+    /// Looks at so many blocks beyond that of the tile at a pixel, and hints at what there is room for.
+    pub(super) fn scout(&self, x: u32, y: u32, blocks_ahead: u32) {
         if self.clouds.is_empty() {
             return;
         }
@@ -161,7 +159,7 @@ impl<'a> Lookahead<'a> {
         let here = self.place[self.block(x, y)];
         self.retire(&mut queue, here);
         queue.next = queue.next.max(here);
-        let until = (here + 1 + BLOCKS_AHEAD).min(self.order.len() as u32);
+        let until = here.saturating_add(1).saturating_add(blocks_ahead).min(self.order.len() as u32);
         // This block and the next are looked at in any case, to know how much room they need.
         while queue.next < until
             && (self.hint(&mut queue, here) || queue.next <= here + 1)

@@ -63,16 +63,27 @@ impl Predictor for LinePredictor {
 /// The rays of the next tiles are known: walks the octree ahead of them, a block of tiles at a time, and hints at the
 /// pages that they will meet before they end. Where that falls short, the packet that misses a page asks for what its
 /// own next slabs need, and its tile is put off until that is there.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct PacketPredictor;
+#[derive(Clone, Copy, Debug)]
+pub struct PacketPredictor {
+    /// Blocks of 32×32 pixels looked at ahead of the one that is traced. The next is looked at in any case.
+    pub blocks_ahead: u32,
+    /// Slabs whose pages a packet asks for at once where it misses one; 0 to wait for each page as it comes.
+    pub slabs_on_a_miss: u64,
+}
+
+impl Default for PacketPredictor {
+    fn default() -> Self {
+        Self { blocks_ahead: 16, slabs_on_a_miss: 2 }
+    }
+}
 
 impl Predictor for PacketPredictor {
     fn ahead(&self, lookahead: &Lookahead<'_>, x: u32, y: u32) {
-        lookahead.scout(x, y);
+        lookahead.scout(x, y, self.blocks_ahead);
     }
 
     fn slabs_on_a_miss(&self) -> u64 {
-        2
+        self.slabs_on_a_miss
     }
 
     fn name(&self) -> &'static str {
