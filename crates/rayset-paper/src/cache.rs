@@ -1,7 +1,7 @@
 //! A record cache: records of one size in memory, found by the lowest bits of their number, retained and released, and
 //! driven out by priority (sections 4.2 and 4.4 of the paper).
 
-use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 use std::io;
 
 use crate::disk::{Disk, Extent, Ticket};
@@ -12,8 +12,8 @@ pub type Slot = u32;
 /// No place.
 const NO_SLOT: Slot = Slot::MAX;
 
-/// What a cache takes for each record besides its bytes: its state, its chain, its place in the order of eviction.
-pub const OVERHEAD_BYTES: usize = size_of::<Entry>() + 2 * size_of::<Slot>() + 48;
+/// What a cache takes for each record besides its bytes: its state and its chain.
+pub const OVERHEAD_BYTES: usize = size_of::<Entry>() + 2 * size_of::<Slot>();
 
 /// What a cache did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -36,27 +36,48 @@ pub struct CacheCounts {
     pub evictions: u64,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Free,
-    /// Part of a read: its ticket, and where in its bytes the record is.
-    Loading(Ticket, usize),
+    /// Part of a read, which [`RecordCache::on_their_way`] knows.
+    Loading,
     Resident,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     record: u64,
-    state: State,
-    retained: u32,
-    priority: u8,
-    last_use: u64,
-    /// Brought in ahead, and not used yet.
-    ahead: bool,
     /// The next place of the same chain.
     next: Slot,
-    /// Its key in the order of eviction.
-    queued: Option<(u8, u64)>,
+    /// Neighbours in the order of eviction, where it stands there.
+    before: Slot,
+    behind: Slot,
+    retained: u32,
+    priority: u8,
+    state: State,
+    /// Brought in ahead, and not used yet.
+    ahead: bool,
+    /// Whether it stands in the order of eviction.
+    is_queued: bool,
+}
+
+const FREE: Entry = Entry {
+    record: 0,
+    next: NO_SLOT,
+    before: NO_SLOT,
+    behind: NO_SLOT,
+    retained: 0,
+    priority: 0,
+    state: State::Free,
+    ahead: false,
+    is_queued: false,
+};
+
+/// The records of one priority that may go, the least recently used first.
+#[derive(Clone, Copy, Debug)]
+struct Queue {
+    first: Slot,
+    last: Slot,
 }
 
 /// Reads that more than one record waits for.
@@ -72,6 +93,28 @@ pub enum CacheError {
     /// The disk.
     #[error(transparent)]
     Io(#[from] io::Error),
+    /// The index leads to where it does not reach.
+    #[error(
+        "the index is damaged: it leads to {bytes} bytes at {at}, beyond its end at {end}; build it again"
+    )]
+    Beyond {
+        /// Where.
+        at: u64,
+        /// How many.
+        bytes: usize,
+        /// Where the index ends.
+        end: u64,
+    },
+    /// A node does not lie in the one that leads to it.
+    #[error(
+        "the index is damaged: node {child} does not lie in node {parent}, which leads to it; build it again"
+    )]
+    Tangled {
+        /// The node.
+        child: u64,
+        /// What leads to it.
+        parent: u64,
+    },
     /// Every place is retained or on its way.
     #[error("a cache of {records} records is too small: all of them are needed at once")]
     Full {
@@ -93,12 +136,13 @@ pub struct RecordCache {
     /// The first place of each chain.
     buckets: Vec<Slot>,
     free: Vec<Slot>,
-    /// Residents, next to go first. A key may be older than its record's last use: it is put right when its turn comes.
-    order: BTreeSet<(u8, u64, Slot)>,
+    /// Residents that nobody retains, by priority.
+    queues: [Queue; 256],
+    /// The read of each record on its way, and where in its bytes the record is.
+    on_their_way: HashMap<Slot, (Ticket, usize)>,
     arrived: HashMap<Ticket, Arrived>,
     /// Places that are on their way, first asked for first.
     loading: VecDeque<Slot>,
-    clock: u64,
     counts: CacheCounts,
 }
 
@@ -115,10 +159,10 @@ impl RecordCache {
             bytes: Vec::new(),
             buckets: Vec::new(),
             free: Vec::new(),
-            order: BTreeSet::new(),
+            queues: [Queue { first: NO_SLOT, last: NO_SLOT }; 256],
+            on_their_way: HashMap::new(),
             arrived: HashMap::new(),
             loading: VecDeque::new(),
-            clock: 0,
             counts: CacheCounts::default(),
         };
         cache.set_capacity(capacity);
@@ -129,7 +173,7 @@ impl RecordCache {
     pub fn set_capacity(&mut self, capacity: usize) {
         let capacity = capacity.max(1);
         self.limit = capacity;
-        while self.entries.len() - self.free.len() > capacity
+        while self.resident() > capacity
             && let Some(slot) = self.evict(u8::MAX)
         {
             self.free.push(slot);
@@ -141,17 +185,7 @@ impl RecordCache {
             last.map_or(0, |last| last + 1)
         };
         let places = capacity.max(used(self));
-        let none = Entry {
-            record: 0,
-            state: State::Free,
-            retained: 0,
-            priority: 0,
-            last_use: 0,
-            ahead: false,
-            next: NO_SLOT,
-            queued: None,
-        };
-        self.entries.resize(places, none);
+        self.entries.resize(places, FREE);
         self.loading.retain(|&slot| (slot as usize) < places);
         self.bytes.resize(places * self.record_bytes, 0);
         self.free =
@@ -174,6 +208,12 @@ impl RecordCache {
     #[must_use]
     pub fn capacity(&self) -> usize {
         self.limit
+    }
+
+    /// Records that it holds or waits for.
+    #[must_use]
+    pub fn resident(&self) -> usize {
+        self.entries.len() - self.free.len()
     }
 
     fn entry(&self, slot: Slot) -> &Entry {
@@ -231,7 +271,7 @@ impl RecordCache {
     /// [`CacheError::Io`] where that read failed.
     pub fn peek(&mut self, disk: &mut dyn Disk, record: u64) -> Result<Option<Slot>, CacheError> {
         let Some(slot) = self.find(record) else { return Ok(None) };
-        if let State::Loading(ticket, _) = self.entry(slot).state {
+        if let Some(&(ticket, _)) = self.on_their_way.get(&slot) {
             let known = self.arrived.get(&ticket).is_some_and(|a| !a.bytes.is_empty());
             if !known && !disk.is_done(ticket) {
                 return Ok(None);
@@ -255,7 +295,7 @@ impl RecordCache {
     pub fn retain(&mut self, disk: &mut dyn Disk, record: u64, priority: u8) -> Result<Slot, CacheError> {
         let slot = match self.find(record) {
             Some(slot) => {
-                if let State::Loading(..) = self.entry(slot).state {
+                if self.entry(slot).state == State::Loading {
                     self.counts.late += 1;
                     self.arrive(disk, slot)?;
                 } else {
@@ -264,16 +304,23 @@ impl RecordCache {
                 slot
             }
             None => {
+                let end = self.end(disk);
+                if record >= end {
+                    let (width, bytes) = (self.record_bytes as u64, self.record_bytes);
+                    return Err(CacheError::Beyond {
+                        at: record.saturating_mul(width),
+                        bytes,
+                        end: end * width,
+                    });
+                }
                 self.counts.misses += 1;
                 self.fetch(disk, record, priority)?
             }
         };
-        self.clock += 1;
-        let clock = self.clock;
+        self.unqueue(slot);
         let entry = &mut self.entries[slot as usize];
         entry.retained += 1;
         entry.priority = entry.priority.max(priority);
-        entry.last_use = clock;
         self.counts.prefetched_used += u64::from(std::mem::take(&mut entry.ahead));
         Ok(slot)
     }
@@ -288,17 +335,36 @@ impl RecordCache {
         }
     }
 
-    /// Puts an unretained record in the order of eviction, unless it stands there early enough.
+    /// Puts a resident that nobody retains at the end of those of its priority.
     fn queue(&mut self, slot: Slot) {
-        let entry = &mut self.entries[slot as usize];
-        if let Some((priority, last_use)) = entry.queued {
-            if priority <= entry.priority {
-                return;
-            }
-            self.order.remove(&(priority, last_use, slot));
+        self.unqueue(slot);
+        let queue = &mut self.queues[self.entries[slot as usize].priority as usize];
+        let before = std::mem::replace(&mut queue.last, slot);
+        if before == NO_SLOT {
+            queue.first = slot;
+        } else {
+            self.entries[before as usize].behind = slot;
         }
-        entry.queued = Some((entry.priority, entry.last_use));
-        self.order.insert((entry.priority, entry.last_use, slot));
+        let entry = &mut self.entries[slot as usize];
+        (entry.before, entry.behind, entry.is_queued) = (before, NO_SLOT, true);
+    }
+
+    /// Takes it out of there, if it is there.
+    fn unqueue(&mut self, slot: Slot) {
+        let Entry { before, behind, priority, is_queued, .. } = *self.entry(slot);
+        if !is_queued {
+            return;
+        }
+        self.entries[slot as usize].is_queued = false;
+        let queue = &mut self.queues[priority as usize];
+        match before {
+            NO_SLOT => queue.first = behind,
+            before => self.entries[before as usize].behind = behind,
+        }
+        match behind {
+            NO_SLOT => queue.last = before,
+            behind => self.entries[behind as usize].before = before,
+        }
     }
 
     /// Asks for records that will be wanted, those that are absent with one call of at most `batch` reads each time.
@@ -315,11 +381,11 @@ impl RecordCache {
         self.settle(disk, false)?;
         let mut wanted: Vec<Vec<(u64, Slot)>> = Vec::new();
         'records: for &record in records {
-            if self.is_known(record) {
+            if self.is_known(record) || record >= self.end(disk) {
                 continue;
             }
             let mut together = Vec::new();
-            let others = self.members(record).filter(|&member| member != record);
+            let others = self.members(disk, record).filter(|&member| member != record);
             for member in std::iter::once(record).chain(others) {
                 if self.is_known(member) {
                     continue;
@@ -345,9 +411,14 @@ impl RecordCache {
     }
 
     /// The records that are read together with one.
-    fn members(&self, record: u64) -> std::ops::Range<u64> {
+    fn members(&self, disk: &dyn Disk, record: u64) -> std::ops::Range<u64> {
         let first = record / self.group * self.group;
-        first..first + self.group
+        first..first.saturating_add(self.group).min(self.end(disk))
+    }
+
+    /// Records of the file.
+    fn end(&self, disk: &dyn Disk) -> u64 {
+        disk.length(self.file) / self.record_bytes as u64
     }
 
     /// Starts one read for each group of records.
@@ -369,7 +440,8 @@ impl RecordCache {
             self.arrived.insert(ticket, Arrived { bytes: Vec::new(), waiting: group.len() });
             for &(record, slot) in group {
                 let at = (record - first) as usize * width;
-                self.entries[slot as usize].state = State::Loading(ticket, at);
+                self.entries[slot as usize].state = State::Loading;
+                self.on_their_way.insert(slot, (ticket, at));
                 self.loading.push_back(slot);
             }
         }
@@ -388,7 +460,7 @@ impl RecordCache {
         let mut together = vec![(record, slot)];
         // Its own place must not be taken for its neighbours.
         self.entries[slot as usize].retained = 1;
-        for member in self.members(record).filter(|&member| member != record) {
+        for member in self.members(disk, record).filter(|&member| member != record) {
             if !self.is_known(member)
                 && let Some(slot) = self.place(member, priority)
             {
@@ -411,7 +483,7 @@ impl RecordCache {
 
     /// Waits for the record of a place that is on its way.
     fn arrive(&mut self, disk: &mut dyn Disk, slot: Slot) -> Result<(), CacheError> {
-        let State::Loading(ticket, at) = self.entry(slot).state else { return Ok(()) };
+        let Some(&(ticket, at)) = self.on_their_way.get(&slot) else { return Ok(()) };
         if let Some(arrived) = self.arrived.get_mut(&ticket)
             && arrived.bytes.is_empty()
         {
@@ -424,6 +496,7 @@ impl RecordCache {
         if arrived.waiting == 0 {
             self.arrived.remove(&ticket);
         }
+        self.on_their_way.remove(&slot);
         let entry = &mut self.entries[slot as usize];
         entry.state = State::Resident;
         if entry.retained == 0 {
@@ -435,7 +508,7 @@ impl RecordCache {
     /// Completes reads, first asked for first: all of them where `waits`, else those that have ended.
     fn settle(&mut self, disk: &mut dyn Disk, waits: bool) -> Result<(), CacheError> {
         while let Some(&slot) = self.loading.front() {
-            if let State::Loading(ticket, _) = self.entry(slot).state {
+            if let Some(&(ticket, _)) = self.on_their_way.get(&slot) {
                 let known = self.arrived.get(&ticket).is_some_and(|a| !a.bytes.is_empty());
                 if !waits && !known && !disk.is_done(ticket) {
                     return Ok(());
@@ -449,46 +522,21 @@ impl RecordCache {
 
     /// A place for a record, if need be that of one of a lower priority, or of the same and used longer ago.
     fn place(&mut self, record: u64, priority: u8) -> Option<Slot> {
-        let used = self.entries.len() - self.free.len();
-        let free = if used < self.limit { self.free.pop() } else { None };
+        let free = if self.resident() < self.limit { self.free.pop() } else { None };
         let slot = match free {
             Some(slot) => slot,
             None => self.evict(priority)?,
         };
-        self.clock += 1;
-        self.entries[slot as usize] = Entry {
-            record,
-            state: State::Loading(u64::MAX, 0),
-            retained: 0,
-            priority,
-            last_use: self.clock,
-            ahead: false,
-            next: NO_SLOT,
-            queued: None,
-        };
+        self.entries[slot as usize] = Entry { record, state: State::Loading, priority, ..FREE };
         self.link(slot);
         Some(slot)
     }
 
     /// Drives out the record of least priority, the least recently used among equals, if that is at most `priority`.
     fn evict(&mut self, priority: u8) -> Option<Slot> {
-        let slot = loop {
-            let &(least, last_use, slot) = self.order.first()?;
-            let entry = &mut self.entries[slot as usize];
-            let is_right = entry.retained == 0 && (entry.priority, entry.last_use) == (least, last_use);
-            if is_right && least > priority {
-                return None;
-            }
-            self.order.pop_first();
-            entry.queued = None;
-            if is_right {
-                break slot;
-            }
-            // What is retained is queued again when it is released.
-            if entry.retained == 0 {
-                self.queue(slot);
-            }
-        };
+        let least = self.queues[..=usize::from(priority)].iter().find(|queue| queue.first != NO_SLOT)?;
+        let slot = least.first;
+        self.unqueue(slot);
         self.unlink(slot);
         self.entries[slot as usize].state = State::Free;
         self.counts.evictions += 1;

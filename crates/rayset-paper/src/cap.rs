@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// A control group with a limit; gone when dropped.
@@ -16,22 +16,20 @@ impl Cap {
     #[must_use]
     pub fn new(bytes: u64) -> Option<Self> {
         let own = fs::read_to_string("/proc/self/cgroup").ok()?;
-        let path_of = |controller: &str| {
-            own.lines().find_map(|line| {
-                let mut parts = line.splitn(3, ':');
-                let (_, name, path) = (parts.next()?, parts.next()?, parts.next()?);
-                name.split(',').any(|n| n == controller).then(|| path.trim_start_matches('/').to_owned())
-            })
-        };
-        let name = format!("rayset-paper-{}", std::process::id());
-        let limits: &[&str];
-        let (folder, version) = if let Some(path) = path_of("memory") {
-            limits = &["memory.limit_in_bytes", "memory.memsw.limit_in_bytes"];
-            (PathBuf::from("/sys/fs/cgroup/memory").join(path).join(name), 1)
+        let (above, version) = group_of(&own)?;
+        let folder =
+            Path::new("/sys/fs/cgroup").join(above).join(format!("rayset-paper-{}", std::process::id()));
+        let limits: &[&str] = if version == 1 {
+            &["memory.limit_in_bytes", "memory.memsw.limit_in_bytes"]
         } else {
-            limits = &["memory.max", "memory.swap.max"];
-            (PathBuf::from("/sys/fs/cgroup").join(path_of("")?).join(name), 2)
+            &["memory.max", "memory.swap.max"]
         };
+        if version == 2
+            && let Some(parent) = folder.parent()
+        {
+            // Groups of the second version have only the controllers that the one above hands down.
+            let _ = fs::write(parent.join("cgroup.subtree_control"), "+memory");
+        }
         fs::create_dir(&folder).ok()?;
         let cap = Self { folder, version };
         let values = if version == 1 { [bytes, bytes] } else { [bytes, 0] };
@@ -64,8 +62,49 @@ impl Cap {
     }
 }
 
+/// The group that limits the memory of a process, below where the system has its groups, and the version of these: from what
+/// `/proc/self/cgroup` says.
+fn group_of(own: &str) -> Option<(String, u8)> {
+    let path_of = |controller: &str| {
+        own.lines().find_map(|line| {
+            let mut parts = line.splitn(3, ':');
+            let (_, name, path) = (parts.next()?, parts.next()?, parts.next()?);
+            name.split(',').any(|n| n == controller).then(|| path.trim_start_matches('/').to_owned())
+        })
+    };
+    path_of("memory").map(|path| (format!("memory/{path}"), 1)).or_else(|| Some((path_of("")?, 2)))
+}
+
 impl Drop for Cap {
     fn drop(&mut self) {
         let _ = fs::remove_dir(&self.folder);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_group_of_a_process_is_found_in_both_versions() {
+        let first = "5:cpu,cpuacct:/jobs\n4:memory:/jobs/7\n1:name=systemd:/\n";
+        assert_eq!(group_of(first), Some(("memory/jobs/7".into(), 1)));
+        let second = "0::/user.slice/session.scope\n";
+        assert_eq!(group_of(second), Some(("user.slice/session.scope".into(), 2)));
+        assert_eq!(group_of(""), None);
+    }
+
+    #[test]
+    fn a_process_in_a_group_is_held_to_its_limit() {
+        // Where the system lets nobody make groups there is nothing to hold.
+        let Some(cap) = Cap::new(24 << 20) else { return };
+        let allocate = |megabytes: u32| {
+            let mut command = Command::new("dd");
+            let block = format!("bs={megabytes}M");
+            command.args(["if=/dev/zero", "of=/dev/null", &block, "count=1", "status=none"]);
+            cap.run(&command).expect("a shell").status.success()
+        };
+        assert!(allocate(4) && !allocate(64));
+        assert!(cap.peak_bytes().is_none_or(|peak| peak <= 24 << 20));
     }
 }

@@ -11,9 +11,9 @@ use rayset::scene::{CameraError, Scene};
 use rayset::trace::judge::{Judge, JudgeError, PointField, Purpose};
 
 use crate::cache::CacheError;
-use crate::predict::{Predictor, Variant};
+use crate::predict::{Foresight, Predictor};
 use crate::record::{Below, Node, Point};
-use crate::records::{Hold, Records, Work};
+use crate::records::{Ahead, Hold, Records, Work};
 
 /// Priorities by source (section 4.2).
 const OPACITY_PRIORITY: u8 = 200;
@@ -79,25 +79,26 @@ impl Place {
             };
             records.work(Work::Step);
             let child = children[node.octant(s)];
-            let (node, hold) = records.retain(child, priority)?;
-            self.path.push((child, node, hold));
+            let (inner, hold) = records.retain(child, priority)?;
+            if inner.parent != number || !inner.contains(s) {
+                records.release(hold);
+                return Err(CacheError::Tangled { child, parent: number });
+            }
+            self.path.push((child, inner, hold));
         }
     }
 
-    /// The next place on the way of a sample that is not in its leaf.
-    fn next_beyond(&self, s: DVec3, way: DVec3) -> Option<DVec3> {
-        let (_, leaf, _) = self.path.last()?;
-        let mut exit = f64::INFINITY;
-        for axis in 0..3 {
-            if way[axis] != 0.0 {
-                let side = if way[axis] > 0.0 { leaf.max[axis] } else { leaf.min[axis] };
-                exit = exit.min((side - s[axis]) / way[axis]);
-            }
+    /// Gives the path back.
+    fn leave(&mut self, records: &mut impl Records) {
+        for (_, _, hold) in self.path.drain(..).rev() {
+            records.release(hold);
         }
-        let steps = exit.floor().max(0.0) + 1.0;
-        let beyond = s + way * steps;
-        // On the side itself a rounded place may still be inside.
-        Some(if leaf.contains(beyond) { beyond + way } else { beyond }).filter(|q| q.is_finite())
+        self.listed = None;
+    }
+
+    /// The leaf of the last sample.
+    fn leaf(&self) -> Option<Node> {
+        self.path.last().map(|(_, leaf, _)| *leaf)
     }
 
     /// The deepest node of the path that holds a place.
@@ -106,14 +107,51 @@ impl Place {
     }
 }
 
-/// The field of one object over an index, which other objects may share.
-pub struct IndexField<R> {
+/// Algorithm 2 for the leaves that come next on a way, `depth` of them: the paper's is 1. True where all of them are in core.
+fn look_ahead(
+    records: &mut impl Records,
+    place: &Place,
+    (mut s, way): (DVec3, DVec3),
+    depth: u32,
+) -> Result<bool, CacheError> {
+    let Some(mut leaf) = place.leaf() else { return Ok(true) };
+    for _ in 0..depth {
+        let Some(beyond) = next_beyond(&leaf, s, way) else { return Ok(true) };
+        // Outside the root there is nothing to bring in.
+        let Some(from) = place.above(beyond) else { return Ok(true) };
+        match records.precache(from, beyond, PREDICTION_PRIORITY)? {
+            Ahead::Reached(next) => (s, leaf) = (beyond, next),
+            Ahead::Asked => return Ok(false),
+            Ahead::Nowhere => return Ok(true),
+        }
+    }
+    Ok(true)
+}
+
+/// The next place on the way of a sample that is not in its leaf.
+fn next_beyond(leaf: &Node, s: DVec3, way: DVec3) -> Option<DVec3> {
+    let mut exit = f64::INFINITY;
+    for axis in 0..3 {
+        if way[axis] != 0.0 {
+            let side = if way[axis] > 0.0 { leaf.max[axis] } else { leaf.min[axis] };
+            exit = exit.min((side - s[axis]) / way[axis]);
+        }
+    }
+    let steps = exit.floor().max(0.0) + 1.0;
+    let beyond = s + way * steps;
+    // On the side itself a rounded place may still be inside.
+    Some(if leaf.contains(beyond) { beyond + way } else { beyond }).filter(|q| q.is_finite())
+}
+
+/// The field of one object over an index, which other objects may share. The nodes that it retains are given back with it.
+pub struct IndexField<R: Records> {
     records: Rc<RefCell<R>>,
     failure: Rc<RefCell<Option<CacheError>>>,
     state: RefCell<(Place, Predictor)>,
     kernel: Kernel,
     normalised: bool,
     gradient: bool,
+    depth: u32,
 }
 
 impl<R: Records> IndexField<R> {
@@ -122,12 +160,21 @@ impl<R: Records> IndexField<R> {
     pub fn new(
         object: &CloudObject,
         gradient: bool,
-        variant: Variant,
+        foresight: impl Into<Foresight>,
         records: Rc<RefCell<R>>,
         failure: Rc<RefCell<Option<CacheError>>>,
     ) -> Self {
+        let Foresight { variant, depth } = foresight.into();
         let state = RefCell::new((Place::default(), Predictor::new(variant)));
-        Self { records, failure, state, kernel: object.kernel, normalised: object.normalised, gradient }
+        Self {
+            records,
+            failure,
+            state,
+            kernel: object.kernel,
+            normalised: object.normalised,
+            gradient,
+            depth,
+        }
     }
 
     fn sample_or_fail(&self, s: DVec3, priority: u8) -> Result<JudgeSample, CacheError> {
@@ -136,11 +183,8 @@ impl<R: Records> IndexField<R> {
         let mut sum = JudgeSample::default();
         records.work(Work::Sample);
         let Some(leaf) = place.find(&mut *records, s, priority)? else { return Ok(sum) };
-        if let Some(way) = predictor.access(s, leaf)
-            && let Some(beyond) = place.next_beyond(s, way)
-        {
-            let from = place.above(beyond);
-            let cached = from.map_or(Ok(true), |from| records.precache(from, beyond, PREDICTION_PRIORITY))?;
+        if let Some(way) = predictor.access(s, leaf) {
+            let cached = look_ahead(&mut *records, place, (s, way), self.depth)?;
             predictor.attempted(cached);
         }
         for &number in &place.list {
@@ -149,6 +193,12 @@ impl<R: Records> IndexField<R> {
             add(&mut sum, &point, s, self.kernel, self.normalised, self.gradient);
         }
         Ok(sum)
+    }
+}
+
+impl<R: Records> Drop for IndexField<R> {
+    fn drop(&mut self) {
+        self.state.get_mut().0.leave(&mut *self.records.borrow_mut());
     }
 }
 
@@ -169,14 +219,21 @@ impl<R: Records> PointField for IndexField<R> {
     }
 }
 
-/// Adds a point to the field at a place.
-fn add(sum: &mut JudgeSample, point: &Point, q: DVec3, kernel: Kernel, normalised: bool, gradient: bool) {
+/// Adds a point to the field at a place; false where it does not reach that far.
+pub(crate) fn add(
+    sum: &mut JudgeSample,
+    point: &Point,
+    q: DVec3,
+    kernel: Kernel,
+    normalised: bool,
+    gradient: bool,
+) -> bool {
     let offset = q - point.position;
     let radius = f64::from(point.radius);
     let inverse = 1.0 / (radius * radius);
     let s = offset.length_squared() * inverse;
     if s >= 1.0 {
-        return;
+        return false;
     }
     let norm = if normalised { 1.0 / (radius.powi(3) * kernel.integral()) } else { 1.0 };
     let weight = f64::from(point.weight) * norm;
@@ -184,6 +241,7 @@ fn add(sum: &mut JudgeSample, point: &Point, q: DVec3, kernel: Kernel, normalise
     if gradient {
         sum.gradient += offset * (weight * kernel.slope_over_x(s) * inverse);
     }
+    true
 }
 
 /// All points, at every sample: the first baseline.
@@ -257,11 +315,15 @@ mod tests {
     use rayset::points::Workload;
 
     use super::*;
-    use crate::disk::{Clock, RealDisk, SimulatedDisk};
+    use crate::disk::RealDisk;
     use crate::experiments::{Subject, budget_of, differing};
     use crate::index::{Index, Limits};
     use crate::mapped::{self, Access};
-    use crate::records::{Budget, InCore, OutOfCore, Paged, write_image};
+    use crate::memory::{Flat, Paged};
+    use crate::predict::Variant;
+    use crate::records::{Budget, OutOfCore};
+    use crate::simulated::{Clock, SimulatedDisk};
+    use crate::structures::{InCore, Structures, grow, write_files};
 
     const SIDE: u32 = 20;
 
@@ -314,19 +376,61 @@ mod tests {
         assert!(bits(&again) == bits(&first), "on the real disk");
         let [nodes, _, points] = records.counts();
         assert!(nodes.prefetched_used > 0 && points.prefetched_used > 0, "{nodes:?} {points:?}");
+        let image = folder.path().join("image.bin");
+        let of_files = write_files(&index, &image).expect("an image");
         for access in [Access::Plain, Access::Random] {
-            let records = mapped::open(&index, access).expect("maps");
+            let records = Structures::new(mapped::open(&image, access).expect("a map"), of_files);
             let (again, _) = subject.reference(records, Variant::None, pixels()).expect("a picture");
             assert!(bits(&again) == bits(&first), "mapped, {access:?}");
         }
-        let image = folder.path().join("image.bin");
-        write_image(&index, &image).expect("an image");
+        let (heap, of_heap) = grow(&index, &mut |_, _, _| true).expect("points").expect("a heap");
+        let heap_image = folder.path().join("heap.bin");
+        std::fs::write(&heap_image, &heap).expect("an image");
+        let (again, _) = subject
+            .reference(Structures::new(Flat(heap), of_heap), Variant::None, pixels())
+            .expect("a picture");
+        assert!(bits(&again) == bits(&first), "in a heap");
+        for (image, layout) in [(image, of_files), (heap_image, of_heap)] {
+            let clock = Clock::default();
+            let disk = SimulatedDisk::open(&[image], clock.clone()).expect("a disk");
+            let paged = Paged::new(Box::new(disk), layout.bytes(), 100_000, clock);
+            let records = Structures::new(paged, layout);
+            let (again, records) = subject.reference(records, Variant::None, pixels()).expect("a picture");
+            assert!(bits(&again) == bits(&first), "paged");
+            assert!(records.memory().counts().evictions > 0, "nothing was paged out");
+        }
+    }
+
+    #[test]
+    fn a_field_gives_back_what_it_retains() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (subject, index) = subject(folder.path());
         let clock = Clock::default();
-        let disk = SimulatedDisk::open(&[image], clock.clone()).expect("a disk");
-        let records = Paged::new(&index, Box::new(disk), 100_000, clock).expect("a paged memory");
-        let (again, records) = subject.reference(records, Variant::None, pixels()).expect("a picture");
-        assert!(bits(&again) == bits(&first), "paged");
-        assert!(records.counts().evictions > 0, "nothing was paged out");
+        let disk = SimulatedDisk::open(&index.files(), clock.clone()).expect("a disk");
+        // A path has six nodes: two of them would not fit.
+        let mut records = OutOfCore::new(Box::new(disk), budget_of(1 << 20, 3000), 16, true, Some(clock));
+        records.set_capacities(8, 1, 1);
+        for _ in 0..3 {
+            let (_, again) =
+                subject.reference(records, Variant::Line, [(10, 10), (4, 15)]).expect("some pixels");
+            records = again;
+        }
+    }
+
+    #[test]
+    fn a_tree_that_leads_in_a_circle_is_an_error() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (subject, index) = subject(folder.path());
+        let [nodes, ..] = index.files();
+        let mut bytes = std::fs::read(&nodes).expect("nodes");
+        let root = Node::decode(&bytes);
+        let circle = Node { below: Below::Children([0; 8]), ..root };
+        bytes[..crate::record::NODE_BYTES].copy_from_slice(&circle.encode(&[]));
+        std::fs::write(&nodes, bytes).expect("a write");
+        let records = InCore::load(&index).expect("the index loads");
+        let outcome = subject.reference(records, Variant::Line, all_pixels(&subject.settings));
+        let error = outcome.err().expect("an error").to_string();
+        assert!(error.contains("damaged"), "{error}");
     }
 
     #[test]
@@ -346,6 +450,8 @@ mod tests {
             let (part, again) = subject.reference(records, Variant::Line, pixels).expect("a row");
             picture.extend(part);
             records = again;
+            let held = records.resident();
+            assert!(held[0] <= nodes && held[1] <= nodes / 4 && held[2] <= nodes, "{held:?} of {nodes}");
         }
         assert!(bits(&picture) == bits(&first));
     }

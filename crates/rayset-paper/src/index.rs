@@ -1,6 +1,6 @@
 //! The octree by influence on disk, and how it is built: a leaf lists every point whose radius reaches it.
 //!
-//! Out of core: points stream from a cloud file; lists of points that are to be divided lie in temporary files, read and
+//! Out of core: points are copied from a cloud file and streamed in through the point controller; lists of points that are to be divided lie in temporary files, read and
 //! written in order; the tree is made depth first, the eight children of a node written together.
 
 use std::fs::File;
@@ -11,8 +11,12 @@ use std::time::{Duration, Instant};
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::file::ScanError;
+use rayset::working_set::read::BackendKind;
 use serde::{Deserialize, Serialize};
 
+use crate::cache::{CacheCounts, CacheError, RecordCache};
+use crate::disk::{Disk, RealDisk};
+use crate::predict::Regular;
 use crate::record::{Below, DIRECT, NODE_BYTES, NOWHERE, Node, POINT_BYTES, Point, SECONDARY};
 
 /// When a node is a leaf.
@@ -41,6 +45,8 @@ pub struct Summary {
     pub most_in_leaf: u64,
     /// Depth of the deepest leaf.
     pub height: u32,
+    /// Bytes of lists that were written while it was built, and read again.
+    pub list_bytes: u64,
     /// Time that it took to build.
     pub build: Duration,
 }
@@ -50,6 +56,14 @@ impl Summary {
     #[must_use]
     pub fn index_bytes(&self) -> u64 {
         (self.nodes + self.secondary) * NODE_BYTES as u64
+    }
+
+    /// Seconds that its input and output took on a disk of a seek of so many seconds and so many bytes a second: points in
+    /// and out, lists out and in again, records out; each buffer is a seek.
+    #[must_use]
+    pub fn build_seconds(&self, seek: f64, bytes_per_second: f64) -> f64 {
+        let bytes = (2 * self.point_bytes() + 2 * self.list_bytes + self.index_bytes()) as f64;
+        bytes / bytes_per_second + bytes / (BUFFER_RECORDS * ENTRY_BYTES) as f64 * seek
     }
 
     /// Bytes of the points.
@@ -83,6 +97,9 @@ pub enum IndexError {
     /// The cloud.
     #[error(transparent)]
     Cloud(#[from] ScanError),
+    /// A point that was written.
+    #[error(transparent)]
+    Stream(#[from] CacheError),
     /// More points than a reference can name.
     #[error("{points} points; a reference of 32 bits names at most 4294967295")]
     TooMany {
@@ -97,6 +114,10 @@ const NAMES: [&str; 3] = ["nodes.bin", "secondary.bin", "points.bin"];
 const BUFFER_RECORDS: usize = 1 << 12;
 /// A point in a list: its number and its record.
 const ENTRY_BYTES: usize = 4 + POINT_BYTES;
+/// Points that are read together while they are streamed: a block.
+const STREAMED_TOGETHER: u64 = 4096 / POINT_BYTES as u64;
+/// Reads in one call then.
+const STREAMED_AT_ONCE: usize = 16;
 /// Files end at a whole block, as direct reads ask for.
 const BLOCK_BYTES: u64 = 4096;
 
@@ -105,6 +126,20 @@ impl Index {
     #[must_use]
     pub fn files(&self) -> [PathBuf; 3] {
         NAMES.map(|name| self.folder.join(name))
+    }
+
+    /// All points, in the order of their numbers, and the cube of the root.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn points_and_root(&self) -> io::Result<(Vec<Point>, (DVec3, DVec3))> {
+        let [nodes, _, points] = self.files();
+        let mut root = [0; NODE_BYTES];
+        File::open(nodes)?.read_exact(&mut root)?;
+        let Node { min, max, .. } = Node::decode(&root);
+        let bytes = std::fs::read(points)?;
+        let count = usize::try_from(self.summary.points).unwrap_or(usize::MAX);
+        Ok((bytes.chunks_exact(POINT_BYTES).take(count).map(Point::decode).collect(), (min, max)))
     }
 
     /// Builds the index of a cloud into a folder.
@@ -119,7 +154,12 @@ impl Index {
             return Err(IndexError::TooMany { points });
         }
         std::fs::create_dir_all(folder).map_err(io)?;
-        let root_list = stream_points(cloud, folder)?;
+        let point_file = folder.join(NAMES[2]);
+        write_points(cloud, &point_file)?;
+        let mut list = ListWriter::new(folder).map_err(io)?;
+        let mut disk = RealDisk::open(&[point_file], false, BackendKind::Auto).map_err(io)?;
+        stream_points(&mut disk, 0, points, true, |number, point| list.push(number, point))?;
+        let root_list = list.finish().map_err(io)?;
         let mut builder = Builder::new(folder, limits, points).map_err(io)?;
         let summary = builder.build(root_list, root_box(cloud)).map_err(io)?;
         let summary = Summary { build: started.elapsed(), ..summary };
@@ -152,12 +192,11 @@ fn gcd(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// Writes the file of points and the list of all of them.
-fn stream_points(cloud: &Cloud, folder: &Path) -> Result<List, IndexError> {
-    let io = |source| IndexError::Io { path: folder.to_owned(), source };
+/// Writes the file of points.
+fn write_points(cloud: &Cloud, path: &Path) -> Result<(), IndexError> {
+    let io = |source| IndexError::Io { path: path.to_owned(), source };
     let header = cloud.header();
-    let mut points = File::create(folder.join(NAMES[2])).map_err(io)?;
-    let mut list = ListWriter::new(folder).map_err(io)?;
+    let mut points = File::create(path).map_err(io)?;
     let (mut failed, mut at) = (None, 0);
     cloud.for_each_run(|_, run| {
         let radii: Option<Vec<f32>> = run.radii(header).map(Iterator::collect);
@@ -166,20 +205,47 @@ fn stream_points(cloud: &Cloud, folder: &Path) -> Result<List, IndexError> {
             let radius = radii.as_ref().map_or(header.radius.min(), |r| r[i]);
             let weight = weights.as_ref().map_or(header.weight.min(), |w| w[i]);
             let point = Point { position, radius, weight };
-            let number = scattered(at, header.points);
+            let place = scattered(at, header.points) * POINT_BYTES as u64;
             at += 1;
-            let written = points.seek(SeekFrom::Start(number * POINT_BYTES as u64));
-            let written = written.and_then(|_| points.write_all(&point.encode()));
-            // `build` has seen to it that every number fits.
-            let outcome = written.and_then(|()| list.push(number as u32, &point));
+            let outcome = points.seek(SeekFrom::Start(place)).and_then(|_| points.write_all(&point.encode()));
             failed = failed.take().or(outcome.err());
         }
     })?;
     if let Some(source) = failed {
         return Err(io(source));
     }
-    points.set_len((at * POINT_BYTES as u64).next_multiple_of(BLOCK_BYTES)).map_err(io)?;
-    list.finish().map_err(io)
+    points.set_len((at * POINT_BYTES as u64).next_multiple_of(BLOCK_BYTES)).map_err(io)
+}
+
+/// The point controller while points are processed: all of them, one after another, from a disk.
+///
+/// # Errors
+/// [`CacheError`] where one cannot be read.
+pub fn stream_points(
+    disk: &mut dyn Disk,
+    file: usize,
+    count: u64,
+    predicts: bool,
+    mut f: impl FnMut(u32, &Point) -> io::Result<()>,
+) -> Result<CacheCounts, CacheError> {
+    let mut cache = RecordCache::new(file, POINT_BYTES, STREAMED_TOGETHER, 2 * Regular::AHEAD as usize);
+    let mut predictor = Regular::default();
+    for number in 0..count {
+        let slot = cache.retain(disk, number, u8::MAX)?;
+        if predicts {
+            let expected = predictor.access(number);
+            let firsts: Vec<u64> =
+                expected.into_iter().filter(|n| n.is_multiple_of(STREAMED_TOGETHER)).collect();
+            if !firsts.is_empty() {
+                cache.prefetch(disk, &firsts, u8::MAX, STREAMED_AT_ONCE)?;
+            }
+        }
+        let point = Point::decode(cache.bytes(slot));
+        // A point that has been processed is not used again.
+        cache.release(slot);
+        f(number as u32, &point)?;
+    }
+    Ok(cache.counts())
 }
 
 /// Points that a node is to hold, in a temporary file without a name.
@@ -311,6 +377,7 @@ impl<'a> Builder<'a> {
             references: 0,
             most_in_leaf: 0,
             height: 0,
+            list_bytes: 0,
             build: Duration::ZERO,
         };
         Ok(Self { folder, nodes: file(NAMES[0])?, secondary: BufWriter::new(file(NAMES[1])?), summary })
@@ -326,6 +393,9 @@ impl<'a> Builder<'a> {
         let mut stack: Vec<Open> = open.into_iter().collect();
         while let Some(Open { number, node, depth, points }) = stack.pop() {
             let Below::Children([first, ..]) = node.below else { continue };
+            if let Held::Disk(list) = &points {
+                self.summary.list_bytes += list.count * ENTRY_BYTES as u64;
+            }
             for (octant, part) in points.divide(&node, self.folder)?.into_iter().enumerate() {
                 let child = first + octant as u64;
                 let (record, open) = self.make(child, node.octant_box(octant), number, depth + 1, part)?;

@@ -8,12 +8,17 @@
 
 pub mod cache;
 pub mod cap;
+pub mod cells;
 pub mod disk;
 pub mod engine;
 pub mod experiments;
 pub mod index;
 pub mod mapped;
+pub mod memory;
 pub mod predict;
 pub mod record;
 pub mod records;
 pub mod report;
+pub mod simulated;
+pub mod structures;
+pub mod swap;

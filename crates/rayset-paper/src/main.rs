@@ -30,6 +30,9 @@ enum Command {
         /// Scan to use in place of generated points
         #[arg(long)]
         scan: Option<PathBuf>,
+        /// Dense scan to use in place of the generated points of Fig. 5
+        #[arg(long)]
+        dense_scan: Option<PathBuf>,
     },
     /// Render a cloud with the reference engine, and say what it took
     Render(rayset_paper::experiments::render::RenderArgs),
@@ -37,9 +40,9 @@ enum Command {
 
 fn main() -> Result<()> {
     match Arguments::parse().command {
-        Command::Run { experiment, size, out, scan } => {
+        Command::Run { experiment, size, out, scan, dense_scan } => {
             let work = tempfile::tempdir().context("cannot make a temporary folder")?;
-            let setting = Setting { size, out, scan, work: work.path().to_owned() };
+            let setting = Setting { size, out, scan, dense_scan, work: work.path().to_owned() };
             let started = Instant::now();
             experiments::run(experiment, &setting)?;
             say(&format!("{}: {:.1} s", setting.out.display(), started.elapsed().as_secs_f64()));

@@ -2,12 +2,14 @@
 
 use std::fs::File;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use memmap2::{Advice, Mmap};
+use rayset::working_set::PageBuffer;
+use rayset::working_set::read::{Read, ReadBackend};
 
-use crate::index::Index;
-use crate::records::Whole;
+use crate::memory::Flat;
 
 /// What the system is told of accesses to come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,26 +20,49 @@ pub enum Access {
     Random,
 }
 
-/// Nodes, secondary records and points in maps.
-pub type Mapped = Whole<Mmap>;
-
-/// Maps the files of an index.
+/// Maps a file.
 ///
 /// # Errors
 /// What the system says.
 #[expect(unsafe_code, reason = "maps are what this baseline is made of")]
-pub fn open(index: &Index, access: Access) -> io::Result<Mapped> {
-    let map = |path: PathBuf| -> io::Result<Mmap> {
-        let file = File::open(path)?;
-        // SAFETY: the files of an index are written once, before it is opened, and by this program alone.
-        let map = unsafe { Mmap::map(&file)? };
-        if access == Access::Random && !map.is_empty() {
-            map.advise(Advice::Random)?;
+pub fn open(path: &Path, access: Access) -> io::Result<Flat<Mmap>> {
+    let file = File::open(path)?;
+    // SAFETY: files are written once, before they are mapped, and by this program alone.
+    let map = unsafe { Mmap::map(&file)? };
+    if access == Access::Random && !map.is_empty() {
+        map.advise(Advice::Random)?;
+    }
+    Ok(Flat(map))
+}
+
+/// The working set's pages in a map of their file: what the operating system has of it is the only memory of them.
+pub struct MappedBackend(Arc<Mmap>);
+
+impl MappedBackend {
+    /// Over one file, from which all pages come.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn open(path: &Path, access: Access) -> io::Result<Self> {
+        Ok(Self(Arc::new(open(path, access)?.0)))
+    }
+}
+
+impl ReadBackend for MappedBackend {
+    fn submit(&self, batch: Vec<Read>) {
+        for Read { offset, buffer, done, .. } in batch {
+            let from = usize::try_from(offset).unwrap_or(usize::MAX);
+            let part = from..from.saturating_add(buffer.bytes().len());
+            match PageBuffer::shared(self.0.clone(), part) {
+                Some(page) => done(page, Ok(())),
+                None => done(buffer, Err(io::ErrorKind::UnexpectedEof.into())),
+            }
         }
-        Ok(map)
-    };
-    let [nodes, secondary, points] = index.files();
-    Ok(Mapped::new([map(nodes)?, map(secondary)?, map(points)?]))
+    }
+
+    fn name(&self) -> String {
+        "map".into()
+    }
 }
 
 /// Drives files out of the page cache, as far as nobody else uses them.

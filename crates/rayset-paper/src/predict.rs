@@ -48,6 +48,22 @@ impl FromStr for Variant {
     }
 }
 
+/// How a ray tracer looks ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Foresight {
+    /// Which way.
+    pub variant: Variant,
+    /// Leaves that an attempt is to bring in, one behind the other.
+    pub depth: u32,
+}
+
+impl From<Variant> for Foresight {
+    /// The paper's: the next leaf.
+    fn from(variant: Variant) -> Self {
+        Self { variant, depth: 1 }
+    }
+}
+
 /// Sines of angles below this are none.
 const STRAIGHT: f64 = 1e-6;
 
@@ -138,6 +154,40 @@ impl Predictor {
     }
 }
 
+/// Regular accesses of an array: what the point controller predicts while points are streamed in to be processed.
+#[derive(Clone, Debug, Default)]
+pub struct Regular {
+    last: Option<u64>,
+    stride: Option<i64>,
+    /// Accesses to come that have been asked for.
+    asked: u64,
+}
+
+impl Regular {
+    /// Accesses that it looks ahead.
+    pub const AHEAD: u64 = 4096;
+
+    /// A record was used. Returns those to ask for: where three in a row are as far apart from each other, those that follow
+    /// as regularly, half of [`AHEAD`](Self::AHEAD) at a time.
+    pub fn access(&mut self, record: u64) -> Vec<u64> {
+        let stride = self.last.replace(record).map(|last| record.wrapping_sub(last) as i64);
+        let is_regular = stride.is_some() && stride == self.stride && stride != Some(0);
+        self.stride = stride;
+        let Some(stride) = stride.filter(|_| is_regular) else {
+            self.asked = 0;
+            return Vec::new();
+        };
+        self.asked = self.asked.saturating_sub(1);
+        if self.asked > Self::AHEAD / 2 {
+            return Vec::new();
+        }
+        let from = self.asked;
+        self.asked += Self::AHEAD / 2;
+        let at = |step: u64| record.checked_add_signed(stride.checked_mul(step as i64)?);
+        (from + 1..=self.asked).map_while(at).collect()
+    }
+}
+
 /// Whether a third sample goes on the way of two.
 fn on_line(s1: DVec3, s2: DVec3, s: DVec3) -> bool {
     let (before, after) = (s2 - s1, s - s2);
@@ -193,5 +243,23 @@ mod tests {
         let s = DVec3::new(1.0, 0.0, 0.0);
         let way = predictor.access(s, 2).expect("an attempt");
         assert!((way - (s - origin).normalize()).length() < 1e-12, "{way}");
+    }
+
+    #[test]
+    fn regular_accesses_are_predicted_once_each_and_irregular_ones_are_not() {
+        for stride in [1_i64, 3, -2] {
+            let mut predictor = Regular::default();
+            let start = 20_000_u64;
+            let mut asked = std::collections::HashSet::new();
+            for i in 0..6000_i64 {
+                let record = start.saturating_add_signed(stride * i);
+                assert!(i < 3 || asked.contains(&record), "{record} was not foreseen");
+                for record in predictor.access(record) {
+                    assert!(asked.insert(record), "{record} twice");
+                }
+            }
+        }
+        let mut predictor = Regular::default();
+        assert!([5, 9, 2, 7, 30, 31, 33].into_iter().all(|record| predictor.access(record).is_empty()));
     }
 }

@@ -100,7 +100,7 @@ impl Node {
     #[must_use]
     pub fn encode(&self, references: &[u32]) -> [u8; NODE_BYTES] {
         let mut bytes = [0; NODE_BYTES];
-        let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
+        let mut put = |at: usize, value: &[u8]| put(&mut bytes, at, value);
         for axis in 0..3 {
             put(8 * axis, &self.min[axis].to_le_bytes());
             put(24 + 8 * axis, &self.max[axis].to_le_bytes());
@@ -145,6 +145,40 @@ pub fn direct(bytes: &[u8], count: u32) -> impl Iterator<Item = u32> {
 /// The first `count` references of a secondary record.
 pub fn secondary(bytes: &[u8], count: usize) -> impl Iterator<Item = u32> {
     (0..SECONDARY.min(count)).map(|i| u32_at(bytes, 4 * i))
+}
+
+/// References in a secondary record that leads to the next.
+pub const CHAINED: usize = (NODE_BYTES - 8) / 4;
+const NEXT_AT: usize = 4 * CHAINED;
+
+/// The first `count` references of a secondary record that leads to the next, and that.
+pub fn chained(bytes: &[u8], count: usize) -> (impl Iterator<Item = u32>, u64) {
+    ((0..CHAINED.min(count)).map(|i| u32_at(bytes, 4 * i)), u64_at(bytes, NEXT_AT))
+}
+
+/// Writes a reference of a secondary record that leads to the next.
+pub fn set_chained(bytes: &mut [u8], place: usize, reference: u32) {
+    put(bytes, 4 * place, &reference.to_le_bytes());
+}
+
+/// Writes where a secondary record leads to.
+pub fn set_next(bytes: &mut [u8], next: u64) {
+    put(bytes, NEXT_AT, &next.to_le_bytes());
+}
+
+/// Writes a direct reference of a leaf.
+pub fn set_direct(bytes: &mut [u8], place: usize, reference: u32) {
+    put(bytes, DIRECT_AT + 4 * place, &reference.to_le_bytes());
+}
+
+/// Writes how many references a leaf has, and where those are that are not its own.
+pub fn set_below(bytes: &mut [u8], (count, secondary): (u32, u64)) {
+    put(bytes, COUNT_AT, &count.to_le_bytes());
+    put(bytes, SECONDARY_AT, &secondary.to_le_bytes());
+}
+
+fn put(bytes: &mut [u8], at: usize, value: &[u8]) {
+    bytes[at..at + value.len()].copy_from_slice(value);
 }
 
 /// Secondary records that a leaf of so many references has.

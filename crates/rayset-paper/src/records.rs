@@ -1,18 +1,14 @@
-//! Where the records of an index are while it is rendered: in memory, in caches over a disk, or in pages that an operating
-//! system would bring in.
-
-use std::ops::Deref;
-use std::path::Path;
+//! What the ray tracer asks of an index, and the controllers that answer out of core: node and point caches over a disk.
 
 use rayset::geometry::DVec3;
 
 use crate::cache::{CacheCounts, CacheError, RecordCache, Slot};
-use crate::disk::{Clock, Disk};
-use crate::index::Index;
+use crate::disk::Disk;
 use crate::record::{
     Below, DIRECT, NODE_BYTES, NOWHERE, Node, POINT_BYTES, Point, SECONDARY, direct, secondary,
     secondary_records,
 };
+use crate::simulated::Clock;
 
 /// A node that is held.
 pub type Hold = Slot;
@@ -44,15 +40,26 @@ pub trait Records {
         Ok(())
     }
     /// Algorithm 2: goes from a node that is retained toward a place without waiting for any record; asks for the first
-    /// that is absent. True where the leaf of the place was found.
+    /// that is absent.
     ///
     /// # Errors
     /// [`CacheError`] where an earlier read failed.
-    fn precache(&mut self, _from: &Node, _place: DVec3, _priority: u8) -> Result<bool, CacheError> {
-        Ok(true)
+    fn precache(&mut self, _from: &Node, _place: DVec3, _priority: u8) -> Result<Ahead, CacheError> {
+        Ok(Ahead::Nowhere)
     }
     /// Lets counted time pass, where time is counted.
     fn work(&mut self, _work: Work) {}
+}
+
+/// What came of looking ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Ahead {
+    /// The leaf of the place is in core.
+    Reached(Node),
+    /// A node on the way to it is not, and has been asked for.
+    Asked,
+    /// Nothing has to be brought in.
+    Nowhere,
 }
 
 /// Work of the processor, for disks whose time is counted.
@@ -76,68 +83,6 @@ impl Work {
             Self::Point => 50,
             Self::Sample => 500,
         }
-    }
-}
-
-/// All records at once, in bytes of the file: in memory, or where an operating system puts a map.
-pub struct Whole<B> {
-    nodes: B,
-    secondary: B,
-    points: B,
-}
-
-/// Everything in memory.
-pub type InCore = Whole<Vec<u8>>;
-
-impl InCore {
-    /// Loads an index.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn load(index: &Index) -> std::io::Result<Self> {
-        let [nodes, secondary, points] = index.files();
-        Ok(Self::new([std::fs::read(nodes)?, std::fs::read(secondary)?, std::fs::read(points)?]))
-    }
-}
-
-impl<B: Deref<Target = [u8]>> Whole<B> {
-    /// Over the bytes of [`Index::files`].
-    #[must_use]
-    pub fn new([nodes, secondary, points]: [B; 3]) -> Self {
-        Self { nodes, secondary, points }
-    }
-}
-
-fn record(bytes: &[u8], number: u64, width: usize) -> &[u8] {
-    let from = number as usize * width;
-    &bytes[from..from + width]
-}
-
-impl<B: Deref<Target = [u8]>> Records for Whole<B> {
-    fn retain(&mut self, number: u64, _priority: u8) -> Result<(Node, Hold), CacheError> {
-        Ok((Node::decode(record(&self.nodes, number, NODE_BYTES)), number as Hold))
-    }
-
-    fn release(&mut self, _hold: Hold) {}
-
-    fn list(
-        &mut self,
-        (leaf, hold): (&Node, Hold),
-        _priority: u8,
-        out: &mut Vec<u32>,
-    ) -> Result<(), CacheError> {
-        let Below::Points { count, secondary: first } = leaf.below else { return Ok(()) };
-        out.extend(direct(record(&self.nodes, u64::from(hold), NODE_BYTES), count));
-        let mut left = (count as usize).saturating_sub(DIRECT);
-        for number in 0..secondary_records(count) {
-            out.extend(secondary(record(&self.secondary, first + number, NODE_BYTES), left));
-            left = left.saturating_sub(SECONDARY);
-        }
-        Ok(())
-    }
-
-    fn point(&mut self, number: u32, _priority: u8) -> Result<Point, CacheError> {
-        Ok(Point::decode(record(&self.points, u64::from(number), POINT_BYTES)))
     }
 }
 
@@ -188,11 +133,28 @@ impl OutOfCore {
         }
     }
 
+    /// Reads so many bytes at a time, whatever is asked for: records that stand side by side in them come together. The paper
+    /// reads eight children together, and all else record by record.
+    #[must_use]
+    pub fn reading(mut self, bytes: usize) -> Self {
+        let together = |record: usize| (bytes / record).max(1) as u64;
+        self.nodes = RecordCache::new(0, NODE_BYTES, together(NODE_BYTES), self.nodes.capacity());
+        self.secondary = RecordCache::new(1, NODE_BYTES, together(NODE_BYTES), self.secondary.capacity());
+        self.points = RecordCache::new(2, POINT_BYTES, together(POINT_BYTES), self.points.capacity());
+        self
+    }
+
     /// Changes how many nodes, secondary records and points are held, also while they are in use.
     pub fn set_capacities(&mut self, nodes: usize, secondary: usize, points: usize) {
         self.nodes.set_capacity(nodes);
         self.secondary.set_capacity(secondary);
         self.points.set_capacity(points);
+    }
+
+    /// Nodes, secondary records and points that are held.
+    #[must_use]
+    pub fn resident(&self) -> [usize; 3] {
+        [self.nodes.resident(), self.secondary.resident(), self.points.resident()]
     }
 
     /// What the caches of nodes, secondary records and points did.
@@ -241,7 +203,14 @@ impl Records for OutOfCore {
         if first == NOWHERE {
             return Ok(());
         }
-        let records: Vec<u64> = (first..first + secondary_records(count)).collect();
+        let end = self.disk.length(1) / NODE_BYTES as u64;
+        let records = first.saturating_add(secondary_records(count));
+        if records > end {
+            let width = NODE_BYTES as u64;
+            let bytes = secondary_records(count) as usize * NODE_BYTES;
+            return Err(CacheError::Beyond { at: first.saturating_mul(width), bytes, end: end * width });
+        }
+        let records: Vec<u64> = (first..records).collect();
         if self.prefetches {
             self.secondary.prefetch(&mut *self.disk, &records, priority, self.batch)?;
         }
@@ -272,17 +241,22 @@ impl Records for OutOfCore {
         self.points.prefetch(&mut *self.disk, &records, priority, self.batch)
     }
 
-    fn precache(&mut self, from: &Node, place: DVec3, priority: u8) -> Result<bool, CacheError> {
+    fn precache(&mut self, from: &Node, place: DVec3, priority: u8) -> Result<Ahead, CacheError> {
         let mut node = *from;
         loop {
-            let Below::Children(children) = node.below else { return Ok(true) };
+            let Below::Children(children) = node.below else { return Ok(Ahead::Reached(node)) };
             self.work(Work::Step);
             let child = children[node.octant(place)];
             let Some(slot) = self.nodes.peek(&mut *self.disk, child)? else {
                 self.nodes.prefetch(&mut *self.disk, &[child], priority, self.batch)?;
-                return Ok(false);
+                return Ok(Ahead::Asked);
             };
-            node = Node::decode(self.nodes.bytes(slot));
+            let inner = Node::decode(self.nodes.bytes(slot));
+            if !inner.contains(place) || !(inner.max - inner.min).cmplt(node.max - node.min).all() {
+                // Damaged: whoever goes there is told.
+                return Ok(Ahead::Nowhere);
+            }
+            node = inner;
             if let Below::Points { count, .. } = node.below {
                 // The node controller tells the point controller.
                 let mut points = Vec::with_capacity(DIRECT);
@@ -296,90 +270,5 @@ impl Records for OutOfCore {
         if let Some(clock) = &self.clock {
             clock.advance(work.nanoseconds());
         }
-    }
-}
-
-/// Bytes of a page of the operating system.
-const OS_PAGE_BYTES: usize = 4096;
-
-/// The structures of [`InCore`], of which an operating system holds only some pages: demand paging, least recently used.
-pub struct Paged {
-    whole: InCore,
-    disk: Box<dyn Disk>,
-    pages: RecordCache,
-    /// Where nodes, secondary records and points begin in memory.
-    starts: [u64; 3],
-    clock: Clock,
-}
-
-impl Paged {
-    /// Over a disk of one file, made by [`write_image`].
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn new(index: &Index, disk: Box<dyn Disk>, memory_bytes: u64, clock: Clock) -> std::io::Result<Self> {
-        let mut starts = [0; 3];
-        let mut end = 0;
-        for (start, path) in starts.iter_mut().zip(index.files()) {
-            *start = end;
-            end += std::fs::metadata(path)?.len();
-        }
-        let pages = RecordCache::new(0, OS_PAGE_BYTES, 1, (memory_bytes as usize / OS_PAGE_BYTES).max(1));
-        Ok(Self { whole: InCore::load(index)?, disk, pages, starts, clock })
-    }
-
-    /// What paging did.
-    #[must_use]
-    pub fn counts(&self) -> CacheCounts {
-        self.pages.counts()
-    }
-
-    fn touch(&mut self, part: usize, at: u64, bytes: usize) -> Result<(), CacheError> {
-        let from = self.starts[part] + at;
-        for page in from / OS_PAGE_BYTES as u64..=(from + bytes as u64 - 1) / OS_PAGE_BYTES as u64 {
-            let slot = self.pages.retain(&mut *self.disk, page, 0)?;
-            self.pages.release(slot);
-        }
-        Ok(())
-    }
-}
-
-/// Writes the files of an index one behind the other: the memory of a program that is paged.
-///
-/// # Errors
-/// What the system says.
-pub fn write_image(index: &Index, path: &Path) -> std::io::Result<()> {
-    let mut image = std::fs::File::create(path)?;
-    for file in index.files() {
-        std::io::copy(&mut std::fs::File::open(file)?, &mut image)?;
-    }
-    Ok(())
-}
-
-impl Records for Paged {
-    fn retain(&mut self, number: u64, priority: u8) -> Result<(Node, Hold), CacheError> {
-        self.touch(0, number * NODE_BYTES as u64, NODE_BYTES)?;
-        self.whole.retain(number, priority)
-    }
-
-    fn release(&mut self, _hold: Hold) {}
-
-    fn list(&mut self, leaf: (&Node, Hold), priority: u8, out: &mut Vec<u32>) -> Result<(), CacheError> {
-        if let Below::Points { count, secondary } = leaf.0.below
-            && secondary != NOWHERE
-        {
-            let bytes = secondary_records(count) as usize * NODE_BYTES;
-            self.touch(1, secondary * NODE_BYTES as u64, bytes)?;
-        }
-        self.whole.list(leaf, priority, out)
-    }
-
-    fn point(&mut self, number: u32, priority: u8) -> Result<Point, CacheError> {
-        self.touch(2, u64::from(number) * POINT_BYTES as u64, POINT_BYTES)?;
-        self.whole.point(number, priority)
-    }
-
-    fn work(&mut self, work: Work) {
-        self.clock.advance(work.nanoseconds());
     }
 }

@@ -5,6 +5,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
 use plotters::prelude::*;
+use rayset::image::{Band, Development, PngBands};
+
+use crate::engine::Picture;
 
 /// A table of results.
 pub struct Table {
@@ -144,6 +147,76 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         .draw()
         .map_err(|e| failed(&e))?;
     area.present().map_err(|e| failed(&e))
+}
+
+/// Writes values as bars, one below the other, on a logarithmic scale; all above 0.
+///
+/// # Errors
+/// What the system says.
+pub fn bars(path: &Path, title: &str, unit: &str, values: &[(String, f64)]) -> Result<()> {
+    let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw {}: {e}", path.display());
+    let least = values.iter().map(|v| v.1).fold(f64::INFINITY, f64::min);
+    let most = values.iter().map(|v| v.1).fold(0.0, f64::max);
+    if values.is_empty() || !(least > 0.0 && most.is_finite()) {
+        return Ok(());
+    }
+    let rows = values.len();
+    let area = SVGBackend::new(path, (760, 90 + 20 * rows as u32)).into_drawing_area();
+    area.fill(&WHITE).map_err(|e| failed(&e))?;
+    let low = least / 1.6;
+    let mut chart = ChartBuilder::on(&area)
+        .caption(title, ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(40)
+        .y_label_area_size(290)
+        .build_cartesian_2d((low..most * 1.3).log_scale(), 0.0..rows as f64)
+        .map_err(|e| failed(&e))?;
+    // The labels of an axis stand at ticks, and bars between them: names are drawn beside their bars instead.
+    chart
+        .configure_mesh()
+        .disable_y_mesh()
+        .disable_y_axis()
+        .x_desc(unit)
+        .light_line_style(WHITE)
+        .draw()
+        .map_err(|e| failed(&e))?;
+    let style = ("sans-serif", 13).into_font();
+    for (row, (name, value)) in values.iter().enumerate() {
+        let top = (rows - row) as f64;
+        let bar = Rectangle::new([(low, top - 0.85), (*value, top - 0.15)], RGBColor(31, 119, 180).filled());
+        chart.draw_series(std::iter::once(bar)).map_err(|e| failed(&e))?;
+        let (_, y) = chart.backend_coord(&(low, top - 0.25));
+        area.draw(&Text::new(format!("{name}: {}", number(*value)), (16, y), style.clone()))
+            .map_err(|e| failed(&e))?;
+    }
+    area.present().map_err(|e| failed(&e))
+}
+
+/// Writes square pictures in rows and columns, all of one side, over a grey ground.
+///
+/// # Errors
+/// What the system says.
+pub fn sheet(path: &Path, side: u32, rows: &[Vec<Picture>]) -> Result<()> {
+    const GAP: u32 = 4;
+    const GROUND: f32 = 0.6;
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0) as u32;
+    let (width, height) = (columns * (side + GAP) + GAP, rows.len() as u32 * (side + GAP) + GAP);
+    let mut band = Band::new(0, width, height, false);
+    band.pixels.fill([1.0; 4]);
+    for (row, pictures) in rows.iter().enumerate() {
+        for (column, picture) in pictures.iter().enumerate() {
+            let (left, top) = (GAP + column as u32 * (side + GAP), GAP + row as u32 * (side + GAP));
+            for (i, [r, g, b, opacity]) in picture.iter().enumerate() {
+                let (x, y) = (left + i as u32 % side, top + i as u32 / side);
+                let behind = (1.0 - opacity) * GROUND;
+                band.pixels[(y * width + x) as usize] = [r + behind, g + behind, b + behind, 1.0];
+            }
+        }
+    }
+    let file = std::fs::File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+    let mut png = PngBands::new(std::io::BufWriter::new(file), width, height, Development::default())?;
+    png.write(&band)?;
+    Ok(png.finish()?)
 }
 
 /// A number with three digits that count.

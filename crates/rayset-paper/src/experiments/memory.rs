@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, ensure};
 
 use super::{Setting, Subject, scan_or};
 use crate::index::Limits;
-use crate::report::{Table, megabytes, number};
+use crate::report::{Table, bars, megabytes, number};
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     let side = setting.pick(16, 256);
@@ -28,6 +28,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         ("reference, out of core", "under 20", Some((8192, 4096))),
         ("reference, out of core", "under 20", Some((1024, 1024))),
     ];
+    let mut bars_shown =
+        vec![("paper, in core".to_owned(), 300.0), ("paper, out of core: under".to_owned(), 20.0)];
     for (name, paper, caches) in runs {
         let mut command = Command::new(&program);
         command.arg("render").arg(&cloud).arg("--index").arg(&folder).args(["--side", &side.to_string()]);
@@ -41,6 +43,10 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         ensure!(output.status.success(), "no picture: {}", String::from_utf8_lossy(&output.stderr));
         let found: serde_json::Value = serde_json::from_slice(&output.stdout)?;
         let peak = found["peak_rss_bytes"].as_u64().unwrap_or(0);
+        bars_shown.push((
+            format!("{name}, {}", caches.map_or("all".into(), |c| format!("{} and {}", c.0, c.1))),
+            peak as f64 / 1e6,
+        ));
         let shown = |n: Option<usize>| n.map_or_else(|| "all".into(), |n| n.to_string());
         table.row([
             name.into(),
@@ -59,5 +65,6 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         index.summary.nodes,
         megabytes(index.summary.index_bytes())
     ));
-    table.write(&setting.out, "memory")
+    table.write(&setting.out, "memory")?;
+    bars(&setting.out.join("memory.svg"), "Memory: whole-process peaks", "MB", &bars_shown)
 }

@@ -10,13 +10,13 @@ use rayset::trace::judge::PointField;
 
 use super::{BATCH, Setting, Subject};
 use crate::cache::CacheError;
-use crate::disk::{Clock, SimulatedDisk};
 use crate::engine::{self, EngineError, IndexField, all_pixels};
 use crate::index::{Index, Limits};
 use crate::predict::Variant;
 use crate::record::{NODE_BYTES, POINT_BYTES};
 use crate::records::{Budget, OutOfCore};
 use crate::report::{Series, Table, plot};
+use crate::simulated::{Clock, SimulatedDisk};
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     let (points, side) = setting.pick((1_500, 8), (20_000, 24));

@@ -3,6 +3,7 @@
 mod ablation;
 mod fig5;
 mod fig8;
+mod growing;
 mod memory;
 mod minimum;
 mod paging;
@@ -27,15 +28,17 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, Step, TransferFunction,
 };
 use rayset::trace::judge::PointField;
+use rayset::trace::predict::{NoPredictor, Predictor};
 use rayset::trace::{self, ExecSettings, WholePicture};
-use rayset::working_set::read::{self, BackendKind};
+use rayset::working_set::read::{self, BackendKind, ReadBackend};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
-use crate::disk::{Clock, SimulatedDisk};
 use crate::engine::{self, IndexField, Picture};
 use crate::index::{Index, Limits as IndexLimits};
-use crate::predict::Variant;
-use crate::records::{Budget, InCore, OutOfCore, Records};
+use crate::predict::{Foresight, Variant};
+use crate::records::{Budget, OutOfCore, Records};
+use crate::simulated::{Clock, SimulatedDisk};
+use crate::structures::InCore;
 
 /// How much is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -77,8 +80,10 @@ pub struct Setting {
     pub size: Size,
     /// Where results go.
     pub out: PathBuf,
-    /// A scan in place of generated points.
+    /// A scan in place of generated points: the paper has the Stanford bunny.
     pub scan: Option<PathBuf>,
+    /// A dense one: the paper has the Stanford Lucy.
+    pub dense_scan: Option<PathBuf>,
     /// Temporary data.
     pub work: PathBuf,
 }
@@ -174,13 +179,13 @@ impl Subject {
     pub(crate) fn reference<R: Records>(
         &self,
         records: R,
-        variant: Variant,
+        foresight: impl Into<Foresight>,
         pixels: impl IntoIterator<Item = (u32, u32)>,
     ) -> Result<(Picture, R)> {
         let records = Rc::new(RefCell::new(records));
         let failure = Rc::new(RefCell::new(None));
         let lit = self.scene.lighting != Lighting::Unlit;
-        let field = IndexField::new(&self.object(), lit, variant, records.clone(), failure.clone());
+        let field = IndexField::new(&self.object(), lit, foresight, records.clone(), failure.clone());
         let given = |_: &CloudObject| &field as &dyn PointField;
         let picture =
             engine::render(&self.scene, (&self.camera, &self.settings, self.step), &failure, given, pixels)?;
@@ -191,31 +196,35 @@ impl Subject {
 
     /// The picture of the engine that ships, and seconds on one thread.
     pub(crate) fn shipping(&self) -> Result<(Picture, f64)> {
-        self.shipping_in(1 << 40)
+        let backend = read::backend(BackendKind::Auto)?;
+        let (picture, seconds, _) = self.shipping_by(1 << 40, backend, Arc::new(NoPredictor))?;
+        Ok((picture, seconds))
     }
 
-    /// The same, with so many bytes for pages.
-    pub(crate) fn shipping_in(&self, page_bytes: u64) -> Result<(Picture, f64)> {
-        let (picture, seconds, _) = shipping(
-            &self.scene,
-            std::slice::from_ref(&self.cloud),
-            &self.camera,
-            &self.settings,
-            page_bytes,
-        )?;
-        Ok((picture, seconds))
+    /// The same with so many bytes for pages, read and foreseen so, and what its working set did.
+    pub(crate) fn shipping_by(
+        &self,
+        page_bytes: u64,
+        backend: Arc<dyn ReadBackend>,
+        predictor: Arc<dyn Predictor>,
+    ) -> Result<(Picture, f64, Statistics)> {
+        let clouds = std::slice::from_ref(&self.cloud);
+        shipping(&self.scene, clouds, (&self.camera, &self.settings), page_bytes, backend, predictor)
     }
 
     /// The reference engine out of core on the simulated disk: picture, seconds of counted time, records.
     pub(crate) fn simulated(&self, index: &Index, run: SimulatedRun) -> Result<(Picture, f64, OutOfCore)> {
         let clock = Clock::default();
-        let disk = SimulatedDisk::open(&index.files(), clock.clone())?;
-        let records =
+        let disk = SimulatedDisk::open(&index.files(), clock.clone())?.with_file_cache(run.file_cache_bytes);
+        let mut records =
             OutOfCore::new(Box::new(disk), run.budget, run.batch, run.prefetches, Some(clock.clone()));
+        if let Some(bytes) = run.read_bytes {
+            records = records.reading(bytes);
+        }
         let limit = run.limit_seconds;
         let watch = clock.clone();
         let pixels = engine::all_pixels(&self.settings).take_while(move |_| seconds(&watch) < limit);
-        let (picture, records) = self.reference(records, run.variant, pixels)?;
+        let (picture, records) = self.reference(records, run.foresight, pixels)?;
         Ok((picture, seconds(&clock), records))
     }
 }
@@ -224,12 +233,31 @@ impl Subject {
 #[derive(Clone, Copy)]
 pub(crate) struct SimulatedRun {
     pub(crate) budget: Budget,
-    pub(crate) variant: Variant,
+    pub(crate) foresight: Foresight,
     /// Whether children come with their parent, and the list of a leaf and its points together.
     pub(crate) prefetches: bool,
     pub(crate) batch: usize,
+    /// Bytes that are read together; the paper's groups where nothing is said.
+    pub(crate) read_bytes: Option<usize>,
+    /// Of the system's file cache; none where 0.
+    pub(crate) file_cache_bytes: u64,
     /// It is stopped when it has taken so long.
     pub(crate) limit_seconds: f64,
+}
+
+impl SimulatedRun {
+    /// The paper's engine with so many records in core, and nothing else.
+    pub(crate) fn paper(budget: Budget) -> Self {
+        Self {
+            budget,
+            foresight: Foresight::from(Variant::Line),
+            prefetches: true,
+            batch: BATCH,
+            read_bytes: None,
+            file_cache_bytes: 0,
+            limit_seconds: f64::INFINITY,
+        }
+    }
 }
 
 /// Reads that `lio_listio` starts with one call.
@@ -255,20 +283,25 @@ pub(crate) fn camera_on(bounds: Aabb) -> Camera {
 pub(crate) fn shipping(
     scene: &Scene,
     clouds: &[Arc<Cloud>],
-    camera: &Camera,
-    settings: &RenderSettings,
+    (camera, settings): (&Camera, &RenderSettings),
     page_bytes: u64,
+    backend: Arc<dyn ReadBackend>,
+    predictor: Arc<dyn Predictor>,
 ) -> Result<(Picture, f64, Statistics)> {
-    let set = WorkingSet::new(Limits::total(page_bytes), read::backend(BackendKind::Auto)?);
-    let mut paged = PagedFiles::new(set);
+    let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(page_bytes), backend));
     for cloud in clouds {
         paged.open(cloud, true)?;
     }
-    let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
+    let exec = ExecSettings { threads: 1, predictor, ..ExecSettings::default() };
     let mut whole = WholePicture::default();
     let started = Instant::now();
     trace::render(scene, camera, settings, &exec, &paged, &mut whole)?;
     Ok((whole.pixels, started.elapsed().as_secs_f64(), paged.pages.statistics()))
+}
+
+pub(crate) fn median(times: &mut [f64]) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
 }
 
 /// The part of the pixels of two pictures that differ by more than 1/1024 in linear light.
@@ -297,9 +330,23 @@ pub(crate) fn budget_of(bytes: u64, points: u64) -> Budget {
     }
 }
 
+/// As [`budget_of`], with what caches take besides the records.
+pub(crate) fn budget_with_overhead(bytes: u64, points: u64) -> Budget {
+    use crate::cache::OVERHEAD_BYTES;
+    use crate::record::{NODE_BYTES, POINT_BYTES};
+    let (node, point) = ((NODE_BYTES + OVERHEAD_BYTES) as u64, (POINT_BYTES + OVERHEAD_BYTES) as u64);
+    let for_points = (bytes / 2).min(points * point);
+    Budget { nodes: ((bytes - for_points) / node) as usize, points: (for_points / point) as usize }
+}
+
 /// The scan that was given, or a generated surface.
 pub(crate) fn scan_or(setting: &Setting, workload: &str) -> Result<Box<dyn PointSource>> {
-    match &setting.scan {
+    source_or(setting.scan.as_deref(), workload)
+}
+
+/// A scan, or a workload where there is none.
+pub(crate) fn source_or(scan: Option<&Path>, workload: &str) -> Result<Box<dyn PointSource>> {
+    match scan {
         Some(scan) => Ok(points::open(scan, &ReadOptions::default())?),
         None => Ok(workload.parse::<Workload>()?.source()),
     }

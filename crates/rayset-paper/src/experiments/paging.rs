@@ -1,135 +1,291 @@
-//! Fig. 8 on the disk there is: the same policies, each in a process of its own under a hard cap on memory, page cache cold
-//! and counted.
+//! Fig. 8 on the disk there is, for both engines: each run in a process of its own under a hard cap on memory, page cache
+//! cold and counted.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use rayset::points::Workload;
 
-use super::{Setting, Subject};
-use crate::cache::OVERHEAD_BYTES;
+use super::growing::{self, Grown};
+use super::render::layout_file;
+use super::{Setting, Subject, budget_with_overhead, median};
 use crate::cap::Cap;
-use crate::index::{Index, Limits};
 use crate::mapped::make_cold;
-use crate::record::{NODE_BYTES, POINT_BYTES};
-use crate::records::Budget;
-use crate::report::{Series, Table, number, plot};
+use crate::report::{Series, Table, megabytes, number, plot};
+use crate::structures::{Layout, grow, write_files};
 
 /// What a process may use, page cache included.
 const CAP_BYTES: u64 = 32 << 20;
 /// Of that, what is not records or pages.
 const PROCESS_BYTES: u64 = 14 << 20;
+/// Of that, where the system's file cache is to have a part: what caches of records have.
+const BESIDE_FILE_CACHE_BYTES: u64 = 6 << 20;
 /// A run is ended when it has taken so many times as long as the one that prefetches.
 const STOPPED_AT: f64 = 20.0;
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     if Cap::new(CAP_BYTES).is_none() {
-        let mut table = Table::new("Paging on this machine's disk", &["not measured"]);
-        table.note("This system lets nobody cap the memory of a process by control groups: the experiment was left out.");
-        return table.write(&setting.out, "paging");
+        for (name, title) in [("paging", REFERENCE_TITLE), ("paging-shipping", SHIPPING_TITLE)] {
+            let mut table = Table::new(title, &["not measured"]);
+            table.note("This system lets nobody cap the memory of a process by control groups: left out.");
+            table.write(&setting.out, name)?;
+        }
+        return Ok(());
     }
-    let (points, side) = setting.pick((5_000, 24), (100_000, 128));
-    let heights = setting.pick(5..7, 4..8);
+    reference(setting)?;
+    shipping(setting)
+}
+
+const REFERENCE_TITLE: &str = "Paging on this machine's disk, under a cap of 32 MiB: the reference engine";
+
+fn reference(setting: &Setting) -> Result<()> {
+    let side = setting.pick(24, 96);
+    let repeats = setting.pick(1, 3);
     let mut table = Table::new(
-        "Paging on this machine's disk, under a cap of 32 MiB",
+        REFERENCE_TITLE,
         &[
+            "points",
             "H",
             "data MB",
             "data / cap",
-            "map s",
-            "map, random s",
+            "map, grown s",
+            "with random advice s",
+            "map, file order s",
+            "with random advice s",
             "no prefetch s",
             "line s",
+            "line, file cache s",
             "shipping s",
-            "least paging / line",
-            "least paging / shipping",
+            "least paging, grown / least line",
+            "least paging of all / least line",
+            "least paging of all / shipping",
         ],
     );
-    let names = ["map", "map, random advice", "no prefetch", "line", "shipping"];
+    let names = [
+        "map, grown",
+        "map, grown, random advice",
+        "map, file order",
+        "map, file order, random advice",
+        "no prefetch",
+        "line",
+        "line, file cache",
+        "shipping",
+    ];
     let mut lines = names.map(|name| Series { name: name.into(), points: Vec::new() });
-    for height in heights {
-        let folder = setting.work.join(format!("paging-{height}"));
-        std::fs::create_dir_all(&folder)?;
-        let workload: Workload = format!("sphere-{points}").parse()?;
-        let cloud = folder.join("c.rset");
-        let subject = Subject::build(workload.source(), Some(0.1), side, &cloud)?;
-        let index = subject.index(&folder, Limits { height, leaf_points: 1 })?;
+    for size in
+        growing::sizes(setting).into_iter().filter(|size| setting.pick(true, size.points != 2_300_000))
+    {
+        let folder = setting.work.join("paging");
+        let Grown { subject, index, .. } = growing::build(size, side, &folder)?;
         std::fs::write(folder.join("index.json"), serde_json::to_string(&index.summary)?)?;
         let whole = index.summary.index_bytes() + index.summary.point_bytes();
-        let budget = budget_with_overhead(CAP_BYTES - PROCESS_BYTES, points);
-        let (nodes, points_in_core) = (budget.nodes.to_string(), budget.points.to_string());
-        let caches = ["--records", "caches", "--nodes", &nodes, "--points", &points_in_core];
-        let page_bytes = (CAP_BYTES - PROCESS_BYTES).to_string();
-        let one = |arguments: &[&str], limit| capped(&cloud, &index, side, arguments, limit);
-        let line = one(&[&caches[..], &["--predictor", "line"]].concat(), None)?;
-        let limit = Some(STOPPED_AT * line);
-        let times = [
-            one(&["--records", "map"], limit)?,
-            one(&["--records", "map-random"], limit)?,
-            one(&[&caches[..], &["--predictor", "none"]].concat(), limit)?,
-            line,
-            one(&["--records", "shipping", "--page-bytes", &page_bytes], limit)?,
-        ];
+        let (file_order, grown) = (folder.join("files.bin"), folder.join("heap.bin"));
+        write_layout(&file_order, write_files(&index, &file_order)?)?;
+        let (heap, layout) = grow(&index, &mut |_, _, _| true)?.context("a heap")?;
+        std::fs::write(&grown, heap)?;
+        write_layout(&grown, layout)?;
+        let cloud = folder.join("c.rset");
+        let cold: Vec<PathBuf> =
+            index.files().into_iter().chain([cloud.clone(), file_order.clone(), grown.clone()]).collect();
+        drop(subject);
+        let capped = |arguments: &[&str], limit| {
+            let side = side.to_string();
+            let all = [&["--side", &side], arguments].concat();
+            capped_seconds(&cloud, Some(&folder), &all, &cold, limit)
+        };
+        let caches = |bytes: u64, more: &[&str], limit| {
+            let budget = budget_with_overhead(bytes, index.summary.points);
+            let (nodes, points) = (budget.nodes.to_string(), budget.points.to_string());
+            let caches = ["--records", "caches", "--nodes", &nodes, "--points", &points];
+            capped(&[&caches[..], more].concat(), limit)
+        };
+        let map = |kind: &str, image: &Path, limit| {
+            capped(&["--records", kind, "--image", &image.display().to_string()], limit)
+        };
+        let for_records = CAP_BYTES - PROCESS_BYTES;
+        let mut limit = None;
+        let mut times: [Vec<f64>; 8] = Default::default();
+        for _ in 0..repeats {
+            let cached = ["--predictor", "line", "--buffered"];
+            let line = caches(for_records, &["--predictor", "line"], None)?;
+            limit = limit.or(Some(STOPPED_AT * line));
+            let found = [
+                map("map", &grown, limit)?,
+                map("map-random", &grown, limit)?,
+                map("map", &file_order, limit)?,
+                map("map-random", &file_order, limit)?,
+                caches(for_records, &["--predictor", "none"], limit)?,
+                line,
+                caches(BESIDE_FILE_CACHE_BYTES, &cached, limit)?,
+                capped(&["--records", "shipping", "--page-bytes", &for_records.to_string()], limit)?,
+            ];
+            times.iter_mut().zip(found).for_each(|(times, found)| times.push(found));
+        }
+        let times = times.map(|mut times| median(&mut times));
         let ratio = whole as f64 / CAP_BYTES as f64;
         for (series, time) in lines.iter_mut().zip(times) {
             series.points.push((ratio, time));
         }
-        let least = times[0].min(times[1]);
-        let shown = |time: f64| {
-            if limit.is_some_and(|limit| time >= limit) {
-                format!("more than {}", number(time))
-            } else {
-                number(time)
-            }
-        };
+        let least = |some: &[f64]| some.iter().copied().fold(f64::INFINITY, f64::min);
+        let (least_line, least_paging) = (least(&times[5..7]), least(&times[..4]));
         table.row(
-            [height.to_string(), number(whole as f64 / 1e6), number(ratio)]
+            [size.points.to_string(), size.height.to_string(), megabytes(whole), number(ratio)]
                 .into_iter()
-                .chain(times.map(shown))
-                .chain([number(least / line), number(least / times[4])]),
+                .chain(times.map(|time| shown(time, limit)))
+                .chain([number(least(&times[..2]) / least_line), number(least_paging / least_line)])
+                .chain([number(least_paging / times[7])]),
         );
         std::fs::remove_dir_all(&folder)?;
     }
     table.note(format!(
-        "{points} points on a sphere, radius 0.1, {side}×{side} rays. Each run is a process of its own in a control group \
-         whose limit counts page cache too; the files are driven out of the page cache first. Caches have {} MiB for \
-         records, the engine that ships as much for pages. Direct reads, one run each; a run is ended at {STOPPED_AT} times \
-         the time of `line`.",
+        "Octrees of Table 1's spheres, {side}×{side} rays. Grown: structures as an in-core program leaves them in its heap; \
+         file order: as the files of the index have them. Each run is a process of its own in a control group whose limit \
+         counts page cache too; files are driven out of the page cache first. Caches have {} MiB for records and what goes \
+         with them, read past the page cache; with a file cache {} MiB, and the rest of the cap is the system's. The engine \
+         that ships has {} MiB for pages. Medians of {repeats}; a run is ended at {STOPPED_AT} times the time of `line`.",
+        (CAP_BYTES - PROCESS_BYTES) >> 20,
+        BESIDE_FILE_CACHE_BYTES >> 20,
         (CAP_BYTES - PROCESS_BYTES) >> 20
     ));
     table.write(&setting.out, "paging")?;
     plot(&setting.out.join("paging.svg"), "Paging on a real disk, 32 MiB", ("data / cap", "seconds"), &lines)
 }
 
-/// As [`budget_of`](super::budget_of), with what caches take besides the records.
-fn budget_with_overhead(bytes: u64, points: u64) -> Budget {
-    let (node, point) = ((NODE_BYTES + OVERHEAD_BYTES) as u64, (POINT_BYTES + OVERHEAD_BYTES) as u64);
-    let for_points = (bytes / 2).min(points * point);
-    Budget { nodes: ((bytes - for_points) / node) as usize, points: (for_points / point) as usize }
+const SHIPPING_TITLE: &str = "Paging on this machine's disk, under a cap of 32 MiB: the engine that ships";
+
+fn shipping(setting: &Setting) -> Result<()> {
+    let side = setting.pick(32, 256);
+    let repeats = setting.pick(1, 3);
+    let sizes: &[u64] = setting
+        .pick(&[20_000], &[1_200_000, 2_500_000, 5_000_000, 10_000_000, 20_000_000, 40_000_000, 80_000_000]);
+    let mut table = Table::new(
+        SHIPPING_TITLE,
+        &[
+            "points",
+            "file MB",
+            "file / cap",
+            "rays",
+            "map s",
+            "map, random s",
+            "no prefetch s",
+            "packet s",
+            "map / packet",
+            "map, random / packet",
+        ],
+    );
+    let mut lines: Vec<Series> = Vec::new();
+    for (kind, more) in [("opaque", None), ("translucent", Some("--translucent"))] {
+        lines.extend(
+            ["map", "map, random advice", "packet"]
+                .map(|name| Series { name: format!("{kind}: {name}"), points: Vec::new() }),
+        );
+        let place = lines.len() - 3;
+        for &points in sizes {
+            let folder = setting.work.join("paging-shipping");
+            std::fs::create_dir_all(&folder)?;
+            let workload: Workload = format!("sphere-{points}").parse()?;
+            let cloud = folder.join("c.rset");
+            let subject = Subject::build(workload.source(), workload.radius(), side, &cloud)?;
+            let file_bytes = subject.cloud.header().file_bytes;
+            drop(subject);
+            let cold = [cloud.clone()];
+            let side = side.to_string();
+            let capped = |records: &str, predictor: &str, bytes: u64, limit| {
+                let bytes = bytes.to_string();
+                let mut all = vec!["--side", &side, "--records", records, "--page-bytes", &bytes];
+                all.extend(["--ship-predictor", predictor]);
+                all.extend(more);
+                capped_seconds(&cloud, None, &all, &cold, limit)
+            };
+            let pages = CAP_BYTES - PROCESS_BYTES;
+            let mut limit = None;
+            let mut times: [Vec<f64>; 4] = Default::default();
+            for _ in 0..repeats {
+                let packet = capped("shipping", "packet", pages, None)?;
+                limit = limit.or(Some(STOPPED_AT * packet));
+                let found = [
+                    capped("shipping-map", "none", MAPPED_BYTES, limit)?,
+                    capped("shipping-map-random", "none", MAPPED_BYTES, limit)?,
+                    capped("shipping", "none", pages, limit)?,
+                    packet,
+                ];
+                times.iter_mut().zip(found).for_each(|(times, found)| times.push(found));
+            }
+            let times = times.map(|mut times| median(&mut times));
+            let ratio = file_bytes as f64 / CAP_BYTES as f64;
+            for (series, time) in lines[place..].iter_mut().zip([times[0], times[1], times[3]]) {
+                series.points.push((ratio, time));
+            }
+            table.row(
+                [points.to_string(), megabytes(file_bytes), number(ratio), kind.to_owned()]
+                    .into_iter()
+                    .chain(times.map(|time| shown(time, limit)))
+                    .chain([number(times[0] / times[3]), number(times[1] / times[3])]),
+            );
+            std::fs::remove_dir_all(&folder)?;
+        }
+    }
+    table.note(format!(
+        "Spheres, about 40 supports overlapping, {side}×{side} rays, one thread. Map: the same engine over the same file, \
+         whose pages are used where the system maps them, without copies; each is checked when it is first used, and again \
+         once {} MiB of others have been. Otherwise {} MiB for pages, direct reads. Page cache cold and counted; medians of \
+         {repeats}; a run is ended at {STOPPED_AT} times the time of `packet`.",
+        MAPPED_BYTES >> 20,
+        (CAP_BYTES - PROCESS_BYTES) >> 20
+    ));
+    table.write(&setting.out, "paging-shipping")?;
+    plot(
+        &setting.out.join("paging-shipping.svg"),
+        "The engine that ships against its own file in a map, 32 MiB",
+        ("file / cap", "seconds"),
+        &lines,
+    )
+}
+
+/// Pages of a map that the working set knows of at a time; they take none of its memory.
+const MAPPED_BYTES: u64 = 256 << 20;
+
+fn write_layout(image: &Path, layout: Layout) -> Result<()> {
+    Ok(std::fs::write(layout_file(image), serde_json::to_string(&layout)?)?)
+}
+
+fn shown(time: f64, limit: Option<f64>) -> String {
+    if limit.is_some_and(|limit| time >= limit) {
+        format!("more than {}", number(time))
+    } else {
+        number(time)
+    }
 }
 
 /// Seconds of a render in a process under the cap, or the limit where it is ended there.
-fn capped(cloud: &Path, index: &Index, side: u32, arguments: &[&str], limit: Option<f64>) -> Result<f64> {
-    make_cold(&index.files())?;
-    make_cold(&[cloud.to_owned()])?;
+fn capped_seconds(
+    cloud: &Path,
+    index: Option<&Path>,
+    arguments: &[&str],
+    cold: &[PathBuf],
+    limit: Option<f64>,
+) -> Result<f64> {
+    make_cold(cold)?;
     let cap = Cap::new(CAP_BYTES).context("a control group")?;
     let program = std::env::current_exe().context("cannot find this program's own file")?;
     let mut command = Command::new(if limit.is_some() { "timeout".as_ref() } else { program.as_os_str() });
     if let Some(limit) = limit {
         command.arg(format!("{limit:.3}")).arg(&program);
     }
-    command.arg("render").arg(cloud).arg("--index").arg(&index.folder);
-    command.args(["--side", &side.to_string()]).args(arguments);
+    command.arg("render").arg(cloud).args(arguments);
+    if let Some(index) = index {
+        command.arg("--index").arg(index);
+    }
     let output = cap.run(&command).context("cannot start a render")?;
     // `timeout` ends with 124.
     if let (Some(limit), Some(124)) = (limit, output.status.code()) {
         return Ok(limit);
     }
     let error = String::from_utf8_lossy(&output.stderr);
-    anyhow::ensure!(output.status.success(), "{arguments:?}: {} {error}", output.status);
+    ensure!(output.status.success(), "{arguments:?}: {} {error}", output.status);
     let peak = cap.peak_bytes().unwrap_or(0);
-    anyhow::ensure!(peak <= CAP_BYTES, "{peak} bytes were used under a cap of {CAP_BYTES}");
+    ensure!(peak <= CAP_BYTES, "{peak} bytes were used under a cap of {CAP_BYTES}");
     let found: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     found["seconds"].as_f64().context("a report without seconds")
 }

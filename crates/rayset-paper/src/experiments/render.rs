@@ -1,10 +1,13 @@
 //! One picture by the reference engine, in a process whose memory can be watched.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use rayset::working_set::read::BackendKind;
+use memmap2::Mmap;
+use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
+use rayset::working_set::read::{self, BackendKind, ReadBackend};
 use serde::Serialize;
 
 use super::{BATCH, Subject, in_core};
@@ -12,24 +15,29 @@ use crate::cache::CacheCounts;
 use crate::disk::RealDisk;
 use crate::engine::all_pixels;
 use crate::index::Index;
-use crate::mapped::{self, Access};
+use crate::mapped::{self, Access, MappedBackend};
+use crate::memory::Flat;
 use crate::predict::Variant;
 use crate::records::{Budget, OutOfCore};
+use crate::structures::Structures;
 
 /// What to render, and in how much memory.
 #[derive(clap::Args)]
 pub struct RenderArgs {
     /// Cloud file
     cloud: PathBuf,
-    /// Folder of its index, with `index.json`
+    /// Folder of its index, with `index.json`; the engine that ships needs none
     #[arg(long)]
-    index: PathBuf,
+    index: Option<PathBuf>,
     /// Pixels along each side
     #[arg(long, default_value_t = 64)]
     side: u32,
     /// Where the records are
     #[arg(long, value_enum, default_value = "caches")]
     records: Kept,
+    /// Image of memory, beside which FILE.json says what lies where; of maps
+    #[arg(long)]
+    image: Option<PathBuf>,
     /// Nodes in core, of caches
     #[arg(long, default_value_t = 8192)]
     nodes: usize,
@@ -42,6 +50,50 @@ pub struct RenderArgs {
     /// none, line, line-as-printed or line+origins
     #[arg(long, default_value = "line")]
     predictor: Variant,
+    /// none, line or packet, of the engine that ships
+    #[arg(long, value_enum, default_value = "packet")]
+    ship_predictor: ShipPredictor,
+    /// How the disk is read, by caches and by the engine that ships
+    #[arg(long, value_enum, default_value = "auto")]
+    backend: Backend,
+    /// Read through the system's file cache, by caches
+    #[arg(long)]
+    buffered: bool,
+    /// Let rays through, so that they need all of the cloud
+    #[arg(long)]
+    translucent: bool,
+}
+
+/// Predictors of the engine that ships.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ShipPredictor {
+    /// Nothing.
+    None,
+    /// The paper's.
+    Line,
+    /// Where packets go.
+    Packet,
+}
+
+/// Ways to read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Backend {
+    /// The best there is.
+    Auto,
+    /// io_uring.
+    Uring,
+    /// Threads.
+    Pool,
+}
+
+impl From<Backend> for BackendKind {
+    fn from(backend: Backend) -> Self {
+        match backend {
+            Backend::Auto => Self::Auto,
+            Backend::Uring => Self::Uring,
+            Backend::Pool => Self::Pool,
+        }
+    }
 }
 
 /// Where records are while they are rendered.
@@ -57,6 +109,10 @@ pub enum Kept {
     MapRandom,
     /// Nowhere: the engine that ships renders, from its own file.
     Shipping,
+    /// The same, its file in a memory map.
+    ShippingMap,
+    /// That map said to be used at random.
+    ShippingMapRandom,
 }
 
 #[derive(Serialize)]
@@ -73,23 +129,37 @@ struct Found {
 /// # Errors
 /// Whatever stopped it.
 pub fn run(args: &RenderArgs) -> Result<String> {
-    let subject = Subject::open(&args.cloud, args.side)?;
-    let path = args.index.join("index.json");
-    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let index = Index { folder: args.index.clone(), summary: serde_json::from_str(&text)? };
+    let mut subject = Subject::open(&args.cloud, args.side)?;
+    if args.translucent {
+        subject.make_translucent();
+    }
     let started = Instant::now();
     let pixels = all_pixels(&subject.settings);
     let mut cost = (0, Vec::new());
     match args.records {
-        Kept::InCore => drop(subject.reference(in_core(&index)?, args.predictor, pixels)?),
-        Kept::Map => drop(subject.reference(mapped::open(&index, Access::Plain)?, args.predictor, pixels)?),
-        Kept::MapRandom => {
-            drop(subject.reference(mapped::open(&index, Access::Random)?, args.predictor, pixels)?);
+        Kept::InCore => drop(subject.reference(in_core(&index(args)?)?, args.predictor, pixels)?),
+        Kept::Map | Kept::MapRandom => {
+            let access = if args.records == Kept::Map { Access::Plain } else { Access::Random };
+            let records = image(args.image.as_deref(), access)?;
+            drop(subject.reference(records, args.predictor, pixels)?);
         }
-        Kept::Shipping => drop(subject.shipping_in(args.page_bytes)?),
+        Kept::Shipping | Kept::ShippingMap | Kept::ShippingMapRandom => {
+            let backend: Arc<dyn ReadBackend> = match args.records {
+                Kept::ShippingMap => Arc::new(MappedBackend::open(&args.cloud, Access::Plain)?),
+                Kept::ShippingMapRandom => Arc::new(MappedBackend::open(&args.cloud, Access::Random)?),
+                _ => read::backend(args.backend.into())?,
+            };
+            let predictor: Arc<dyn Predictor> = match args.ship_predictor {
+                ShipPredictor::None => Arc::new(NoPredictor),
+                ShipPredictor::Line => Arc::new(LinePredictor),
+                ShipPredictor::Packet => Arc::new(PacketPredictor::default()),
+            };
+            let (_, _, statistics) = subject.shipping_by(args.page_bytes, backend, predictor)?;
+            cost.0 = statistics.by_kind.iter().map(|kind| kind.stall_nanoseconds).sum();
+        }
         Kept::Caches => {
             let budget = Budget { nodes: args.nodes, points: args.points };
-            let disk = RealDisk::open(&index.files(), true, BackendKind::Auto)?;
+            let disk = RealDisk::open(&index(args)?.files(), !args.buffered, args.backend.into())?;
             let prefetches = args.predictor != Variant::None;
             let records = OutOfCore::new(Box::new(disk), budget, BATCH, prefetches, None);
             let (_, records) = subject.reference(records, args.predictor, pixels)?;
@@ -104,6 +174,28 @@ pub fn run(args: &RenderArgs) -> Result<String> {
         caches,
     };
     Ok(serde_json::to_string(&found)?)
+}
+
+/// The index that was named.
+fn index(args: &RenderArgs) -> Result<Index> {
+    let folder = args.index.clone().context("--index: these records are those of an index")?;
+    let path = folder.join("index.json");
+    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(Index { folder, summary: serde_json::from_str(&text)? })
+}
+
+/// Structures in a map of their image.
+fn image(path: Option<&Path>, access: Access) -> Result<Structures<Flat<Mmap>>> {
+    let path = path.context("--image: a map is of an image of memory")?;
+    let layout = layout_file(path);
+    let text = std::fs::read(&layout).with_context(|| format!("cannot read {}", layout.display()))?;
+    let map = mapped::open(path, access).with_context(|| format!("cannot map {}", path.display()))?;
+    Ok(Structures::new(map, serde_json::from_slice(&text)?))
+}
+
+/// The file that says what lies where in an image of memory.
+pub(crate) fn layout_file(image: &Path) -> PathBuf {
+    image.with_extension("bin.json")
 }
 
 /// Largest resident set of this process, where the system says.

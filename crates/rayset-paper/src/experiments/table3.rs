@@ -13,11 +13,12 @@ use rayset::scene::{
     Camera, CloudObject, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step,
 };
 use rayset::trace::judge::PointField;
+use rayset::trace::predict::NoPredictor;
 use rayset::trace::{ExecSettings, WholePicture};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits as WorkingSetLimits, PagedFiles, WorkingSet};
 
-use super::{BATCH, Setting, Subject, differing, object, same_picture_note, scan_or, shipping};
+use super::{BATCH, Setting, Subject, differing, median, object, same_picture_note, scan_or, shipping};
 use crate::disk::RealDisk;
 use crate::engine::{self, IndexField, all_pixels};
 use crate::index::{Index, Limits};
@@ -91,7 +92,10 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let started = Instant::now();
         let picture = reference(scene, &clouds, &indices, sets, (&camera, &settings, step))?;
         let reference_seconds = started.elapsed().as_secs_f64();
-        let (shipped, ..) = shipping(scene, &clouds[..sets], &camera, &settings, 1 << 40)?;
+        let backend = read::backend(BackendKind::Auto)?;
+        let predictor = Arc::new(NoPredictor);
+        let (shipped, ..) =
+            shipping(scene, &clouds[..sets], (&camera, &settings), 1 << 40, backend, predictor)?;
         worst = worst.max(differing(&picture, &shipped));
         let sum = |of: fn(&(f64, f64)) -> f64| preparing[..sets].iter().map(of).sum::<f64>();
         for (line, seconds) in lines.iter_mut().zip([paper_rendering, reference_seconds, medians[place].0]) {
@@ -153,11 +157,6 @@ fn shipping_cpu_seconds(
 fn cpu_seconds() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
-}
-
-fn median(times: &mut [f64]) -> f64 {
-    times.sort_by(f64::total_cmp);
-    times[times.len() / 2]
 }
 
 /// Objects in four rows on a grid, each turned another way; sets take turns.

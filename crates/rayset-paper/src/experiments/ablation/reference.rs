@@ -1,0 +1,200 @@
+//! The reference engine with one thing changed at a time, on the simulated disk and on that of this machine.
+
+use std::time::Instant;
+
+use anyhow::{Context as _, Result};
+use rayset::working_set::read::BackendKind;
+
+use super::super::{BATCH, Setting, SimulatedRun, Subject, budget_of, median, scan_or, seconds};
+use crate::disk::RealDisk;
+use crate::engine::all_pixels;
+use crate::index::{Index, Limits, stream_points};
+use crate::predict::{Foresight, Variant};
+use crate::records::OutOfCore;
+use crate::report::{Table, bars, number};
+use crate::simulated::{Clock, SimulatedDisk};
+
+/// Memory is this part of the data.
+const MEMORY_PART: u64 = 8;
+
+pub(super) fn run(setting: &Setting) -> Result<()> {
+    let side = setting.pick(16, 96);
+    let folder = setting.work.join("ablation");
+    std::fs::create_dir_all(&folder)?;
+    let source = scan_or(setting, setting.pick("vase-8k", "vase-35947"))?;
+    let subject = Subject::build(source, None, side, &folder.join("c.rset"))?;
+    let index = subject.index(&folder, Limits { height: 6, leaf_points: 32 })?;
+    let memory = (index.summary.index_bytes() + index.summary.point_bytes()) / MEMORY_PART;
+    let usual = SimulatedRun::paper(budget_of(memory, index.summary.points));
+    let mut table = Table::new(
+        "Ablation: the reference engine",
+        &[
+            "what is varied",
+            "",
+            "simulated disk s",
+            "stalled",
+            "reads",
+            "MB read",
+            "nodes: misses",
+            "late",
+            "prefetched and used",
+            "points: misses",
+            "prefetched and used",
+            "this machine's disk s",
+            "stalled",
+        ],
+    );
+    let repeats = setting.pick(1, 3);
+    let mut shown = Vec::new();
+    for Change { what, value, run, backend } in changes(setting, usual, memory) {
+        let (_, simulated, records) = subject.simulated(&index, run)?;
+        let [nodes, secondary, points] = records.counts();
+        let used = |used: u64, all: u64| {
+            (100 * used).checked_div(all).map_or_else(|| "–".into(), |percent| format!("{percent} %"))
+        };
+        let mut cells = vec![
+            what.to_owned(),
+            value.clone(),
+            number(simulated),
+            format!("{:.1} %", 1e-7 * records.stalled_nanoseconds() as f64 / simulated),
+            (nodes.reads + secondary.reads + points.reads).to_string(),
+            number((nodes.bytes + secondary.bytes + points.bytes) as f64 / 1e6),
+            nodes.misses.to_string(),
+            nodes.late.to_string(),
+            used(nodes.prefetched_used, nodes.prefetched),
+            points.misses.to_string(),
+            used(points.prefetched_used, points.prefetched),
+        ];
+        // The file cache of the system at hand is not ours to limit.
+        if run.file_cache_bytes == 0 {
+            let (mut times, mut stalls) = (Vec::new(), Vec::new());
+            for _ in 0..repeats {
+                let (time, stalled) = real(&subject, &index, run, backend)?;
+                times.push(time);
+                stalls.push(stalled / time);
+            }
+            cells.push(number(median(&mut times)));
+            cells.push(format!("{:.0} %", 100.0 * median(&mut stalls)));
+        } else {
+            cells.extend(["–".to_owned(), "–".to_owned()]);
+        }
+        table.row(cells);
+        shown.push((format!("{what}: {value}"), simulated));
+    }
+    std::fs::remove_dir_all(&folder)?;
+    table.note(format!(
+        "{} points, {} nodes, memory an eighth of the data ({} nodes, {} points), {side}×{side} rays. One thing is changed at \
+         a time; the usual is `line`, the next leaf, {BATCH} reads a call, the paper's groups (eight children together, all \
+         else record by record), no file cache. Nothing: what a sample waits for, and the siblings of a node with it. \
+         Children and lists: what section 4.2 brings in with a node and a leaf, without any prediction; the predictors have \
+         that too. The real disk is read past the page cache; medians of {repeats}.",
+        index.summary.points, index.summary.nodes, usual.budget.nodes, usual.budget.points
+    ));
+    table.write(&setting.out, "ablation")?;
+    bars(&setting.out.join("ablation.svg"), "Ablation: seconds on the simulated disk", "seconds", &shown)
+}
+
+struct Change {
+    what: &'static str,
+    value: String,
+    run: SimulatedRun,
+    backend: BackendKind,
+}
+
+fn changes(setting: &Setting, usual: SimulatedRun, memory: u64) -> Vec<Change> {
+    let backend = BackendKind::Auto;
+    let change = |what, value: String, run| Change { what, value, run, backend };
+    let of = |variant| SimulatedRun { foresight: Foresight::from(variant), ..usual };
+    let alone = SimulatedRun { prefetches: false, batch: 1, ..of(Variant::None) };
+    let mut all = vec![change("ahead of use", "nothing".into(), alone)];
+    for variant in Variant::ALL {
+        let name = if variant == Variant::None { "children and lists".into() } else { variant.to_string() };
+        all.push(change("ahead of use", name, of(variant)));
+    }
+    for depth in setting.pick(&[4][..], &[2, 4, 8, 16][..]) {
+        let foresight = Foresight { variant: Variant::Line, depth: *depth };
+        all.push(change("leaves ahead", depth.to_string(), SimulatedRun { foresight, ..usual }));
+    }
+    for batch in [1, 4, 64] {
+        all.push(change("reads a call", batch.to_string(), SimulatedRun { batch, ..usual }));
+    }
+    for bytes in [244, 1952, 4096, 16 << 10, 64 << 10, 256 << 10] {
+        let run = SimulatedRun { read_bytes: Some(bytes), ..usual };
+        all.push(change("bytes a read", bytes.to_string(), run));
+    }
+    for part in [1, 2, 3] {
+        let file_cache_bytes = memory / 4 * part;
+        let records = usual.budget;
+        let left = |n: usize| (n * (4 - part as usize) / 4).max(16);
+        let budget = crate::records::Budget { nodes: left(records.nodes), points: left(records.points) };
+        let run = SimulatedRun { budget, file_cache_bytes, ..usual };
+        all.push(change("file cache, of the memory", format!("{part}/4"), run));
+    }
+    for (name, backend) in [("io_uring", BackendKind::Uring), ("threads", BackendKind::Pool)] {
+        // Not every system has the first.
+        if rayset::working_set::read::backend(backend).is_ok() {
+            all.push(Change { what: "I/O backend", value: name.into(), run: usual, backend });
+        }
+    }
+    all
+}
+
+/// Seconds on the disk there is, and of these waited.
+fn real(subject: &Subject, index: &Index, run: SimulatedRun, backend: BackendKind) -> Result<(f64, f64)> {
+    let disk = RealDisk::open(&index.files(), true, backend)?;
+    let mut records = OutOfCore::new(Box::new(disk), run.budget, run.batch, run.prefetches, None);
+    if let Some(bytes) = run.read_bytes {
+        records = records.reading(bytes);
+    }
+    let started = Instant::now();
+    let (_, records) = subject.reference(records, run.foresight, all_pixels(&subject.settings))?;
+    Ok((started.elapsed().as_secs_f64(), records.stalled_nanoseconds() as f64 * 1e-9))
+}
+
+/// The point controller while points are streamed, with and without its predictor of regular accesses.
+pub(super) fn streaming(setting: &Setting) -> Result<()> {
+    let points = setting.pick(20_000, 1_000_000);
+    let folder = setting.work.join("streaming");
+    std::fs::create_dir_all(&folder)?;
+    let workload: rayset::points::Workload = format!("sphere-{points}").parse()?;
+    let subject = Subject::build(workload.source(), workload.radius(), 8, &folder.join("c.rset"))?;
+    let index = subject.index(&folder, Limits { height: 1, leaf_points: u64::from(u32::MAX) })?;
+    let [_, _, file] = index.files();
+    let mut table = Table::new(
+        "Ablation: streaming points",
+        &["predictor", "simulated disk s", "misses", "late", "in time", "this machine's disk s", "stalled"],
+    );
+    for (name, predicts) in [("none", false), ("regular accesses", true)] {
+        let clock = Clock::default();
+        let mut disk = SimulatedDisk::open(std::slice::from_ref(&file), clock.clone())?;
+        let process = |_: u32, _: &crate::record::Point| {
+            clock.advance(PROCESSING_NANOSECONDS);
+            Ok(())
+        };
+        let counts = stream_points(&mut disk, 0, index.summary.points, predicts, process)?;
+        let mut real = RealDisk::open(std::slice::from_ref(&file), true, BackendKind::Auto)?;
+        let started = Instant::now();
+        stream_points(&mut real, 0, index.summary.points, predicts, |_, _| Ok(()))?;
+        let real_seconds = started.elapsed().as_secs_f64();
+        let stalled = crate::disk::Disk::stalled_nanoseconds(&real) as f64 * 1e-9;
+        table.row([
+            name.to_owned(),
+            number(seconds(&clock)),
+            counts.misses.to_string(),
+            counts.late.to_string(),
+            counts.prefetched_used.saturating_sub(counts.late).to_string(),
+            number(real_seconds),
+            format!("{:.0} %", 100.0 * stalled / real_seconds),
+        ]);
+    }
+    std::fs::remove_dir_all(&folder).context("temporary files")?;
+    table.note(format!(
+        "{points} points of 32 bytes, one after another, {PROCESSING_NANOSECONDS} ns for each on the simulated disk; a block of \
+         4 KiB a read, {} points ahead where three accesses in a row are as far apart from each other.",
+        crate::predict::Regular::AHEAD
+    ));
+    table.write(&setting.out, "ablation-streaming")
+}
+
+/// What a processor of the paper's day does with a point of an octree that is built.
+const PROCESSING_NANOSECONDS: u64 = 500;
