@@ -89,13 +89,17 @@ pub struct Series {
 /// # Errors
 /// What the system says.
 pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> Result<()> {
-    const COLORS: [RGBColor; 6] = [
+    const COLORS: [RGBColor; 10] = [
         RGBColor(31, 119, 180),
         RGBColor(214, 39, 40),
         RGBColor(44, 160, 44),
         RGBColor(148, 103, 189),
         RGBColor(255, 127, 14),
         RGBColor(90, 90, 90),
+        RGBColor(140, 86, 75),
+        RGBColor(227, 119, 194),
+        RGBColor(188, 189, 34),
+        RGBColor(23, 190, 207),
     ];
     let all = || series.iter().flat_map(|s| &s.points);
     let span = |values: Vec<f64>| {
@@ -107,13 +111,7 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         return Ok(());
     }
     let (x, y) = (span(all().map(|p| p.0).collect()), span(all().map(|p| p.1).collect()));
-    // Where lines that rise, or fall, leave room.
-    let falls = |s: &Series| s.points.first().map(|p| p.1) > s.points.last().map(|p| p.1);
-    let corner = if series.iter().all(falls) {
-        SeriesLabelPosition::UpperRight
-    } else {
-        SeriesLabelPosition::UpperLeft
-    };
+    let corner = emptiest_corner(&x, &y, all().copied());
     let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw {}: {e}", path.display());
     let area = SVGBackend::new(path, (720, 440)).into_drawing_area();
     area.fill(&WHITE).map_err(|e| failed(&e))?;
@@ -149,27 +147,46 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
     area.present().map_err(|e| failed(&e))
 }
 
-/// Writes values as bars, one below the other, on a logarithmic scale; all above 0.
+/// The corner of a logarithmic plot that has the fewest points.
+fn emptiest_corner(
+    x: &std::ops::Range<f64>,
+    y: &std::ops::Range<f64>,
+    points: impl Iterator<Item = (f64, f64)>,
+) -> SeriesLabelPosition {
+    let part = |v: f64, of: &std::ops::Range<f64>| (v / of.start).ln() / (of.end / of.start).ln();
+    let mut counts = [0; 4];
+    for point in points {
+        let (right, above) = (part(point.0, x), part(point.1, y));
+        counts[usize::from(right > 0.5) + 2 * usize::from(above > 0.5)] += 1;
+    }
+    let corners = [
+        (counts[2], SeriesLabelPosition::UpperLeft),
+        (counts[3], SeriesLabelPosition::UpperRight),
+        (counts[1], SeriesLabelPosition::LowerRight),
+        (counts[0], SeriesLabelPosition::LowerLeft),
+    ];
+    corners.into_iter().min_by_key(|(count, _)| *count).map_or(SeriesLabelPosition::UpperLeft, |c| c.1)
+}
+
+/// Writes values as bars, one below the other.
 ///
 /// # Errors
 /// What the system says.
 pub fn bars(path: &Path, title: &str, unit: &str, values: &[(String, f64)]) -> Result<()> {
     let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw {}: {e}", path.display());
-    let least = values.iter().map(|v| v.1).fold(f64::INFINITY, f64::min);
     let most = values.iter().map(|v| v.1).fold(0.0, f64::max);
-    if values.is_empty() || !(least > 0.0 && most.is_finite()) {
+    if !(most > 0.0 && most.is_finite()) {
         return Ok(());
     }
     let rows = values.len();
     let area = SVGBackend::new(path, (760, 90 + 20 * rows as u32)).into_drawing_area();
     area.fill(&WHITE).map_err(|e| failed(&e))?;
-    let low = least / 1.6;
     let mut chart = ChartBuilder::on(&area)
         .caption(title, ("sans-serif", 18))
         .margin(12)
         .x_label_area_size(40)
         .y_label_area_size(290)
-        .build_cartesian_2d((low..most * 1.3).log_scale(), 0.0..rows as f64)
+        .build_cartesian_2d(0.0..most * 1.05, 0.0..rows as f64)
         .map_err(|e| failed(&e))?;
     // The labels of an axis stand at ticks, and bars between them: names are drawn beside their bars instead.
     chart
@@ -183,9 +200,9 @@ pub fn bars(path: &Path, title: &str, unit: &str, values: &[(String, f64)]) -> R
     let style = ("sans-serif", 13).into_font();
     for (row, (name, value)) in values.iter().enumerate() {
         let top = (rows - row) as f64;
-        let bar = Rectangle::new([(low, top - 0.85), (*value, top - 0.15)], RGBColor(31, 119, 180).filled());
+        let bar = Rectangle::new([(0.0, top - 0.85), (*value, top - 0.15)], RGBColor(31, 119, 180).filled());
         chart.draw_series(std::iter::once(bar)).map_err(|e| failed(&e))?;
-        let (_, y) = chart.backend_coord(&(low, top - 0.25));
+        let (_, y) = chart.backend_coord(&(0.0, top - 0.25));
         area.draw(&Text::new(format!("{name}: {}", number(*value)), (16, y), style.clone()))
             .map_err(|e| failed(&e))?;
     }

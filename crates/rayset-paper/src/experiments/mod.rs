@@ -164,6 +164,12 @@ impl Subject {
         self.scene = Scene::of_cloud(self.object());
     }
 
+    /// Takes samples so far apart, world units.
+    pub(crate) fn set_step(&mut self, step: f64) {
+        self.step = step;
+        self.settings.step = Step::Fixed(step);
+    }
+
     /// The reference index.
     pub(crate) fn index(&self, folder: &Path, limits: IndexLimits) -> Result<Index> {
         Ok(Index::build(&self.cloud, folder, limits)?)

@@ -21,6 +21,10 @@ const CAP_BYTES: u64 = 32 << 20;
 const PROCESS_BYTES: u64 = 14 << 20;
 /// Of that, where the system's file cache is to have a part: what caches of records have.
 const BESIDE_FILE_CACHE_BYTES: u64 = 6 << 20;
+/// Larger octrees take hours, point by point past the page cache.
+const MOST_POINTS: u64 = 300_000;
+/// A run that takes so many seconds is made once.
+const LONG: f64 = 20.0;
 /// A run is ended when it has taken so many times as long as the one that prefetches.
 const STOPPED_AT: f64 = 20.0;
 
@@ -73,9 +77,7 @@ fn reference(setting: &Setting) -> Result<()> {
         "shipping",
     ];
     let mut lines = names.map(|name| Series { name: name.into(), points: Vec::new() });
-    for size in
-        growing::sizes(setting).into_iter().filter(|size| setting.pick(true, size.points != 2_300_000))
-    {
+    for size in growing::sizes(setting).into_iter().filter(|size| size.points <= MOST_POINTS) {
         let folder = setting.work.join("paging");
         let Grown { subject, index, .. } = growing::build(size, side, &folder)?;
         std::fs::write(folder.join("index.json"), serde_json::to_string(&index.summary)?)?;
@@ -104,25 +106,22 @@ fn reference(setting: &Setting) -> Result<()> {
             capped(&["--records", kind, "--image", &image.display().to_string()], limit)
         };
         let for_records = CAP_BYTES - PROCESS_BYTES;
-        let mut limit = None;
-        let mut times: [Vec<f64>; 8] = Default::default();
-        for _ in 0..repeats {
-            let cached = ["--predictor", "line", "--buffered"];
-            let line = caches(for_records, &["--predictor", "line"], None)?;
-            limit = limit.or(Some(STOPPED_AT * line));
-            let found = [
-                map("map", &grown, limit)?,
-                map("map-random", &grown, limit)?,
-                map("map", &file_order, limit)?,
-                map("map-random", &file_order, limit)?,
-                caches(for_records, &["--predictor", "none"], limit)?,
-                line,
-                caches(BESIDE_FILE_CACHE_BYTES, &cached, limit)?,
-                capped(&["--records", "shipping", "--page-bytes", &for_records.to_string()], limit)?,
-            ];
-            times.iter_mut().zip(found).for_each(|(times, found)| times.push(found));
-        }
-        let times = times.map(|mut times| median(&mut times));
+        let cached = ["--predictor", "line", "--buffered"];
+        let line = caches(for_records, &["--predictor", "line"], None)?;
+        let limit = Some(STOPPED_AT * line);
+        let times = in_turn(
+            repeats,
+            [
+                &|| map("map", &grown, limit),
+                &|| map("map-random", &grown, limit),
+                &|| map("map", &file_order, limit),
+                &|| map("map-random", &file_order, limit),
+                &|| caches(for_records, &["--predictor", "none"], limit),
+                &|| caches(for_records, &["--predictor", "line"], None),
+                &|| caches(BESIDE_FILE_CACHE_BYTES, &cached, limit),
+                &|| capped(&["--records", "shipping", "--page-bytes", &for_records.to_string()], limit),
+            ],
+        )?;
         let ratio = whole as f64 / CAP_BYTES as f64;
         for (series, time) in lines.iter_mut().zip(times) {
             series.points.push((ratio, time));
@@ -143,7 +142,7 @@ fn reference(setting: &Setting) -> Result<()> {
          file order: as the files of the index have them. Each run is a process of its own in a control group whose limit \
          counts page cache too; files are driven out of the page cache first. Caches have {} MiB for records and what goes \
          with them, read past the page cache; with a file cache {} MiB, and the rest of the cap is the system's. The engine \
-         that ships has {} MiB for pages. Medians of {repeats}; a run is ended at {STOPPED_AT} times the time of `line`.",
+         that ships has {} MiB for pages. Medians of {repeats} that take turns, runs of {LONG} s and more once; a run is ended at {STOPPED_AT} times the time of `line`.",
         (CAP_BYTES - PROCESS_BYTES) >> 20,
         BESIDE_FILE_CACHE_BYTES >> 20,
         (CAP_BYTES - PROCESS_BYTES) >> 20
@@ -174,21 +173,23 @@ fn shipping(setting: &Setting) -> Result<()> {
             "map, random / packet",
         ],
     );
-    let mut lines: Vec<Series> = Vec::new();
-    for (kind, more) in [("opaque", None), ("translucent", Some("--translucent"))] {
-        lines.extend(
-            ["map", "map, random advice", "packet"]
-                .map(|name| Series { name: format!("{kind}: {name}"), points: Vec::new() }),
-        );
-        let place = lines.len() - 3;
-        for &points in sizes {
-            let folder = setting.work.join("paging-shipping");
-            std::fs::create_dir_all(&folder)?;
-            let workload: Workload = format!("sphere-{points}").parse()?;
-            let cloud = folder.join("c.rset");
-            let subject = Subject::build(workload.source(), workload.radius(), side, &cloud)?;
-            let file_bytes = subject.cloud.header().file_bytes;
-            drop(subject);
+    let kinds = [("opaque", None), ("translucent", Some("--translucent"))];
+    let policies = ["map", "map, random advice", "packet"];
+    let mut lines: Vec<Series> = kinds
+        .iter()
+        .flat_map(|(kind, _)| policies.map(|policy| format!("{kind}: {policy}")))
+        .map(|name| Series { name, points: Vec::new() })
+        .collect();
+    for &points in sizes {
+        let folder = setting.work.join("paging-shipping");
+        std::fs::create_dir_all(&folder)?;
+        let workload: Workload = format!("sphere-{points}").parse()?;
+        let cloud = folder.join("c.rset");
+        let subject = Subject::build(workload.source(), workload.radius(), side, &cloud)?;
+        let file_bytes = subject.cloud.header().file_bytes;
+        drop(subject);
+        let ratio = file_bytes as f64 / CAP_BYTES as f64;
+        for ((kind, more), lines) in kinds.iter().zip(lines.chunks_mut(policies.len())) {
             let cold = [cloud.clone()];
             let side = side.to_string();
             let capped = |records: &str, predictor: &str, bytes: u64, limit| {
@@ -199,38 +200,33 @@ fn shipping(setting: &Setting) -> Result<()> {
                 capped_seconds(&cloud, None, &all, &cold, limit)
             };
             let pages = CAP_BYTES - PROCESS_BYTES;
-            let mut limit = None;
-            let mut times: [Vec<f64>; 4] = Default::default();
-            for _ in 0..repeats {
-                let packet = capped("shipping", "packet", pages, None)?;
-                limit = limit.or(Some(STOPPED_AT * packet));
-                let found = [
-                    capped("shipping-map", "none", MAPPED_BYTES, limit)?,
-                    capped("shipping-map-random", "none", MAPPED_BYTES, limit)?,
-                    capped("shipping", "none", pages, limit)?,
-                    packet,
-                ];
-                times.iter_mut().zip(found).for_each(|(times, found)| times.push(found));
-            }
-            let times = times.map(|mut times| median(&mut times));
-            let ratio = file_bytes as f64 / CAP_BYTES as f64;
-            for (series, time) in lines[place..].iter_mut().zip([times[0], times[1], times[3]]) {
+            let limit = Some(STOPPED_AT * capped("shipping", "packet", pages, None)?);
+            let times = in_turn(
+                repeats,
+                [
+                    &|| capped("shipping-map", "none", MAPPED_BYTES, limit),
+                    &|| capped("shipping-map-random", "none", MAPPED_BYTES, limit),
+                    &|| capped("shipping", "none", pages, limit),
+                    &|| capped("shipping", "packet", pages, None),
+                ],
+            )?;
+            for (series, time) in lines.iter_mut().zip([times[0], times[1], times[3]]) {
                 series.points.push((ratio, time));
             }
             table.row(
-                [points.to_string(), megabytes(file_bytes), number(ratio), kind.to_owned()]
+                [points.to_string(), megabytes(file_bytes), number(ratio), (*kind).to_owned()]
                     .into_iter()
                     .chain(times.map(|time| shown(time, limit)))
                     .chain([number(times[0] / times[3]), number(times[1] / times[3])]),
             );
-            std::fs::remove_dir_all(&folder)?;
         }
+        std::fs::remove_dir_all(&folder)?;
     }
     table.note(format!(
         "Spheres, about 40 supports overlapping, {side}×{side} rays, one thread. Map: the same engine over the same file, \
          whose pages are used where the system maps them, without copies; each is checked when it is first used, and again \
          once {} MiB of others have been. Otherwise {} MiB for pages, direct reads. Page cache cold and counted; medians of \
-         {repeats}; a run is ended at {STOPPED_AT} times the time of `packet`.",
+         {repeats} that take turns, runs of {LONG} s and more once; a run is ended at {STOPPED_AT} times the time of `packet`.",
         MAPPED_BYTES >> 20,
         (CAP_BYTES - PROCESS_BYTES) >> 20
     ));
@@ -256,6 +252,19 @@ fn shown(time: f64, limit: Option<f64>) -> String {
     } else {
         number(time)
     }
+}
+
+/// Medians of runs that take turns, so that what else the machine does meets all alike.
+fn in_turn<const N: usize>(repeats: usize, runs: [&dyn Fn() -> Result<f64>; N]) -> Result<[f64; N]> {
+    let mut times: [Vec<f64>; N] = std::array::from_fn(|_| Vec::new());
+    for _ in 0..repeats {
+        for (times, run) in times.iter_mut().zip(runs) {
+            if times.first().is_none_or(|first| *first < LONG) {
+                times.push(run()?);
+            }
+        }
+    }
+    Ok(times.map(|mut times| median(&mut times)))
 }
 
 /// Seconds of a render in a process under the cap, or the limit where it is ended there.
