@@ -60,6 +60,10 @@ impl ReadBackend for MappedBackend {
         }
     }
 
+    fn brings_memory(&self) -> bool {
+        true
+    }
+
     fn name(&self) -> String {
         "map".into()
     }
@@ -77,4 +81,30 @@ pub fn make_cold(paths: &[PathBuf]) -> io::Result<()> {
         rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use rayset::points::Workload;
+    use rayset::trace::predict::NoPredictor;
+
+    use super::*;
+    use crate::experiments::Subject;
+
+    #[test]
+    fn the_engine_that_ships_makes_the_same_picture_from_a_map_of_its_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cloud = folder.path().join("c.rset");
+        let workload: Workload = "sphere-30k".parse().expect("a workload");
+        let subject = Subject::build(workload.source(), workload.radius(), 24, &cloud).expect("a cloud");
+        let (picture, _) = subject.shipping().expect("a picture");
+        for (access, page_bytes) in [(Access::Plain, 1 << 30), (Access::Random, 96 << 10)] {
+            let backend = Arc::new(MappedBackend::open(&cloud, access).expect("a map"));
+            let (mapped, _, statistics) =
+                subject.shipping_by(page_bytes, backend, Arc::new(NoPredictor)).expect("a picture");
+            assert!(mapped == picture, "{access:?}");
+            let evictions: u64 = statistics.by_kind.iter().map(|kind| kind.evictions).sum();
+            assert_eq!(evictions > 0, page_bytes < 1 << 20);
+        }
+    }
 }

@@ -4,8 +4,10 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, ensure};
 
-use super::{Setting, Subject, scan_or};
+use super::{Setting, Subject, differing, in_core, same_picture_note, scan_or};
+use crate::engine::all_pixels;
 use crate::index::Limits;
+use crate::predict::Variant;
 use crate::report::{Table, bars, megabytes, number};
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
@@ -16,6 +18,9 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let source = scan_or(setting, setting.pick("vase-8k", "vase-35947"))?;
     let subject = Subject::build(source, None, side, &cloud)?;
     let index = subject.index(&folder, Limits { height: 6, leaf_points: 32 })?;
+    let (picture, _) = subject.reference(in_core(&index)?, Variant::None, all_pixels(&subject.settings))?;
+    let (shipped, _) = subject.shipping()?;
+    let worst = differing(&picture, &shipped);
     let summary = folder.join("index.json");
     std::fs::write(&summary, serde_json::to_string(&index.summary)?)?;
     let mut table = Table::new(
@@ -30,6 +35,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     ];
     let mut bars_shown =
         vec![("paper, in core".to_owned(), 300.0), ("paper, out of core: under".to_owned(), 20.0)];
+    let mut first_picture: Option<String> = None;
     for (name, paper, caches) in runs {
         let mut command = Command::new(&program);
         command.arg("render").arg(&cloud).arg("--index").arg(&folder).args(["--side", &side.to_string()]);
@@ -42,6 +48,9 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let output = command.output().context("cannot start a render")?;
         ensure!(output.status.success(), "no picture: {}", String::from_utf8_lossy(&output.stderr));
         let found: serde_json::Value = serde_json::from_slice(&output.stdout)?;
+        let picture = found["picture"].as_str().unwrap_or_default().to_owned();
+        let first = first_picture.get_or_insert_with(|| picture.clone());
+        ensure!(*first == picture, "{name}: another picture than in core");
         let peak = found["peak_rss_bytes"].as_u64().unwrap_or(0);
         bars_shown.push((
             format!("{name}, {}", caches.map_or("all".into(), |c| format!("{} and {}", c.0, c.1))),
@@ -65,6 +74,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         index.summary.nodes,
         megabytes(index.summary.index_bytes())
     ));
+    table.note(same_picture_note(worst));
     table.write(&setting.out, "memory")?;
     bars(&setting.out.join("memory.svg"), "Memory: whole-process peaks", "MB", &bars_shown)
 }

@@ -8,9 +8,9 @@ use rayset::points::Workload;
 use rayset::scene::CloudObject;
 use rayset::trace::judge::PointField;
 
-use super::{BATCH, Setting, Subject};
+use super::{BATCH, Setting, Subject, differing, same_picture_note};
 use crate::cache::CacheError;
-use crate::engine::{self, EngineError, IndexField, all_pixels};
+use crate::engine::{self, EngineError, IndexField, Picture, all_pixels};
 use crate::index::{Index, Limits};
 use crate::predict::Variant;
 use crate::record::{NODE_BYTES, POINT_BYTES};
@@ -25,6 +25,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         &["height h", "smallest node cache that runs", "of it, a path", "bytes for n = 1", "n = 2", "n = 10"],
     );
     let mut line = Series { name: "nodes".into(), points: Vec::new() };
+    let mut worst: f64 = 0.0;
     for height in setting.pick(2..5, 2..8) {
         let folder = setting.work.join(format!("minimum-{height}"));
         std::fs::create_dir_all(&folder)?;
@@ -32,9 +33,13 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let subject = Subject::build(workload.source(), Some(0.1), side, &folder.join("c.rset"))?;
         let index = subject.index(&folder, Limits { height, leaf_points: 1 })?;
         let mut smallest = 1;
-        while !runs(&subject, &index, smallest)? {
+        let picture = loop {
+            if let Some(picture) = picture_with(&subject, &index, smallest)? {
+                break picture;
+            }
             smallest += 1;
-        }
+        };
+        worst = worst.max(differing(&picture, &subject.shipping()?.0));
         // With the one secondary record and the one point.
         let bytes = ((smallest + 1) * NODE_BYTES + POINT_BYTES) as u64;
         line.points.push((f64::from(height), smallest as f64));
@@ -54,12 +59,13 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
          that ships needs {} pages for one thread, whatever the height and however many the clouds.",
         rayset::trace::memory::least_pages(1)
     ));
+    table.note(same_picture_note(worst));
     table.write(&setting.out, "minimum")?;
     plot(&setting.out.join("minimum.svg"), "Smallest node cache by height", ("height", "records"), &[line])
 }
 
-/// Whether a picture comes about with so many nodes and a single point in core.
-fn runs(subject: &Subject, index: &Index, nodes: usize) -> Result<bool> {
+/// The picture with so many nodes and a single point in core, where they are enough.
+fn picture_with(subject: &Subject, index: &Index, nodes: usize) -> Result<Option<Picture>> {
     let clock = Clock::default();
     let disk = SimulatedDisk::open(&index.files(), clock.clone())?;
     // A node cache of OutOfCore gives a part to secondary records: here it is `nodes` without that.
@@ -73,8 +79,8 @@ fn runs(subject: &Subject, index: &Index, nodes: usize) -> Result<bool> {
     let view = (&subject.camera, &subject.settings, subject.step);
     let outcome = engine::render(&subject.scene, view, &failure, given, all_pixels(&subject.settings));
     match outcome {
-        Ok(_) => Ok(true),
-        Err(EngineError::Cache(CacheError::Full { .. })) => Ok(false),
+        Ok(picture) => Ok(Some(picture)),
+        Err(EngineError::Cache(CacheError::Full { .. })) => Ok(None),
         Err(error) => Err(error.into()),
     }
 }

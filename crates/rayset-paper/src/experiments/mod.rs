@@ -60,6 +60,8 @@ pub enum Experiment {
     Fig8,
     /// The same on the disk there is, under a hard cap on memory.
     Paging,
+    /// The engine that ships against its own file in a memory map, under that cap.
+    PagingShipping,
     /// Node cache by point cache.
     Table2,
     /// Many point sets in one scene.
@@ -102,11 +104,12 @@ pub fn run(experiment: Experiment, setting: &Setting) -> Result<()> {
     let all = experiment == Experiment::All;
     let wanted = |one: Experiment| all || experiment == one;
     type Run = fn(&Setting) -> Result<()>;
-    let known: [(Experiment, Run); 9] = [
+    let known: [(Experiment, Run); 10] = [
         (Experiment::Table1, table1::run),
         (Experiment::Fig5, fig5::run),
         (Experiment::Fig8, fig8::run),
-        (Experiment::Paging, paging::run),
+        (Experiment::Paging, paging::reference),
+        (Experiment::PagingShipping, paging::shipping),
         (Experiment::Table2, table2::run),
         (Experiment::Table3, table3::run),
         (Experiment::Memory, memory::run),

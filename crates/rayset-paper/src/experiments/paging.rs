@@ -1,6 +1,7 @@
 //! Fig. 8 on the disk there is, for both engines: each run in a process of its own under a hard cap on memory, page cache
 //! cold and counted.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -28,22 +29,13 @@ const LONG: f64 = 20.0;
 /// A run is ended when it has taken so many times as long as the one that prefetches.
 const STOPPED_AT: f64 = 20.0;
 
-pub(super) fn run(setting: &Setting) -> Result<()> {
-    if Cap::new(CAP_BYTES).is_none() {
-        for (name, title) in [("paging", REFERENCE_TITLE), ("paging-shipping", SHIPPING_TITLE)] {
-            let mut table = Table::new(title, &["not measured"]);
-            table.note("This system lets nobody cap the memory of a process by control groups: left out.");
-            table.write(&setting.out, name)?;
-        }
-        return Ok(());
-    }
-    reference(setting)?;
-    shipping(setting)
-}
-
 const REFERENCE_TITLE: &str = "Paging on this machine's disk, under a cap of 32 MiB: the reference engine";
 
-fn reference(setting: &Setting) -> Result<()> {
+/// The reference engine.
+pub(super) fn reference(setting: &Setting) -> Result<()> {
+    if left_out(setting, "paging", REFERENCE_TITLE)? {
+        return Ok(());
+    }
     let side = setting.pick(24, 96);
     let repeats = setting.pick(1, 3);
     let mut table = Table::new(
@@ -107,10 +99,13 @@ fn reference(setting: &Setting) -> Result<()> {
         };
         let for_records = CAP_BYTES - PROCESS_BYTES;
         let cached = ["--predictor", "line", "--buffered"];
-        let line = caches(for_records, &["--predictor", "line"], None)?;
+        let line = caches(for_records, &["--predictor", "line"], None)?.seconds;
         let limit = Some(STOPPED_AT * line);
+        let mut engines = ["reference"; 8];
+        engines[7] = "shipping";
         let times = in_turn(
             repeats,
+            engines,
             [
                 &|| map("map", &grown, limit),
                 &|| map("map-random", &grown, limit),
@@ -153,11 +148,14 @@ fn reference(setting: &Setting) -> Result<()> {
 
 const SHIPPING_TITLE: &str = "Paging on this machine's disk, under a cap of 32 MiB: the engine that ships";
 
-fn shipping(setting: &Setting) -> Result<()> {
-    let side = setting.pick(32, 256);
+/// The engine that ships.
+pub(super) fn shipping(setting: &Setting) -> Result<()> {
+    if left_out(setting, "paging-shipping", SHIPPING_TITLE)? {
+        return Ok(());
+    }
+    let side = setting.pick(32, 128);
     let repeats = setting.pick(1, 3);
-    let sizes: &[u64] = setting
-        .pick(&[20_000], &[1_200_000, 2_500_000, 5_000_000, 10_000_000, 20_000_000, 40_000_000, 80_000_000]);
+    let sizes: &[u64] = setting.pick(&[20_000], &[1_200_000, 5_000_000, 20_000_000, 80_000_000]);
     let mut table = Table::new(
         SHIPPING_TITLE,
         &[
@@ -200,9 +198,10 @@ fn shipping(setting: &Setting) -> Result<()> {
                 capped_seconds(&cloud, None, &all, &cold, limit)
             };
             let pages = CAP_BYTES - PROCESS_BYTES;
-            let limit = Some(STOPPED_AT * capped("shipping", "packet", pages, None)?);
+            let limit = Some(STOPPED_AT * capped("shipping", "packet", pages, None)?.seconds);
             let times = in_turn(
                 repeats,
+                ["shipping"; 4],
                 [
                     &|| capped("shipping-map", "none", MAPPED_BYTES, limit),
                     &|| capped("shipping-map-random", "none", MAPPED_BYTES, limit),
@@ -239,6 +238,17 @@ fn shipping(setting: &Setting) -> Result<()> {
     )
 }
 
+/// Says so where memory cannot be capped here.
+fn left_out(setting: &Setting, name: &str, title: &str) -> Result<bool> {
+    if Cap::new(CAP_BYTES).is_some() {
+        return Ok(false);
+    }
+    let mut table = Table::new(title, &["not measured"]);
+    table.note("This system lets nobody cap the memory of a process by control groups: left out.");
+    table.write(&setting.out, name)?;
+    Ok(true)
+}
+
 /// Pages of a map that the working set knows of at a time; they take none of its memory.
 const MAPPED_BYTES: u64 = 256 << 20;
 
@@ -254,13 +264,31 @@ fn shown(time: f64, limit: Option<f64>) -> String {
     }
 }
 
+/// A run: how long it took, and what its picture is, where it came to an end.
+struct Run {
+    seconds: f64,
+    picture: Option<String>,
+}
+
 /// Medians of runs that take turns, so that what else the machine does meets all alike.
-fn in_turn<const N: usize>(repeats: usize, runs: [&dyn Fn() -> Result<f64>; N]) -> Result<[f64; N]> {
+fn in_turn<const N: usize>(
+    repeats: usize,
+    engines: [&str; N],
+    runs: [&dyn Fn() -> Result<Run>; N],
+) -> Result<[f64; N]> {
     let mut times: [Vec<f64>; N] = std::array::from_fn(|_| Vec::new());
+    let mut pictures: HashMap<&str, String> = HashMap::new();
     for _ in 0..repeats {
-        for (times, run) in times.iter_mut().zip(runs) {
-            if times.first().is_none_or(|first| *first < LONG) {
-                times.push(run()?);
+        for ((times, run), engine) in times.iter_mut().zip(runs).zip(engines) {
+            if times.first().is_some_and(|first| *first >= LONG) {
+                continue;
+            }
+            let Run { seconds, picture } = run()?;
+            times.push(seconds);
+            // One engine makes one picture, wherever its data are.
+            if let Some(picture) = picture {
+                let known = pictures.entry(engine).or_insert_with(|| picture.clone());
+                ensure!(*known == picture, "the {engine} engine made two different pictures");
             }
         }
     }
@@ -274,7 +302,7 @@ fn capped_seconds(
     arguments: &[&str],
     cold: &[PathBuf],
     limit: Option<f64>,
-) -> Result<f64> {
+) -> Result<Run> {
     make_cold(cold)?;
     let cap = Cap::new(CAP_BYTES).context("a control group")?;
     let program = std::env::current_exe().context("cannot find this program's own file")?;
@@ -289,12 +317,13 @@ fn capped_seconds(
     let output = cap.run(&command).context("cannot start a render")?;
     // `timeout` ends with 124.
     if let (Some(limit), Some(124)) = (limit, output.status.code()) {
-        return Ok(limit);
+        return Ok(Run { seconds: limit, picture: None });
     }
     let error = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{arguments:?}: {} {error}", output.status);
     let peak = cap.peak_bytes().unwrap_or(0);
     ensure!(peak <= CAP_BYTES, "{peak} bytes were used under a cap of {CAP_BYTES}");
     let found: serde_json::Value = serde_json::from_slice(&output.stdout)?;
-    found["seconds"].as_f64().context("a report without seconds")
+    let seconds = found["seconds"].as_f64().context("a report without seconds")?;
+    Ok(Run { seconds, picture: found["picture"].as_str().map(ToOwned::to_owned) })
 }

@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::{BATCH, Subject, in_core};
 use crate::cache::CacheCounts;
 use crate::disk::RealDisk;
-use crate::engine::all_pixels;
+use crate::engine::{Picture, all_pixels};
 use crate::index::Index;
 use crate::mapped::{self, Access, MappedBackend};
 use crate::memory::Flat;
@@ -120,6 +120,8 @@ struct Found {
     seconds: f64,
     peak_rss_bytes: Option<u64>,
     stalled_seconds: f64,
+    /// Of the picture's bits: FNV-1a, 64 bits.
+    picture: String,
     /// Of nodes, secondary records and points.
     caches: Vec<CacheCounts>,
 }
@@ -136,12 +138,12 @@ pub fn run(args: &RenderArgs) -> Result<String> {
     let started = Instant::now();
     let pixels = all_pixels(&subject.settings);
     let mut cost = (0, Vec::new());
-    match args.records {
-        Kept::InCore => drop(subject.reference(in_core(&index(args)?)?, args.predictor, pixels)?),
+    let picture = match args.records {
+        Kept::InCore => subject.reference(in_core(&index(args)?)?, args.predictor, pixels)?.0,
         Kept::Map | Kept::MapRandom => {
             let access = if args.records == Kept::Map { Access::Plain } else { Access::Random };
             let records = image(args.image.as_deref(), access)?;
-            drop(subject.reference(records, args.predictor, pixels)?);
+            subject.reference(records, args.predictor, pixels)?.0
         }
         Kept::Shipping | Kept::ShippingMap | Kept::ShippingMapRandom => {
             let backend: Arc<dyn ReadBackend> = match args.records {
@@ -154,26 +156,37 @@ pub fn run(args: &RenderArgs) -> Result<String> {
                 ShipPredictor::Line => Arc::new(LinePredictor),
                 ShipPredictor::Packet => Arc::new(PacketPredictor::default()),
             };
-            let (_, _, statistics) = subject.shipping_by(args.page_bytes, backend, predictor)?;
+            let (picture, _, statistics) = subject.shipping_by(args.page_bytes, backend, predictor)?;
             cost.0 = statistics.by_kind.iter().map(|kind| kind.stall_nanoseconds).sum();
+            picture
         }
         Kept::Caches => {
             let budget = Budget { nodes: args.nodes, points: args.points };
             let disk = RealDisk::open(&index(args)?.files(), !args.buffered, args.backend.into())?;
             let prefetches = args.predictor != Variant::None;
             let records = OutOfCore::new(Box::new(disk), budget, BATCH, prefetches, None);
-            let (_, records) = subject.reference(records, args.predictor, pixels)?;
+            let (picture, records) = subject.reference(records, args.predictor, pixels)?;
             cost = (records.stalled_nanoseconds(), records.counts().to_vec());
+            picture
         }
-    }
+    };
     let (stalled, caches) = cost;
     let found = Found {
         seconds: started.elapsed().as_secs_f64(),
         peak_rss_bytes: peak_rss(),
+        picture: fingerprint(&picture),
         stalled_seconds: stalled as f64 * 1e-9,
         caches,
     };
     Ok(serde_json::to_string(&found)?)
+}
+
+fn fingerprint(picture: &Picture) -> String {
+    let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
+    for byte in picture.iter().flatten().flat_map(|v| v.to_bits().to_le_bytes()) {
+        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    }
+    format!("{hash:016x}")
 }
 
 /// The index that was named.

@@ -66,6 +66,8 @@ struct Books {
     spare: Vec<PageBuffer>,
     /// Memory that was taken from the allocator together with some that is in use.
     fresh: Vec<PageBuffer>,
+    /// Zeros that stand for memory which a read is going to bring.
+    stand_in: Option<Arc<Vec<u8>>>,
 }
 
 pub(super) struct Ledger {
@@ -113,7 +115,8 @@ impl Obstacle {
 }
 
 impl Ledger {
-    pub(super) fn new(limits: Limits) -> Self {
+    /// Books for so much memory. Where reads bring their own memory, none is taken for them.
+    pub(super) fn new(limits: Limits, reads_bring_memory: bool) -> Self {
         let books = Books {
             limits,
             used: 0,
@@ -126,6 +129,7 @@ impl Ledger {
             candidates: Vec::new(),
             spare: Vec::new(),
             fresh: Vec::new(),
+            stand_in: reads_bring_memory.then(Arc::default),
         };
         Self {
             books: Mutex::new(books),
@@ -378,6 +382,14 @@ impl Books {
     /// Memory for a page, many at a time: taken one by one, in between what else is allocated, pages would crumble the
     /// allocator's memory, and the process would exceed its budget.
     fn take_fresh(&mut self, bytes: u64) -> PageBuffer {
+        if let Some(stand_in) = &mut self.stand_in {
+            if (stand_in.len() as u64) < bytes {
+                *stand_in = Arc::new(vec![0; bytes as usize]);
+            }
+            if let Some(buffer) = PageBuffer::shared(stand_in.clone(), 0..bytes as usize) {
+                return buffer;
+            }
+        }
         let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
         if let Some(at) = self.fresh.iter().position(fits) {
             return self.fresh.swap_remove(at);

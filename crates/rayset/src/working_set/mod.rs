@@ -65,7 +65,7 @@ impl WorkingSet {
     #[must_use]
     pub fn new(limits: Limits, backend: Arc<dyn ReadBackend>) -> Self {
         let shared = Shared {
-            ledger: Ledger::new(limits),
+            ledger: Ledger::new(limits, backend.brings_memory()),
             backend,
             clock: AtomicU64::new(1),
             period: AtomicU32::new(1),

@@ -15,7 +15,9 @@ use crate::index::Limits;
 use crate::report::{Series, Table, number, plot};
 
 /// Radii, as parts of that at which neighbours meet.
-const RADII: [f64; 2] = [1.0, 4.0];
+const RADII: [f64; 2] = [1.0, 2.0];
+/// Trees with more are not divided further: they would fill memory.
+const MOST_REFERENCES: f64 = 300.0;
 /// A cell with no more points is not divided.
 const LEAF_POINTS: u64 = 32;
 
@@ -56,11 +58,16 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
                 name: format!("{name}, radius {part}: {division}"),
                 points: vec![],
             });
+            let mut most: f64 = 0.0;
             for height in setting.pick(3..5, 3..8) {
+                if most > MOST_REFERENCES {
+                    break;
+                }
                 let limits = Limits { height, leaf_points: LEAF_POINTS };
                 let found = measure(&subject, limits, &folder, repeats)?;
                 for ((curve, division), found) in curves.iter_mut().zip(["octants", "k-d"]).zip(found) {
                     worst = worst.max(found.differing);
+                    most = most.max(found.references);
                     curve.points.push((found.references, found.looked_at));
                     let head = [format!("{name}, {}", subject.cloud.header().points), number(part)];
                     table.row(

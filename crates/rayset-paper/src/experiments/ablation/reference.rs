@@ -5,7 +5,9 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use rayset::working_set::read::BackendKind;
 
-use super::super::{BATCH, Setting, SimulatedRun, Subject, budget_of, median, scan_or, seconds};
+use super::super::{
+    BATCH, Setting, SimulatedRun, Subject, budget_of, differing, median, same_picture_note, scan_or, seconds,
+};
 use crate::disk::RealDisk;
 use crate::engine::all_pixels;
 use crate::index::{Index, Limits, stream_points};
@@ -45,9 +47,12 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         ],
     );
     let repeats = setting.pick(1, 3);
+    let (shipped, _) = subject.shipping()?;
+    let mut worst: f64 = 0.0;
     let mut shown = Vec::new();
     for Change { what, value, run, backend } in changes(setting, usual, memory) {
-        let (_, simulated, records) = subject.simulated(&index, run)?;
+        let (picture, simulated, records) = subject.simulated(&index, run)?;
+        worst = worst.max(differing(&picture, &shipped));
         let [nodes, secondary, points] = records.counts();
         let used = |used: u64, all: u64| {
             (100 * used).checked_div(all).map_or_else(|| "–".into(), |percent| format!("{percent} %"))
@@ -90,6 +95,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
          that too. The real disk is read past the page cache; medians of {repeats}.",
         index.summary.points, index.summary.nodes, usual.budget.nodes, usual.budget.points
     ));
+    table.note(same_picture_note(worst));
     table.write(&setting.out, "ablation")?;
     bars(&setting.out.join("ablation.svg"), "Ablation: seconds on the simulated disk", "seconds", &shown)
 }
