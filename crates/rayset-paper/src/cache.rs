@@ -138,6 +138,8 @@ pub struct RecordCache {
     free: Vec<Slot>,
     /// Residents that nobody retains, by priority.
     queues: [Queue; 256],
+    /// Queues below this are empty.
+    least_queue: usize,
     /// The read of each record on its way, and where in its bytes the record is.
     on_their_way: HashMap<Slot, (Ticket, usize)>,
     arrived: HashMap<Ticket, Arrived>,
@@ -160,6 +162,7 @@ impl RecordCache {
             buckets: Vec::new(),
             free: Vec::new(),
             queues: [Queue { first: NO_SLOT, last: NO_SLOT }; 256],
+            least_queue: 256,
             on_their_way: HashMap::new(),
             arrived: HashMap::new(),
             loading: VecDeque::new(),
@@ -338,7 +341,9 @@ impl RecordCache {
     /// Puts a resident that nobody retains at the end of those of its priority.
     fn queue(&mut self, slot: Slot) {
         self.unqueue(slot);
-        let queue = &mut self.queues[self.entries[slot as usize].priority as usize];
+        let priority = usize::from(self.entry(slot).priority);
+        self.least_queue = self.least_queue.min(priority);
+        let queue = &mut self.queues[priority];
         let before = std::mem::replace(&mut queue.last, slot);
         if before == NO_SLOT {
             queue.first = slot;
@@ -380,7 +385,13 @@ impl RecordCache {
     ) -> Result<(), CacheError> {
         self.settle(disk, false)?;
         let mut wanted: Vec<Vec<(u64, Slot)>> = Vec::new();
+        // More than a part of what it holds would only drive each other out.
+        let most = (self.limit / 2).max(self.group as usize);
+        let mut placed = 0;
         'records: for &record in records {
+            if placed >= most {
+                break;
+            }
             if self.is_known(record) || record >= self.end(disk) {
                 continue;
             }
@@ -398,6 +409,7 @@ impl RecordCache {
                 };
                 self.entries[slot as usize].ahead = true;
                 self.counts.prefetched += 1;
+                placed += 1;
                 together.push((member, slot));
             }
             wanted.push(together);
@@ -534,7 +546,10 @@ impl RecordCache {
 
     /// Drives out the record of least priority, the least recently used among equals, if that is at most `priority`.
     fn evict(&mut self, priority: u8) -> Option<Slot> {
-        let least = self.queues[..=usize::from(priority)].iter().find(|queue| queue.first != NO_SLOT)?;
+        let rest = &self.queues[self.least_queue..];
+        self.least_queue += rest.iter().take_while(|queue| queue.first == NO_SLOT).count();
+        let least =
+            self.queues.get(self.least_queue).filter(|_| self.least_queue <= usize::from(priority))?;
         let slot = least.first;
         self.unqueue(slot);
         self.unlink(slot);

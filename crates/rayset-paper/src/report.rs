@@ -89,6 +89,8 @@ pub struct Series {
 /// # Errors
 /// What the system says.
 pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> Result<()> {
+    const WIDTH: u32 = 920;
+    const NAMES: u32 = 260;
     const COLORS: [RGBColor; 10] = [
         RGBColor(31, 119, 180),
         RGBColor(214, 39, 40),
@@ -111,13 +113,13 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         return Ok(());
     }
     let (x, y) = (span(all().map(|p| p.0).collect()), span(all().map(|p| p.1).collect()));
-    let corner = emptiest_corner(&x, &y, all().copied());
     let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw {}: {e}", path.display());
-    let area = SVGBackend::new(path, (720, 440)).into_drawing_area();
+    let area = SVGBackend::new(path, (WIDTH, 440)).into_drawing_area();
     area.fill(&WHITE).map_err(|e| failed(&e))?;
     let mut chart = ChartBuilder::on(&area)
         .caption(title, ("sans-serif", 18))
         .margin(12)
+        .margin_right(NAMES)
         .x_label_area_size(44)
         .y_label_area_size(72)
         .build_cartesian_2d(x.log_scale(), y.log_scale())
@@ -129,43 +131,18 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         .light_line_style(WHITE)
         .draw()
         .map_err(|e| failed(&e))?;
-    for (one, color) in series.iter().zip(COLORS.iter().cycle()) {
+    // Names stand beside the lines, which leave no corner free for certain.
+    let left = (WIDTH - NAMES) as i32 + 12;
+    for (row, (one, color)) in series.iter().zip(COLORS.iter().cycle()).enumerate() {
         let line = LineSeries::new(one.points.iter().copied(), color.stroke_width(2)).point_size(3);
-        let drawn = chart.draw_series(line).map_err(|e| failed(&e))?;
-        let color = *color;
-        drawn
-            .label(one.name.clone())
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+        chart.draw_series(line).map_err(|e| failed(&e))?;
+        let y = 60 + 20 * row as i32;
+        let stroke = PathElement::new([(left, y), (left + 18, y)], color.stroke_width(2));
+        area.draw(&stroke).map_err(|e| failed(&e))?;
+        let name = Text::new(one.name.clone(), (left + 24, y - 6), ("sans-serif", 12).into_font());
+        area.draw(&name).map_err(|e| failed(&e))?;
     }
-    chart
-        .configure_series_labels()
-        .position(corner)
-        .background_style(WHITE.mix(0.85))
-        .border_style(BLACK.mix(0.3))
-        .draw()
-        .map_err(|e| failed(&e))?;
     area.present().map_err(|e| failed(&e))
-}
-
-/// The corner of a logarithmic plot that has the fewest points.
-fn emptiest_corner(
-    x: &std::ops::Range<f64>,
-    y: &std::ops::Range<f64>,
-    points: impl Iterator<Item = (f64, f64)>,
-) -> SeriesLabelPosition {
-    let part = |v: f64, of: &std::ops::Range<f64>| (v / of.start).ln() / (of.end / of.start).ln();
-    let mut counts = [0; 4];
-    for point in points {
-        let (right, above) = (part(point.0, x), part(point.1, y));
-        counts[usize::from(right > 0.5) + 2 * usize::from(above > 0.5)] += 1;
-    }
-    let corners = [
-        (counts[2], SeriesLabelPosition::UpperLeft),
-        (counts[3], SeriesLabelPosition::UpperRight),
-        (counts[1], SeriesLabelPosition::LowerRight),
-        (counts[0], SeriesLabelPosition::LowerLeft),
-    ];
-    corners.into_iter().min_by_key(|(count, _)| *count).map_or(SeriesLabelPosition::UpperLeft, |c| c.1)
 }
 
 /// Writes values as bars, one below the other.

@@ -3,6 +3,8 @@
 //! They lie either as the files of an index do, in the order of the tree, or as a program leaves them in its heap that
 //! takes one point after another ([`grow`]).
 
+use std::fs::File;
+use std::io::Read as _;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -50,11 +52,12 @@ impl InCore {
     /// # Errors
     /// What the system says.
     pub fn load(index: &Index) -> std::io::Result<Self> {
-        let mut image = Vec::new();
+        let layout = layout_of_files(index)?;
+        let mut image = Vec::with_capacity(usize::try_from(layout.end).unwrap_or(0));
         for file in index.files() {
-            image.append(&mut std::fs::read(file)?);
+            File::open(file)?.read_to_end(&mut image)?;
         }
-        Ok(Self::new(Flat(image), layout_of_files(index)?))
+        Ok(Self::new(Flat(image), layout))
     }
 }
 
@@ -146,9 +149,9 @@ pub fn layout_of_files(index: &Index) -> std::io::Result<Layout> {
 /// # Errors
 /// What the system says.
 pub fn write_files(index: &Index, path: &Path) -> std::io::Result<Layout> {
-    let mut image = std::fs::File::create(path)?;
+    let mut image = File::create(path)?;
     for file in index.files() {
-        std::io::copy(&mut std::fs::File::open(file)?, &mut image)?;
+        std::io::copy(&mut File::open(file)?, &mut image)?;
     }
     layout_of_files(index)
 }
@@ -167,7 +170,7 @@ pub fn grow(
 ) -> std::io::Result<Option<(Vec<u8>, Layout)>> {
     let [nodes, _, points] = index.files();
     let mut root = [0; NODE_BYTES];
-    std::io::Read::read_exact(&mut std::fs::File::open(nodes)?, &mut root)?;
+    File::open(nodes)?.read_exact(&mut root)?;
     let Node { min, max, .. } = Node::decode(&root);
     let points = std::fs::read(points)?;
     let nodes_at = points.len() as u64;

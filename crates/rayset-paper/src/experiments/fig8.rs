@@ -104,8 +104,10 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let claim: Vec<(f64, f64)> = lines[5].points.iter().map(|&(ratio, line)| (ratio, 2.0 * line)).collect();
     let mut lines: Vec<Series> = lines.into();
     // By the number of points; those by the height stand in the table.
-    let by_points =
-        growing::sizes(setting).iter().filter(|size| setting.pick(true, size.height == 6)).count();
+    let by_points = growing::sizes(setting)
+        .iter()
+        .filter(|size| setting.pick(true, size.height == growing::PLOTTED_HEIGHT))
+        .count();
     lines.push(Series { name: "the paper's claim: paging is above this".into(), points: claim });
     lines.iter_mut().for_each(|line| line.points.truncate(by_points));
     plot(&setting.out.join("fig8.svg"), "Fig. 8: time by memory", ("data / memory", "seconds"), &lines)

@@ -11,6 +11,9 @@ use crate::index::{Index, Limits};
 /// The radius, as in Table 1.
 pub(super) const RADIUS: f64 = 0.1;
 
+/// Octrees of this height make a line, by their points.
+pub(super) const PLOTTED_HEIGHT: u32 = 6;
+
 /// An octree of Table 1, or beyond.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Size {

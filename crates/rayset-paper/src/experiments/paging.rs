@@ -118,7 +118,9 @@ pub(super) fn reference(setting: &Setting) -> Result<()> {
             ],
         )?;
         let ratio = whole as f64 / CAP_BYTES as f64;
-        for (series, time) in lines.iter_mut().zip(times) {
+        // By the number of points; those by the height stand in the table.
+        let is_plotted = setting.pick(true, size.height == growing::PLOTTED_HEIGHT);
+        for (series, time) in lines.iter_mut().zip(times).filter(|_| is_plotted) {
             series.points.push((ratio, time));
         }
         let least = |some: &[f64]| some.iter().copied().fold(f64::INFINITY, f64::min);
