@@ -20,7 +20,7 @@ pub const OVERHEAD_BYTES: usize = size_of::<Entry>() + 2 * size_of::<Slot>();
 pub struct CacheCounts {
     /// Records asked for that were there.
     pub hits: u64,
-    /// That were on their way.
+    /// That were on their way, and waited for.
     pub late: u64,
     /// That had to be fetched.
     pub misses: u64,
@@ -298,11 +298,12 @@ impl RecordCache {
     pub fn retain(&mut self, disk: &mut dyn Disk, record: u64, priority: u8) -> Result<Slot, CacheError> {
         let slot = match self.find(record) {
             Some(slot) => {
-                if self.entry(slot).state == State::Loading {
+                // A read that has ended need not have been seen to.
+                if self.peek(disk, record)?.is_some() {
+                    self.counts.hits += 1;
+                } else {
                     self.counts.late += 1;
                     self.arrive(disk, slot)?;
-                } else {
-                    self.counts.hits += 1;
                 }
                 slot
             }
@@ -534,6 +535,12 @@ impl RecordCache {
 
     /// A place for a record, if need be that of one of a lower priority, or of the same and used longer ago.
     fn place(&mut self, record: u64, priority: u8) -> Option<Slot> {
+        // A cache that was made smaller while its records were in use.
+        while self.resident() > self.limit
+            && let Some(slot) = self.evict(u8::MAX)
+        {
+            self.free.push(slot);
+        }
         let free = if self.resident() < self.limit { self.free.pop() } else { None };
         let slot = match free {
             Some(slot) => slot,

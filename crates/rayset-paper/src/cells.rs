@@ -96,18 +96,19 @@ impl Cells {
         self.cells.len() as u32 - 1
     }
 
-    /// Where a cell is halved: nowhere if no point lies in it, or all of them at its side.
+    /// Where a cell is halved: in the middle if no point lies in it, and is only reached; nowhere if all of them are at its side.
     fn median(&self, (min, max): (DVec3, DVec3), list: &[u32]) -> Option<(usize, f64)> {
         let size = max - min;
         let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b]))?;
         let inside = |p: &DVec3| p.cmpge(min).all() && p.cmplt(max).all();
         let mut places: Vec<f64> =
             list.iter().map(|&n| self.points[n as usize].position).filter(inside).map(|p| p[axis]).collect();
-        if places.is_empty() {
-            return None;
-        }
-        let middle = places.len() / 2;
-        let at = *places.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let at = if places.is_empty() {
+            0.5 * (min[axis] + max[axis])
+        } else {
+            let middle = places.len() / 2;
+            *places.select_nth_unstable_by(middle, f64::total_cmp).1
+        };
         (at > min[axis] && at < max[axis]).then_some((axis, at))
     }
 

@@ -176,8 +176,8 @@ fn root_box(cloud: &Cloud) -> (DVec3, DVec3) {
     (bounds.center() - half, bounds.center() + half)
 }
 
-/// Where a point of a cloud file stands among `count` points here: far from its neighbours in space, as points in the
-/// order of a scanner or of chance do. (A cloud file has them along a curve that fills space.)
+/// Where a point of a cloud file stands among `count` points here: far from its neighbours in space, as
+/// points in the order of chance do. (A cloud file has them along a curve that fills space.)
 fn scattered(number: u64, count: u64) -> u64 {
     // Multiplication by a number that has no divisor in common with `count` is a permutation; near the golden ratio of it,
     // one that sends neighbours apart.

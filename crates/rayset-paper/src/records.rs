@@ -5,8 +5,7 @@ use rayset::geometry::DVec3;
 use crate::cache::{CacheCounts, CacheError, RecordCache, Slot};
 use crate::disk::Disk;
 use crate::record::{
-    Below, DIRECT, NODE_BYTES, NOWHERE, Node, POINT_BYTES, Point, SECONDARY, direct, secondary,
-    secondary_records,
+    Below, DIRECT, NODE_BYTES, Node, POINT_BYTES, Point, SECONDARY, direct, secondary, secondary_records,
 };
 use crate::simulated::Clock;
 
@@ -200,7 +199,7 @@ impl Records for OutOfCore {
     ) -> Result<(), CacheError> {
         let Below::Points { count, secondary: first } = leaf.below else { return Ok(()) };
         self.known_references(hold, count, out);
-        if first == NOWHERE {
+        if secondary_records(count) == 0 {
             return Ok(());
         }
         let end = self.disk.length(1) / NODE_BYTES as u64;

@@ -47,7 +47,7 @@ pub(crate) struct Arm {
 }
 
 impl Arm {
-    /// Jobs whose ends are remembered, at least.
+    /// Where the ends of more jobs are known, those in the past are forgotten.
     const REMEMBERED: usize = 1 << 12;
 
     pub(crate) fn submit(&mut self, place: u64, bytes: usize, now: u64) -> Job {
@@ -93,7 +93,7 @@ impl Arm {
     }
 
     /// Does what begins by a time.
-    fn run_until(&mut self, now: u64) {
+    pub(crate) fn run_until(&mut self, now: u64) {
         while self.free_at <= now && self.step(now) {}
         if self.ended.len() > Self::REMEMBERED {
             self.ended.retain(|_, end| *end > now);

@@ -103,10 +103,15 @@ impl<M: Memory> Records for Structures<M> {
         let mut left = (count as usize).saturating_sub(DIRECT);
         if !self.layout.is_chained {
             for number in 0..secondary_records(count) {
-                out.extend(secondary(self.secondary(first + number)?, left));
+                out.extend(secondary(self.secondary(first.saturating_add(number))?, left));
                 left = left.saturating_sub(SECONDARY);
             }
             return Ok(());
+        }
+        // No list is longer than all memory, whatever a damaged one says.
+        let bytes = left.div_ceil(CHAINED).saturating_mul(NODE_BYTES);
+        if bytes as u64 > self.layout.end {
+            return Err(CacheError::Beyond { at: first, bytes, end: self.layout.end });
         }
         // The last record comes first, and is the one that may not be full.
         let (mut record, mut place) = (first, out.len() + left);
@@ -122,7 +127,7 @@ impl<M: Memory> Records for Structures<M> {
     }
 
     fn point(&mut self, number: u32, _priority: u8) -> Result<Point, CacheError> {
-        let at = self.layout.points_at + u64::from(number) * POINT_BYTES as u64;
+        let at = self.layout.points_at.saturating_add(u64::from(number) * POINT_BYTES as u64);
         Ok(Point::decode(self.memory.read(at, POINT_BYTES)?))
     }
 

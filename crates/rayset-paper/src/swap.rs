@@ -73,6 +73,7 @@ impl Swap {
             let job = self.arm.submit(place(number), OS_PAGE_BYTES, self.clock.now());
             let ends = self.arm.end_of(job);
             self.clock.advance(ends.saturating_sub(self.clock.now()));
+            self.arm.run_until(self.clock.now());
         }
         self.uses += 1;
         self.pages.insert(number, Page { used: self.uses, is_dirty: false });

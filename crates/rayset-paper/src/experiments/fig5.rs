@@ -87,7 +87,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     table.note(format!(
         "{} points; r in the paper's units, of which 2 is where neighbouring points meet ({} here). Height {HEIGHT}, as \
          in the paper, and {LEAF_POINTS} points a leaf; {side}×{side} rays of a view of {SEEN} such radii across, in core, one \
-         thread, steps of a quarter of r, but at least {LEAST_STEP}; loading is part of the reference's time. The paper gives no table for this figure; it says that the index \
+         thread, steps of a quarter of r, but at least {LEAST_STEP}; loading is part of the reference's time. The shipping engine's building begins with the points \
+         (generated, or read from the scan), the reference's with the file that comes of it. The paper gives no table for this figure; it says that the index \
          grows with r until 1 GB of memory no longer does above r = 6, and that some leaves have over 100 000 points.",
         auto.cloud.header().points,
         number(2.0 * unit)

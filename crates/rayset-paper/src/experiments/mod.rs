@@ -70,7 +70,7 @@ pub enum Experiment {
     Memory,
     /// The smallest caches that run.
     Minimum,
-    /// Predictors and batch sizes.
+    /// What each idea is worth, of either engine, and octants against k-d cells.
     Ablation,
     /// All of them.
     All,
@@ -329,18 +329,9 @@ pub(crate) fn same_picture_note(worst: f64) -> String {
     )
 }
 
-/// A budget in bytes, divided between nodes and points: points may have half, or less if they are fewer.
+/// A budget in bytes, divided between nodes and points, with what caches take besides the records: points may have half, or
+/// less if they are fewer.
 pub(crate) fn budget_of(bytes: u64, points: u64) -> Budget {
-    use crate::record::{NODE_BYTES, POINT_BYTES};
-    let for_points = (bytes / 2).min(points * POINT_BYTES as u64);
-    Budget {
-        nodes: ((bytes - for_points) / NODE_BYTES as u64) as usize,
-        points: (for_points / POINT_BYTES as u64).max(1) as usize,
-    }
-}
-
-/// As [`budget_of`], with what caches take besides the records.
-pub(crate) fn budget_with_overhead(bytes: u64, points: u64) -> Budget {
     use crate::cache::OVERHEAD_BYTES;
     use crate::record::{NODE_BYTES, POINT_BYTES};
     let (node, point) = ((NODE_BYTES + OVERHEAD_BYTES) as u64, (POINT_BYTES + OVERHEAD_BYTES) as u64);

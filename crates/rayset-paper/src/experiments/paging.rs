@@ -10,7 +10,7 @@ use rayset::points::Workload;
 
 use super::growing::{self, Grown};
 use super::render::layout_file;
-use super::{Setting, Subject, budget_with_overhead, median};
+use super::{Setting, Subject, budget_of, median};
 use crate::cap::Cap;
 use crate::mapped::make_cold;
 use crate::report::{Series, Table, megabytes, number, plot};
@@ -24,6 +24,8 @@ const PROCESS_BYTES: u64 = 14 << 20;
 const BESIDE_FILE_CACHE_BYTES: u64 = 6 << 20;
 /// Larger octrees take hours, point by point past the page cache.
 const MOST_POINTS: u64 = 300_000;
+/// What a process may take before it begins to render.
+const START_SECONDS: f64 = 1.0;
 /// A run that takes so many seconds is made once.
 const LONG: f64 = 20.0;
 /// A run is ended when it has taken so many times as long as the one that prefetches.
@@ -89,7 +91,7 @@ pub(super) fn reference(setting: &Setting) -> Result<()> {
             capped_seconds(&cloud, Some(&folder), &all, &cold, limit)
         };
         let caches = |bytes: u64, more: &[&str], limit| {
-            let budget = budget_with_overhead(bytes, index.summary.points);
+            let budget = budget_of(bytes, index.summary.points);
             let (nodes, points) = (budget.nodes.to_string(), budget.points.to_string());
             let caches = ["--records", "caches", "--nodes", &nodes, "--points", &points];
             capped(&[&caches[..], more].concat(), limit)
@@ -310,7 +312,7 @@ fn capped_seconds(
     let program = std::env::current_exe().context("cannot find this program's own file")?;
     let mut command = Command::new(if limit.is_some() { "timeout".as_ref() } else { program.as_os_str() });
     if let Some(limit) = limit {
-        command.arg(format!("{limit:.3}")).arg(&program);
+        command.arg(format!("{:.3}", limit + START_SECONDS)).arg(&program);
     }
     command.arg("render").arg(cloud).args(arguments);
     if let Some(index) = index {
@@ -324,6 +326,7 @@ fn capped_seconds(
     let error = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{arguments:?}: {} {error}", output.status);
     let peak = cap.peak_bytes().unwrap_or(0);
+    ensure!(peak > 0, "nothing was counted in the group: the process was not in it");
     ensure!(peak <= CAP_BYTES, "{peak} bytes were used under a cap of {CAP_BYTES}");
     let found: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     let seconds = found["seconds"].as_f64().context("a report without seconds")?;

@@ -35,7 +35,7 @@ pub struct RenderArgs {
     /// Where the records are
     #[arg(long, value_enum, default_value = "caches")]
     records: Kept,
-    /// Image of memory, beside which FILE.json says what lies where; of maps
+    /// Image of memory, beside which a file that ends in .bin.json says what lies where; of maps
     #[arg(long)]
     image: Option<PathBuf>,
     /// Nodes in core, of caches
@@ -47,7 +47,7 @@ pub struct RenderArgs {
     /// Bytes for pages, of the engine that ships
     #[arg(long, default_value_t = 8 << 20)]
     page_bytes: u64,
-    /// none, line, line-as-printed or line+origins
+    /// none, line, line-as-printed or line+origins; of caches
     #[arg(long, default_value = "line")]
     predictor: Variant,
     /// none, line or packet, of the engine that ships
@@ -139,11 +139,11 @@ pub fn run(args: &RenderArgs) -> Result<String> {
     let pixels = all_pixels(&subject.settings);
     let mut cost = (0, Vec::new());
     let picture = match args.records {
-        Kept::InCore => subject.reference(in_core(&index(args)?)?, args.predictor, pixels)?.0,
+        Kept::InCore => subject.reference(in_core(&index(args)?)?, Variant::None, pixels)?.0,
         Kept::Map | Kept::MapRandom => {
             let access = if args.records == Kept::Map { Access::Plain } else { Access::Random };
             let records = image(args.image.as_deref(), access)?;
-            subject.reference(records, args.predictor, pixels)?.0
+            subject.reference(records, Variant::None, pixels)?.0
         }
         Kept::Shipping | Kept::ShippingMap | Kept::ShippingMapRandom => {
             let backend: Arc<dyn ReadBackend> = match args.records {

@@ -118,7 +118,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     table.note(format!(
         "{OBJECTS} objects of {} points, three lights with exact shadows, {side}×{side} rays. Reference: out of core on \
          this machine's disk, direct reads, caches of 8192 nodes and 4096 points a set, `line`, one run: more sets have more \
-         caches together. Shipping: {shipping_side}×{shipping_side} rays, one thread, processor seconds of the process, \
+         caches together; its preprocessing begins with the shipping engine's file. Shipping: {shipping_side}×{shipping_side} rays, one thread, processor seconds of the process, \
          nothing in memory (cold) and all pages in memory (warm), medians of {repeats} runs that take turns.",
         clouds[0].header().points
     ));

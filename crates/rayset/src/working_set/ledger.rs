@@ -478,7 +478,10 @@ impl Books {
             }
         };
         self.give_back(object.kind(page), object);
-        self.spare.push(resident.buffer);
+        // Somebody else's memory is nobody's to use again.
+        if self.stand_in.is_none() {
+            self.spare.push(resident.buffer);
+        }
         let hinted = resident.hint.into_inner() == READ_FOR_HINT;
         Some(Evicted { kind: object.kind(page), unused_hint_bytes: if hinted { object.bytes() } else { 0 } })
     }

@@ -57,7 +57,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let shown_until = |limit: f64, time: f64| {
         if time >= limit { format!("more than {}", number(limit)) } else { number(time) }
     };
-    for Change { what, value, run, backend } in changes(setting, usual, memory) {
+    for Change { what, value, run, backend } in changes(setting, usual, (memory, index.summary.points)) {
         let run = SimulatedRun { limit_seconds: limit, ..run };
         let (picture, simulated, records) = subject.simulated(&index, run)?;
         if simulated < limit {
@@ -98,7 +98,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     }
     std::fs::remove_dir_all(&folder)?;
     table.note(format!(
-        "{} points, {} nodes, memory an eighth of the data ({} nodes, {} points), {side}×{side} rays. One thing is changed at \
+        "{} points, {} nodes, memory an eighth of the data, with what goes with a record ({} nodes, {} points), {side}×{side} rays. One thing is changed at \
          a time; the usual is `line`, the next leaf, {BATCH} reads a call, the paper's groups (eight children together, all \
          else record by record), no file cache. Nothing: what a sample waits for, and the siblings of a node with it. \
          Children and lists: what section 4.2 brings in with a node and a leaf, without any prediction; the predictors have \
@@ -118,7 +118,7 @@ struct Change {
     backend: BackendKind,
 }
 
-fn changes(setting: &Setting, usual: SimulatedRun, memory: u64) -> Vec<Change> {
+fn changes(setting: &Setting, usual: SimulatedRun, (memory, points): (u64, u64)) -> Vec<Change> {
     let backend = BackendKind::Auto;
     let change = |what, value: String, run| Change { what, value, run, backend };
     let of = |variant| SimulatedRun { foresight: Foresight::from(variant), ..usual };
@@ -141,9 +141,7 @@ fn changes(setting: &Setting, usual: SimulatedRun, memory: u64) -> Vec<Change> {
     }
     for part in [1, 2, 3] {
         let file_cache_bytes = memory / 4 * part;
-        let records = usual.budget;
-        let left = |n: usize| (n * (4 - part as usize) / 4).max(16);
-        let budget = crate::records::Budget { nodes: left(records.nodes), points: left(records.points) };
+        let budget = budget_of(memory - file_cache_bytes, points);
         let run = SimulatedRun { budget, file_cache_bytes, ..usual };
         all.push(change("file cache, of the memory", format!("{part}/4"), run));
     }

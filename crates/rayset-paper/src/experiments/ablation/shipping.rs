@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::points::Workload;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
@@ -39,6 +39,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         subject.make_translucent();
         let memory = (subject.cloud.header().file_bytes / MEMORY_PART).max(8 * u64::from(page_bytes));
         let rows = if page_bytes == standard { changes(setting) } else { Vec::new() };
+        // Positions are rounded by pages: only of one size must pictures be the same.
+        let mut first_picture = None;
         let of_size = Change {
             what: "bytes a page",
             value: page_bytes.to_string(),
@@ -48,9 +50,11 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         for Change { what, value, predictor, backend } in std::iter::once(of_size).chain(rows) {
             let (mut times, mut stalls, mut last) = (Vec::new(), Vec::new(), None);
             for _ in 0..repeats {
-                let (_, seconds, statistics) =
+                let (picture, seconds, statistics) =
                     subject.shipping_by(memory, read::backend(backend)?, predictor.clone())?;
                 let stalled: u64 = statistics.by_kind.iter().map(|kind| kind.stall_nanoseconds).sum();
+                let first = first_picture.get_or_insert_with(|| picture.clone());
+                ensure!(*first == picture, "{what} {value}: another picture");
                 times.push(seconds);
                 stalls.push(stalled as f64 * 1e-9 / seconds);
                 last = Some(statistics);

@@ -160,7 +160,7 @@ impl<'a> Lookahead<'a> {
         self.retire(&mut queue, here);
         queue.next = queue.next.max(here);
         let until = here.saturating_add(1).saturating_add(blocks_ahead).min(self.order.len() as u32);
-        // This block and the next are looked at in any case, to know how much room they need.
+        // Of those, this block and the next are looked at in any case, to know how much room they need.
         while queue.next < until
             && (self.hint(&mut queue, here) || queue.next <= here + 1)
             && self.look(queue.next, &mut queue)

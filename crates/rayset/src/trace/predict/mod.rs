@@ -65,7 +65,7 @@ impl Predictor for LinePredictor {
 /// own next slabs need, and its tile is put off until that is there.
 #[derive(Clone, Copy, Debug)]
 pub struct PacketPredictor {
-    /// Blocks of 32×32 pixels looked at ahead of the one that is traced. The next is looked at in any case.
+    /// Blocks of 32×32 pixels looked at ahead of the one that is traced; 0 for that one alone.
     pub blocks_ahead: u32,
     /// Slabs whose pages a packet asks for at once where it misses one; 0 to wait for each page as it comes.
     pub slabs_on_a_miss: u64,
