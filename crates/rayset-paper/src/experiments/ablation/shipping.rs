@@ -28,7 +28,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     );
     let mut shown = Vec::new();
     let sizes: &[u32] =
-        setting.pick(&[16 << 10][..], &[4 << 10, 16 << 10, 32 << 10, 64 << 10, 256 << 10][..]);
+        setting.pick(&[16 << 10][..], &[16 << 10, 32 << 10, 64 << 10, 128 << 10, 256 << 10][..]);
     let standard = setting.pick(16 << 10, PAGE_BYTES);
     for &page_bytes in sizes {
         let cloud = folder.join("c.rset");
