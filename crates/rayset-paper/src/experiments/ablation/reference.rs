@@ -100,7 +100,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     table.note(format!(
         "{} points, {} nodes, memory an eighth of the data, with what goes with a record ({} nodes, {} points), {side}×{side} rays. One thing is changed at \
          a time; the usual is `line`, the next leaf, {BATCH} reads a call, the paper's groups (eight children together, all \
-         else record by record), no file cache. Nothing: what a sample waits for, and the siblings of a node with it. \
+         else record by record), no file cache. Bytes a read: of nodes, lists and points alike. Nothing: what a sample waits for, and the siblings of a node with it. \
          Children and lists: what section 4.2 brings in with a node and a leaf, without any prediction; the predictors have \
          that too. The real disk is read past the page cache; medians of {repeats}. A run \
          is stopped at {STOPPED_AT} times the usual.",
