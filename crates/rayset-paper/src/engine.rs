@@ -324,6 +324,7 @@ mod tests {
     use crate::records::{Budget, OutOfCore};
     use crate::simulated::{Clock, SimulatedDisk};
     use crate::structures::{InCore, Structures, grow, write_files};
+    use crate::swap::Swap;
 
     const SIDE: u32 = 20;
 
@@ -383,21 +384,19 @@ mod tests {
             let (again, _) = subject.reference(records, Variant::None, pixels()).expect("a picture");
             assert!(bits(&again) == bits(&first), "mapped, {access:?}");
         }
-        let (heap, of_heap) = grow(&index, &mut |_, _, _| true).expect("points").expect("a heap");
-        let heap_image = folder.path().join("heap.bin");
-        std::fs::write(&heap_image, &heap).expect("an image");
+        let (heap, of_heap) = grow(&index, &mut |_, _, _| {}).expect("points");
         let (again, _) = subject
-            .reference(Structures::new(Flat(heap), of_heap), Variant::None, pixels())
+            .reference(Structures::new(Flat(heap.clone()), of_heap), Variant::None, pixels())
             .expect("a picture");
         assert!(bits(&again) == bits(&first), "in a heap");
-        for (image, layout) in [(image, of_files), (heap_image, of_heap)] {
+        let files = std::fs::read(&image).expect("an image");
+        for (memory, layout) in [(files, of_files), (heap, of_heap)] {
             let clock = Clock::default();
-            let disk = SimulatedDisk::open(&[image], clock.clone()).expect("a disk");
-            let paged = Paged::new(Box::new(disk), layout.bytes(), 100_000, clock);
-            let records = Structures::new(paged, layout);
+            let swap = Swap::new(100_000, clock.clone()).swapped_out(layout.bytes());
+            let records = Structures::new(Paged::new(memory, swap, clock), layout);
             let (again, records) = subject.reference(records, Variant::None, pixels()).expect("a picture");
             assert!(bits(&again) == bits(&first), "paged");
-            assert!(records.memory().counts().evictions > 0, "nothing was paged out");
+            assert!(records.memory().swap().evictions() > 0, "nothing was paged out");
         }
     }
 

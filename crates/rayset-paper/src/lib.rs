@@ -12,6 +12,7 @@ pub mod cells;
 pub mod disk;
 pub mod engine;
 pub mod experiments;
+pub mod file_cache;
 pub mod index;
 pub mod mapped;
 pub mod memory;

@@ -2,10 +2,10 @@
 
 use std::ops::Deref;
 
-use crate::cache::{CacheCounts, CacheError, RecordCache};
-use crate::disk::Disk;
+use crate::cache::CacheError;
 use crate::records::Work;
 use crate::simulated::Clock;
+use crate::swap::Swap;
 
 /// Bytes that a program reads at addresses.
 pub trait Memory {
@@ -30,49 +30,32 @@ impl<B: Deref<Target = [u8]>> Memory for Flat<B> {
     }
 }
 
-/// Bytes of a page of the operating system.
-pub const OS_PAGE_BYTES: usize = 4096;
-
-/// Memory of which an operating system holds only some pages: demand paging, least recently used.
-pub struct Paged {
-    disk: Box<dyn Disk>,
-    pages: RecordCache,
+/// Memory of which an operating system holds only some pages: demand paging, whose time is counted.
+pub struct Paged<B> {
+    all: Flat<B>,
+    swap: Swap,
     clock: Clock,
-    scratch: Vec<u8>,
-    end: u64,
 }
 
-impl Paged {
-    /// Over a disk of one file, the image of all memory, of `end` bytes and a whole number of pages.
+impl<B: Deref<Target = [u8]>> Paged<B> {
+    /// All of the memory, and what of it is there: `swap` counts by the same clock.
     #[must_use]
-    pub fn new(disk: Box<dyn Disk>, end: u64, memory_bytes: u64, clock: Clock) -> Self {
-        let pages = RecordCache::new(0, OS_PAGE_BYTES, 1, (memory_bytes as usize / OS_PAGE_BYTES).max(1));
-        Self { disk, pages, clock, scratch: Vec::new(), end }
+    pub fn new(all: B, swap: Swap, clock: Clock) -> Self {
+        Self { all: Flat(all), swap, clock }
     }
 
-    /// What paging did.
+    /// What is there.
     #[must_use]
-    pub fn counts(&self) -> CacheCounts {
-        self.pages.counts()
+    pub fn swap(&self) -> &Swap {
+        &self.swap
     }
 }
 
-impl Memory for Paged {
+impl<B: Deref<Target = [u8]>> Memory for Paged<B> {
     fn read(&mut self, at: u64, bytes: usize) -> Result<&[u8], CacheError> {
-        let width = OS_PAGE_BYTES as u64;
-        let to = at.checked_add(bytes as u64).filter(|to| *to <= self.end);
-        let to = to.ok_or(CacheError::Beyond { at, bytes, end: self.end })?;
-        self.scratch.clear();
-        let mut from = at;
-        while from < to {
-            let (page, in_page) = (from / width, (from % width) as usize);
-            let taken = (to - from).min(width - in_page as u64) as usize;
-            let slot = self.pages.retain(&mut *self.disk, page, 0)?;
-            self.scratch.extend_from_slice(&self.pages.bytes(slot)[in_page..in_page + taken]);
-            self.pages.release(slot);
-            from += taken as u64;
-        }
-        Ok(&self.scratch)
+        let found = self.all.read(at, bytes)?;
+        self.swap.touch(at, bytes, false);
+        Ok(found)
     }
 
     fn work(&mut self, work: Work) {

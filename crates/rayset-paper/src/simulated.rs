@@ -1,5 +1,4 @@
-//! A disk of the paper's day, whose time is counted: an arm that seeks, a queue in the order of its way, and the file cache
-//! of the system above it.
+//! A disk of the paper's day, whose time is counted: an arm that seeks, and a queue in the order of its way.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap};
@@ -9,6 +8,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 use crate::disk::{Disk, Extent, Ticket};
+use crate::file_cache::{BLOCK_BYTES, FileCache, FileCaching};
 
 /// Time that is counted, not measured: nanoseconds since the beginning.
 #[derive(Clone, Debug, Default)]
@@ -112,48 +112,6 @@ impl Arm {
     }
 }
 
-/// Blocks of files that the system keeps, least recently used out first.
-struct FileCache {
-    blocks: usize,
-    known: HashMap<u64, Kept>,
-    by_use: BTreeMap<u64, u64>,
-    clock: u64,
-}
-
-struct Kept {
-    used: u64,
-    /// The read that brings it.
-    job: Job,
-}
-
-impl FileCache {
-    fn new(bytes: u64) -> Self {
-        let blocks = (bytes / SimulatedDisk::BLOCK_BYTES) as usize;
-        Self { blocks, known: HashMap::new(), by_use: BTreeMap::new(), clock: 0 }
-    }
-
-    /// The read that brings a block, which counts as a use of it.
-    fn find(&mut self, block: u64) -> Option<Job> {
-        let kept = self.known.get_mut(&block)?;
-        self.clock += 1;
-        self.by_use.remove(&kept.used);
-        kept.used = self.clock;
-        self.by_use.insert(self.clock, block);
-        Some(kept.job)
-    }
-
-    fn insert(&mut self, block: u64, job: Job) {
-        self.clock += 1;
-        self.known.insert(block, Kept { used: self.clock, job });
-        self.by_use.insert(self.clock, block);
-        while self.known.len() > self.blocks
-            && let Some((_, oldest)) = self.by_use.pop_first()
-        {
-            self.known.remove(&oldest);
-        }
-    }
-}
-
 struct Pending {
     extent: Extent,
     jobs: Vec<Job>,
@@ -170,6 +128,8 @@ pub struct SimulatedDisk {
     clock: Clock,
     arm: Arm,
     cache: Option<FileCache>,
+    /// Whether a file is read through the cache: nodes, secondary records, points.
+    is_cached: [bool; 3],
     next: Ticket,
     pending: HashMap<Ticket, Pending>,
     stalled_nanoseconds: u64,
@@ -180,8 +140,6 @@ impl SimulatedDisk {
     pub const SEEK_NANOSECONDS: u64 = 8_000_000;
     /// Bytes in a second.
     pub const BYTES_PER_SECOND: u64 = 50_000_000;
-    /// A block of the file cache.
-    pub const BLOCK_BYTES: u64 = 4096;
 
     /// Over files that lie one behind the other, read past any cache.
     ///
@@ -195,7 +153,7 @@ impl SimulatedDisk {
             let length = file.metadata()?.len();
             starts.push(end);
             lengths.push(length);
-            end = (end + length).next_multiple_of(Self::BLOCK_BYTES);
+            end = (end + length).next_multiple_of(BLOCK_BYTES);
         }
         Ok(Self {
             files,
@@ -204,45 +162,35 @@ impl SimulatedDisk {
             clock,
             arm: Arm::default(),
             cache: None,
+            is_cached: [true; 3],
             next: 0,
             pending: HashMap::new(),
             stalled_nanoseconds: 0,
         })
     }
 
-    /// The same, below a file cache of the system: reads bring whole blocks, which stay while there is room.
+    /// The same, below a file cache of the system.
     #[must_use]
-    pub fn with_file_cache(mut self, bytes: u64) -> Self {
-        self.cache = (bytes >= Self::BLOCK_BYTES).then(|| FileCache::new(bytes));
+    pub fn with_file_cache(mut self, caching: FileCaching) -> Self {
+        self.cache = (caching.bytes >= BLOCK_BYTES).then(|| FileCache::new(caching));
+        self.is_cached = [true, true, !caching.not_points];
         self
     }
 
     /// The jobs that bring an extent.
     fn ask(&mut self, extent: Extent) -> Vec<Job> {
-        let (place, now) = (self.starts[extent.file] + extent.offset, self.clock.now());
-        let Some(cache) = &mut self.cache else { return vec![self.arm.submit(place, extent.bytes, now)] };
-        let end = place + extent.bytes as u64;
-        let mut jobs = Vec::new();
-        let mut absent: Option<std::ops::Range<u64>> = None;
-        let block_range = place / Self::BLOCK_BYTES..end.div_ceil(Self::BLOCK_BYTES);
-        let mut bring = |cache: &mut FileCache, blocks: Option<std::ops::Range<u64>>, jobs: &mut Vec<Job>| {
-            let Some(blocks) = blocks else { return };
-            let bytes = (blocks.end - blocks.start) * Self::BLOCK_BYTES;
-            let job = self.arm.submit(blocks.start * Self::BLOCK_BYTES, bytes as usize, now);
-            blocks.for_each(|block| cache.insert(block, job));
-            jobs.push(job);
+        let (start, now) = (self.starts[extent.file], self.clock.now());
+        let place = start + extent.offset;
+        let arm = &mut self.arm;
+        let is_cached = self.is_cached.get(extent.file).copied().unwrap_or(true);
+        let Some(cache) = self.cache.as_mut().filter(|_| is_cached) else {
+            return vec![arm.submit(place, extent.bytes, now)];
         };
-        for block in block_range {
-            match cache.find(block) {
-                Some(job) => {
-                    bring(cache, absent.take(), &mut jobs);
-                    jobs.push(job);
-                }
-                None => absent = Some(absent.map_or(block, |blocks| blocks.start)..block + 1),
-            }
-        }
-        bring(cache, absent, &mut jobs);
-        jobs
+        let blocks = |from: u64, bytes: u64| from / BLOCK_BYTES..(from + bytes).div_ceil(BLOCK_BYTES);
+        let (wanted, file) = (blocks(place, extent.bytes as u64), blocks(start, self.lengths[extent.file]));
+        cache.bring(wanted, file, |run| {
+            arm.submit(run.start * BLOCK_BYTES, ((run.end - run.start) * BLOCK_BYTES) as usize, now)
+        })
     }
 }
 
@@ -339,7 +287,7 @@ mod tests {
     #[test]
     fn a_file_cache_brings_blocks_keeps_the_last_used_and_forgets_the_others() {
         let (disk, clock, bytes, _file) = disk();
-        let mut disk = disk.with_file_cache(2 * SimulatedDisk::BLOCK_BYTES);
+        let mut disk = disk.with_file_cache(FileCaching::by_blocks(2 * BLOCK_BYTES));
         let mut cost = |offset: u64| {
             let before = clock.now();
             let ticket = disk.submit(&[extent(offset, 16)])[0];

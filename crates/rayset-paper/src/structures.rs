@@ -11,12 +11,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::cache::CacheError;
 use crate::index::{Index, Limits};
-use crate::memory::{Flat, Memory, OS_PAGE_BYTES};
+use crate::memory::{Flat, Memory};
 use crate::record::{
     Below, CHAINED, DIRECT, NODE_BYTES, NOWHERE, Node, POINT_BYTES, Point, SECONDARY, chained, direct,
     secondary, secondary_records, set_below, set_chained, set_direct, set_next,
 };
 use crate::records::{Hold, Records, Work};
+use crate::swap::OS_PAGE_BYTES;
 
 /// Where things are in memory.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -52,11 +53,7 @@ impl InCore {
     /// # Errors
     /// What the system says.
     pub fn load(index: &Index) -> std::io::Result<Self> {
-        let layout = layout_of_files(index)?;
-        let mut image = Vec::with_capacity(usize::try_from(layout.end).unwrap_or(0));
-        for file in index.files() {
-            File::open(file)?.read_to_end(&mut image)?;
-        }
+        let (image, layout) = image_of_files(index)?;
         Ok(Self::new(Flat(image), layout))
     }
 }
@@ -149,7 +146,20 @@ pub fn layout_of_files(index: &Index) -> std::io::Result<Layout> {
     Ok(Layout { nodes_at: 0, secondary_at, points_at, is_chained: false, end })
 }
 
-/// Writes the files of an index one behind the other: memory in the order of the tree.
+/// The files of an index one behind the other: memory in the order of the tree.
+///
+/// # Errors
+/// What the system says.
+pub fn image_of_files(index: &Index) -> std::io::Result<(Vec<u8>, Layout)> {
+    let layout = layout_of_files(index)?;
+    let mut image = Vec::with_capacity(usize::try_from(layout.end).unwrap_or(0));
+    for file in index.files() {
+        File::open(file)?.read_to_end(&mut image)?;
+    }
+    Ok((image, layout))
+}
+
+/// Writes them so.
 ///
 /// # Errors
 /// What the system says.
@@ -164,15 +174,11 @@ pub fn write_files(index: &Index, path: &Path) -> std::io::Result<Layout> {
 /// The same octree as a program makes it in its heap: points in an array; the octree grows as it takes one after another,
 /// divides a leaf that has too many, and takes a secondary record where a list has no more room. Returns its memory.
 ///
-/// `touch` is told of what the program reads (false) and writes (true), from which address on; if it says no more, there is
-/// nothing to return.
+/// `touch` is told of what the program reads (false) and writes (true), from which address on.
 ///
 /// # Errors
 /// What the system says.
-pub fn grow(
-    index: &Index,
-    touch: &mut dyn FnMut(u64, usize, bool) -> bool,
-) -> std::io::Result<Option<(Vec<u8>, Layout)>> {
+pub fn grow(index: &Index, touch: &mut dyn FnMut(u64, usize, bool)) -> std::io::Result<(Vec<u8>, Layout)> {
     let [nodes, _, points] = index.files();
     let mut root = [0; NODE_BYTES];
     File::open(nodes)?.read_exact(&mut root)?;
@@ -180,17 +186,14 @@ pub fn grow(
     let points = std::fs::read(points)?;
     let nodes_at = points.len() as u64;
     let limits = index.summary.limits;
-    let mut goes_on = (0..nodes_at).step_by(OS_PAGE_BYTES).all(|at| touch(at, OS_PAGE_BYTES, true));
+    (0..nodes_at).step_by(OS_PAGE_BYTES).for_each(|at| touch(at, OS_PAGE_BYTES, true));
     let mut heap = Heap { blocks: Vec::new(), free: Vec::new(), points: &points, limits, touch };
     heap.take_group();
     heap.write(0, &Node { min, max, parent: NOWHERE, below: EMPTY });
     for number in 0..index.summary.points as u32 {
         let point = heap.point(number);
         heap.insert(0, 0, number, &point);
-        goes_on = goes_on && (heap.touch)(u64::from(number) * POINT_BYTES as u64, POINT_BYTES, false);
-        if !goes_on {
-            return Ok(None);
-        }
+        (heap.touch)(u64::from(number) * POINT_BYTES as u64, POINT_BYTES, false);
     }
     let Heap { blocks, .. } = heap;
     let mut image = points;
@@ -198,7 +201,7 @@ pub fn grow(
     let end = image.len().next_multiple_of(OS_PAGE_BYTES);
     image.resize(end, 0);
     let layout = Layout { nodes_at, secondary_at: nodes_at, points_at: 0, is_chained: true, end: end as u64 };
-    Ok(Some((image, layout)))
+    Ok((image, layout))
 }
 
 const EMPTY: Below = Below::Points { count: 0, secondary: NOWHERE };
@@ -209,7 +212,7 @@ struct Heap<'a> {
     free: Vec<u64>,
     points: &'a [u8],
     limits: Limits,
-    touch: &'a mut dyn FnMut(u64, usize, bool) -> bool,
+    touch: &'a mut dyn FnMut(u64, usize, bool),
 }
 
 impl Heap<'_> {
@@ -360,7 +363,7 @@ mod tests {
         for limits in [Limits { height: 4, leaf_points: 50 }, Limits { height: 2, leaf_points: 1 }] {
             let index = subject.index(folder.path(), limits).expect("an index");
             let of_files = leaves(&mut InCore::load(&index).expect("the files"));
-            let (image, layout) = grow(&index, &mut |_, _, _| true).expect("points").expect("a heap");
+            let (image, layout) = grow(&index, &mut |_, _, _| {}).expect("points");
             assert_eq!(image.len() as u64, layout.bytes());
             let grown = leaves(&mut Structures::new(Flat(image), layout));
             let longest = of_files.iter().map(|(_, list)| list.len()).max();

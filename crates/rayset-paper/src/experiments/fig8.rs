@@ -1,22 +1,28 @@
 //! Fig. 8: time over the size of the octree by memory, policy by policy, on the simulated disk of the paper's day.
 
-use std::path::Path;
+use std::ops::Deref;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 
 use super::growing::{self, Grown, RADIUS};
-use super::{Setting, SimulatedRun, Subject, budget_of, differing, same_picture_note, seconds};
+use super::{
+    READ_AROUND_BYTES, Setting, SimulatedRun, Subject, budget_of, differing, divided, same_picture_note,
+    seconds,
+};
 use crate::engine::{Picture, all_pixels};
+use crate::file_cache::FileCaching;
 use crate::index::Index;
 use crate::memory::Paged;
 use crate::predict::{Foresight, Variant};
 use crate::report::{Series, Table, megabytes, number, plot};
 use crate::simulated::{Clock, SimulatedDisk};
-use crate::structures::{Layout, Structures, grow, write_files};
-use crate::swap::Swap;
+use crate::structures::{Layout, Structures, grow, image_of_files};
+use crate::swap::{LastUses, OS_PAGE_BYTES, Swap};
 
 /// A run is stopped at so many times the time of the one that prefetches.
 const STOPPED_AT: f64 = 20.0;
+/// What is swapped in at a time: a page, or what Linux brings in where nobody says otherwise.
+const SWAPPED_TOGETHER: [u64; 2] = [OS_PAGE_BYTES as u64, 8 * OS_PAGE_BYTES as u64];
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     let memory: u64 = setting.pick(1 << 20, 32 << 20);
@@ -28,20 +34,26 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             "H",
             "data MB",
             "data / memory",
-            "in-core program, paged: build s",
+            "in-core program, paged by 4 KiB: build s",
             "render s",
-            "render, file order s",
+            "by 32 KiB: build s",
+            "render s",
+            "file order, by 4 KiB: render s",
             "out of core: build s",
             "no prefetch s",
-            "line s",
+            "line, by blocks s",
+            "around s",
+            "around, line s",
             "line-as-printed s",
             "line+origins s",
             "records alone: no prefetch s",
             "line s",
-            "paging / line: build and render",
+            "paging by 4 KiB / around, line: build and render",
             "render",
-            "render, file order",
-            "stalled, line",
+            "by 32 KiB: build and render",
+            "render",
+            "file order: render",
+            "stalled, around, line",
         ],
     );
     let mut lines = LINES.map(|name| Series { name: name.into(), points: Vec::new() });
@@ -50,64 +62,43 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let folder = setting.work.join("fig8");
         let Grown { subject, index, .. } = growing::build(size, side, &folder)?;
         let (shipped, _) = subject.shipping()?;
-        let measured = measure(&subject, &index, &folder, memory)?;
-        worst = worst.max(differing(&measured.picture, &shipped));
+        let Measured { picture, in_core, out_of_core, stalled } = measure(&subject, &index, memory)?;
+        worst = worst.max(differing(&picture, &shipped));
         let whole = index.summary.index_bytes() + index.summary.point_bytes();
         let ratio = whole as f64 / memory as f64;
-        let Measured { build, grow, paged, out_of_core, records_alone, stalled, .. } = measured;
-        let line = out_of_core[1];
-        let shown_until = |limit: f64| {
-            move |time: f64| {
-                if time >= limit { format!("more than {}", number(limit)) } else { number(time) }
-            }
-        };
-        let of_render = shown_until(STOPPED_AT * line);
-        let plotted =
-            [grow + paged[0], paged[0], paged[1], build + line, out_of_core[0], line, records_alone[1]];
+        let (render, all) = (out_of_core.around_line(), out_of_core.build + out_of_core.around_line());
+        let [by_page, by_group] = in_core.by_page_and_group;
+        let plotted = [
+            by_page.build.seconds + by_page.render.seconds,
+            by_page.render.seconds,
+            by_group.render.seconds,
+            in_core.file_order.seconds,
+            all,
+            out_of_core.nothing.seconds,
+            out_of_core.by_blocks.seconds,
+            render,
+        ];
         for (series, time) in lines.iter_mut().zip(plotted) {
             series.points.push((ratio, time));
         }
-        let at_least = |time: f64, other: f64| {
-            let sign = if time >= STOPPED_AT * other { "more than " } else { "" };
-            format!("{sign}{}", number((time / other).min(STOPPED_AT)))
-        };
+        let ratios = [by_page, by_group].map(|paged| [paged.whole().ratio(all), paged.render.ratio(render)]);
         table.row(
             [size.points.to_string(), size.height.to_string(), megabytes(whole), number(ratio)]
                 .into_iter()
-                .chain([shown_until(STOPPED_AT * (build + line))(grow)])
-                .chain(paged.map(&of_render))
-                .chain([number(build)])
-                .chain(out_of_core.map(&of_render))
-                .chain(records_alone.map(&of_render))
-                .chain([if grow >= STOPPED_AT * (build + line) || paged[0] >= STOPPED_AT * line {
-                    format!("more than {}", number(((grow + paged[0]) / (build + line)).min(STOPPED_AT)))
-                } else {
-                    number((grow + paged[0]) / (build + line))
-                }])
-                .chain(paged.map(|time| at_least(time, line)))
-                .chain([format!("{:.0} %", 100.0 * stalled / line)]),
+                .chain(
+                    [by_page, by_group].iter().flat_map(|paged| [paged.build.shown(), paged.render.shown()]),
+                )
+                .chain([in_core.file_order.shown(), number(out_of_core.build)])
+                .chain(out_of_core.renders().map(|time| time.shown()))
+                .chain(ratios.into_iter().flatten())
+                .chain([in_core.file_order.ratio(render), format!("{:.0} %", 100.0 * stalled / render)]),
         );
         std::fs::remove_dir_all(&folder)?;
     }
-    table.note(format!(
-        "Random points on a sphere, radius {RADIUS}, as in Table 1; {side}×{side} rays; {} MiB of memory, of which out of \
-         core a quarter is for records and what goes with them, and the rest the system's file cache; records alone have \
-         all of it, and read past any cache. The in-core program takes one point after another into an octree in its heap, \
-         which is swapped by 4 KiB, least recently used, while it is built and again, from nothing in memory on, while it is \
-         rendered; file order: paging of the same octree as the out-of-core builder orders it. Building out of core is its \
-         input and output. Time is counted, so the table is the same on every machine: 500 ns a sample, 50 ns a point of \
-         it, 100 ns a step from node to node. A run is stopped at {STOPPED_AT} times the time of `line`, \
-         and plotted there. All renderings begin with nothing in memory: the first touch of each page is paid for, also \
-         where it would have stayed since it was built.",
-        memory >> 20,
-    ));
-    table.note(
-        "The paper's figure has no numbers to read off; its text says that paging takes more than twice as long as \
-         prefetching in all cases where the octree exceeds memory. The plot marks that bound.",
-    );
+    note(&mut table, side, memory);
     table.note(same_picture_note(worst));
     table.write(&setting.out, "fig8")?;
-    let claim: Vec<(f64, f64)> = lines[5].points.iter().map(|&(ratio, line)| (ratio, 2.0 * line)).collect();
+    let claim = lines[LINES.len() - 1].points.iter().map(|&(ratio, line)| (ratio, 2.0 * line)).collect();
     let mut lines: Vec<Series> = lines.into();
     // By the number of points; those by the height stand in the table.
     let by_points = growing::sizes(setting)
@@ -120,94 +111,210 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
 }
 
 /// Lines of the plot.
-const LINES: [&str; 7] = [
-    "in-core, paged: build and render",
-    "in-core, paged: render",
+const LINES: [&str; 8] = [
+    "paging: build and render",
+    "paging: render",
+    "paging by 32 KiB: render",
     "paging, file order: render",
-    "line: build and render",
+    "around, line: build and render",
     "no prefetch: render",
-    "line: render",
-    "line, records alone: render",
+    "line, by blocks: render",
+    "around, line: render",
 ];
 
-/// Counted seconds.
+fn note(table: &mut Table, side: u32, memory: u64) {
+    table.note(format!(
+        "Random points on a sphere, radius {RADIUS}, as in Table 1; {side}×{side} rays; {} MiB of memory, of which out of \
+         core a quarter is for records and what goes with them, and the rest the system's file cache; where the points \
+         alone exceed that, records have three quarters, and points are read past the cache. No prefetch, and line by \
+         blocks: the cache reads the blocks of 4 KiB that are asked for; around: with what is absent around them, in \
+         aligned groups of {} KiB, of which three could be read in one seek. Records alone have all of the memory, and no \
+         cache. The in-core program takes one point after another into an octree in its heap, which is swapped, least \
+         recently used, while it is built, and again while it is rendered, by 4 KiB or by aligned groups of 32 KiB; it \
+         renders with what it used last still in memory, unchanged; the program out of core begins with nothing in memory. \
+         File order: paging of the same octree as the out-of-core builder orders it, from nothing in memory on. Building \
+         out of core is its input and output. Time is counted, so the table is the same on every machine: 500 ns a sample, \
+         50 ns a point of it, 100 ns a step from node to node. A run is stopped at {STOPPED_AT} times the time of `around, line`, \
+         and plotted there.",
+        memory >> 20,
+        READ_AROUND_BYTES >> 10,
+    ));
+    table.note(
+        "The paper's figure has no numbers to read off; its text says that paging takes more than twice as long as \
+         prefetching in all cases where the octree exceeds memory. The plot marks that bound.",
+    );
+}
+
+/// Counted seconds, or the limit at which a run was stopped.
+#[derive(Clone, Copy)]
+struct Time {
+    seconds: f64,
+    is_stopped: bool,
+}
+
+impl Time {
+    fn of(clock: &Clock, limit: f64) -> Self {
+        let seconds = seconds(clock);
+        Self { seconds: seconds.min(limit), is_stopped: seconds >= limit }
+    }
+
+    fn said(self, text: &str) -> String {
+        if self.is_stopped { format!("more than {text}") } else { text.to_owned() }
+    }
+
+    fn shown(self) -> String {
+        self.said(&number(self.seconds))
+    }
+
+    fn ratio(self, other: f64) -> String {
+        self.said(&number(self.seconds / other))
+    }
+}
+
+/// The in-core program, paged.
+#[derive(Clone, Copy)]
+struct InCoreTimes {
+    build: Time,
+    render: Time,
+}
+
+impl InCoreTimes {
+    fn whole(self) -> Time {
+        Time {
+            seconds: self.build.seconds + self.render.seconds,
+            is_stopped: self.build.is_stopped || self.render.is_stopped,
+        }
+    }
+}
+
+struct AllInCore {
+    by_page_and_group: [InCoreTimes; 2],
+    /// Rendering from the order of the files.
+    file_order: Time,
+}
+
+/// The program out of core.
+struct OutOfCoreTimes {
+    build: f64,
+    /// No prefetch, block by block.
+    nothing: Time,
+    /// `line`, block by block.
+    by_blocks: Time,
+    /// Reading around: no prefetch besides, line, line as printed, line with origins.
+    around: [Time; 4],
+    /// No prefetch, line.
+    records_alone: [Time; 2],
+}
+
+impl OutOfCoreTimes {
+    fn around_line(&self) -> f64 {
+        self.around[1].seconds
+    }
+
+    fn renders(&self) -> impl Iterator<Item = Time> {
+        [self.nothing, self.by_blocks].into_iter().chain(self.around).chain(self.records_alone)
+    }
+}
+
 struct Measured {
     picture: Picture,
-    /// Out of core.
-    build: f64,
-    /// In core, paged.
-    grow: f64,
-    /// As grown, and in the order of the files.
-    paged: [f64; 2],
-    /// No prefetch, line, line as printed, line with origins.
-    out_of_core: [f64; 4],
-    /// No prefetch, line.
-    records_alone: [f64; 2],
-    /// Of line.
+    in_core: AllInCore,
+    out_of_core: OutOfCoreTimes,
+    /// Of `around, line`.
     stalled: f64,
 }
 
-fn measure(subject: &Subject, index: &Index, folder: &Path, memory: u64) -> Result<Measured> {
-    let run = |variant, file_cache_bytes, limit_seconds| {
-        let budget = budget_of(memory - file_cache_bytes, index.summary.points);
-        let prefetches = variant != Variant::None;
-        let foresight = Foresight::from(variant);
+fn measure(subject: &Subject, index: &Index, memory: u64) -> Result<Measured> {
+    let run = |variant, (budget, caching), limit_seconds| {
         let run = SimulatedRun {
-            foresight,
-            prefetches,
-            file_cache_bytes,
+            foresight: Foresight::from(variant),
+            prefetches: variant != Variant::None,
+            caching,
             limit_seconds,
             ..SimulatedRun::paper(budget)
         };
         subject.simulated(index, run)
     };
-    let cache = memory / 4 * 3;
-    let (picture, line, records) = run(Variant::Line, cache, f64::INFINITY)?;
+    let (budget, around) = divided(memory, index.summary.points);
+    let (picture, line, records) = run(Variant::Line, (budget, around), f64::INFINITY)?;
     let limit = STOPPED_AT * line;
-    let time = |variant, cache| run(variant, cache, limit).map(|(_, seconds, _)| seconds);
-    let image = folder.join("image.bin");
-    let layout = write_files(index, &image)?;
-    let file_order = paged(subject, &image, layout, memory, limit)?;
-    let (heap, layout) = grow(index, &mut |_, _, _| true)?.context("a heap")?;
-    std::fs::write(&image, heap)?;
-    let grown = paged(subject, &image, layout, memory, limit)?;
+    let time = |variant, division| {
+        let (_, seconds, _) = run(variant, division, limit)?;
+        anyhow::Ok(Time { seconds: seconds.min(limit), is_stopped: seconds >= limit })
+    };
+    let by_blocks = FileCaching { around_bytes: FileCaching::NONE.around_bytes, ..around };
+    let alone = (budget_of(memory, index.summary.points), FileCaching::NONE);
     let build = index
         .summary
         .build_seconds(SimulatedDisk::SEEK_NANOSECONDS as f64 * 1e-9, SimulatedDisk::BYTES_PER_SECOND as f64);
     Ok(Measured {
-        build,
-        grow: growing_seconds(index, memory, STOPPED_AT * (build + line))?,
-        paged: [grown, file_order],
-        out_of_core: [
-            time(Variant::None, cache)?,
-            line,
-            time(Variant::LineAsPrinted, cache)?,
-            time(Variant::LineOrigins, cache)?,
-        ],
-        records_alone: [time(Variant::None, 0)?, time(Variant::Line, 0)?],
-        stalled: records.stalled_nanoseconds() as f64 * 1e-9,
         picture,
+        stalled: records.stalled_nanoseconds() as f64 * 1e-9,
+        in_core: in_core(subject, index, memory, (limit, STOPPED_AT * (build + line)))?,
+        out_of_core: OutOfCoreTimes {
+            build,
+            nothing: time(Variant::None, (budget, by_blocks))?,
+            by_blocks: time(Variant::Line, (budget, by_blocks))?,
+            around: [
+                time(Variant::None, (budget, around))?,
+                Time { seconds: line, is_stopped: false },
+                time(Variant::LineAsPrinted, (budget, around))?,
+                time(Variant::LineOrigins, (budget, around))?,
+            ],
+            records_alone: [time(Variant::None, alone)?, time(Variant::Line, alone)?],
+        },
     })
 }
 
-/// Seconds that the in-core program takes to make its octree while its memory is swapped; it is stopped at a limit.
-fn growing_seconds(index: &Index, memory: u64, limit: f64) -> Result<f64> {
-    let clock = Clock::default();
-    let mut swap = Swap::new(memory, clock.clone());
-    grow(index, &mut |at, bytes, writes| {
-        swap.touch(at, bytes, writes);
-        seconds(&clock) < limit
+/// The in-core program whose memory is swapped; it is stopped at limits of a picture, and of all.
+fn in_core(
+    subject: &Subject,
+    index: &Index,
+    memory: u64,
+    (render_limit, whole_limit): (f64, f64),
+) -> Result<AllInCore> {
+    let mut uses = LastUses::default();
+    let mut growing = SWAPPED_TOGETHER.map(|together| {
+        let clock = Clock::default();
+        (Swap::new(memory, clock.clone()).reading_around(together), clock)
+    });
+    let (heap, layout) = grow(index, &mut |at, bytes, writes| {
+        uses.touch(at, bytes);
+        for (swap, clock) in &mut growing {
+            if seconds(clock) < whole_limit {
+                clock.advance(crate::records::Work::Step.nanoseconds());
+                swap.touch(at, bytes, writes);
+            }
+        }
     })?;
-    Ok(seconds(&clock))
+    let builds = growing.map(|(_, clock)| Time::of(&clock, whole_limit));
+    let renders = SWAPPED_TOGETHER.map(|together| {
+        let swap = |clock| Swap::new(memory, clock).reading_around(together).left_by(&uses);
+        paged(subject, heap.as_slice(), layout, swap, render_limit)
+    });
+    let [by_page, by_group] = renders;
+    let renders = [by_page?, by_group?];
+    drop(heap);
+    let (files, layout) = image_of_files(index)?;
+    let swap = |clock| Swap::new(memory, clock).swapped_out(layout.bytes());
+    Ok(AllInCore {
+        by_page_and_group: [0, 1].map(|i| InCoreTimes { build: builds[i], render: renders[i] }),
+        file_order: paged(subject, files, layout, swap, render_limit)?,
+    })
 }
 
-/// The in-core program whose memory is paged, from nothing in memory on: seconds of a picture.
-fn paged(subject: &Subject, image: &Path, layout: Layout, memory: u64, limit: f64) -> Result<f64> {
+/// A picture by the in-core program whose memory is paged.
+fn paged<B: Deref<Target = [u8]>>(
+    subject: &Subject,
+    all: B,
+    layout: Layout,
+    swap: impl FnOnce(Clock) -> Swap,
+    limit: f64,
+) -> Result<Time> {
     let clock = Clock::default();
-    let disk = SimulatedDisk::open(&[image.to_owned()], clock.clone())?;
-    let memory = Paged::new(Box::new(disk), layout.bytes(), memory, clock.clone());
+    let memory = Paged::new(all, swap(clock.clone()), clock.clone());
     let watch = clock.clone();
     let pixels = all_pixels(&subject.settings).take_while(move |_| seconds(&watch) < limit);
     subject.reference(Structures::new(memory, layout), Variant::None, pixels)?;
-    Ok(seconds(&clock))
+    Ok(Time::of(&clock, limit))
 }

@@ -8,6 +8,7 @@ mod memory;
 mod minimum;
 mod paging;
 pub mod render;
+pub mod sets;
 mod table1;
 mod table2;
 mod table3;
@@ -34,6 +35,7 @@ use rayset::working_set::read::{self, BackendKind, ReadBackend};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 use crate::engine::{self, IndexField, Picture};
+use crate::file_cache::FileCaching;
 use crate::index::{Index, Limits as IndexLimits};
 use crate::predict::{Foresight, Variant};
 use crate::records::{Budget, OutOfCore, Records};
@@ -224,7 +226,7 @@ impl Subject {
     /// The reference engine out of core on the simulated disk: picture, seconds of counted time, records.
     pub(crate) fn simulated(&self, index: &Index, run: SimulatedRun) -> Result<(Picture, f64, OutOfCore)> {
         let clock = Clock::default();
-        let disk = SimulatedDisk::open(&index.files(), clock.clone())?.with_file_cache(run.file_cache_bytes);
+        let disk = SimulatedDisk::open(&index.files(), clock.clone())?.with_file_cache(run.caching);
         let mut records =
             OutOfCore::new(Box::new(disk), run.budget, run.batch, run.prefetches, Some(clock.clone()));
         if let Some(bytes) = run.read_bytes {
@@ -248,8 +250,8 @@ pub(crate) struct SimulatedRun {
     pub(crate) batch: usize,
     /// Bytes that are read together; the paper's groups where nothing is said.
     pub(crate) read_bytes: Option<usize>,
-    /// Of the system's file cache; none where 0.
-    pub(crate) file_cache_bytes: u64,
+    /// The system's file cache.
+    pub(crate) caching: FileCaching,
     /// It is stopped when it has taken so long.
     pub(crate) limit_seconds: f64,
 }
@@ -263,7 +265,7 @@ impl SimulatedRun {
             prefetches: true,
             batch: BATCH,
             read_bytes: None,
-            file_cache_bytes: 0,
+            caching: FileCaching::NONE,
             limit_seconds: f64::INFINITY,
         }
     }
@@ -337,6 +339,19 @@ pub(crate) fn budget_of(bytes: u64, points: u64) -> Budget {
     let (node, point) = ((NODE_BYTES + OVERHEAD_BYTES) as u64, (POINT_BYTES + OVERHEAD_BYTES) as u64);
     let for_points = (bytes / 2).min(points * point);
     Budget { nodes: ((bytes - for_points) / node) as usize, points: (for_points / point) as usize }
+}
+
+/// What the system's file cache reads together, where it reads around what is asked for.
+pub(crate) const READ_AROUND_BYTES: u64 = 64 << 10;
+
+/// Memory divided between records and the system's file cache, which has three quarters; where all points together exceed
+/// these, records have three quarters.
+pub(crate) fn divided(bytes: u64, points: u64) -> (Budget, FileCaching) {
+    let quarter = bytes / 4;
+    let not_points = points * crate::record::POINT_BYTES as u64 > 3 * quarter;
+    let for_cache = if not_points { quarter } else { 3 * quarter };
+    let caching = FileCaching { bytes: for_cache, around_bytes: READ_AROUND_BYTES, not_points };
+    (budget_of(bytes - for_cache, points), caching)
 }
 
 /// The scan that was given, or a generated surface.

@@ -3,6 +3,7 @@
 use anyhow::Result;
 
 use super::{Setting, SimulatedRun, Subject, differing, same_picture_note, scan_or};
+use crate::file_cache::FileCaching;
 use crate::index::Limits;
 use crate::records::Budget;
 use crate::report::{Series, Table, number, plot};
@@ -70,7 +71,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     // The paper's machine had room for all files in the system's cache.
     let over_file_cache = |nodes: usize, points: usize| -> Result<f64> {
         let budget = Budget { nodes: nodes / part, points: points / part };
-        let run = SimulatedRun { file_cache_bytes: 1 << 30, ..SimulatedRun::paper(budget) };
+        let run = SimulatedRun { caching: FileCaching::by_blocks(1 << 30), ..SimulatedRun::paper(budget) };
         Ok(subject.simulated(&index, run)?.1)
     };
     let [most, paper_least, least] = [

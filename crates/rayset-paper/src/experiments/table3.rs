@@ -7,17 +7,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::octree::Cloud;
-use rayset::scene::{
-    Camera, CloudObject, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step,
-};
+use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
 use rayset::trace::judge::PointField;
 use rayset::trace::predict::NoPredictor;
-use rayset::trace::{ExecSettings, WholePicture};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits as WorkingSetLimits, PagedFiles, WorkingSet};
 
+use super::sets::{OBJECTS, scene, shipping_cpu_seconds, view};
 use super::{BATCH, Setting, Subject, differing, median, object, same_picture_note, scan_or, shipping};
 use crate::disk::RealDisk;
 use crate::engine::{self, IndexField, all_pixels};
@@ -29,7 +25,6 @@ use crate::report::{Series, Table, number, plot};
 /// Point sets; the paper's seconds of preprocessing and of rendering.
 const PAPER: [(usize, f64, f64); 5] =
     [(1, 57.0, 13.8), (2, 114.8, 13.9), (4, 230.9, 14.5), (8, 470.7, 16.8), (10, 589.0, 16.8)];
-const OBJECTS: usize = 20;
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     let side = setting.pick(16, 40);
@@ -76,16 +71,20 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let (camera, settings, step) = view(&scenes[0].1, &clouds[0], side);
     // Runs take turns, so that what else the machine does meets all alike.
     let larger = RenderSettings { width: shipping_side, height: shipping_side, ..settings };
-    let mut shipping_seconds = vec![(Vec::new(), Vec::new()); scenes.len()];
+    let mut rounds: Vec<Round> = Vec::new();
     for _ in 0..repeats {
-        for (place, (sets, scene)) in scenes.iter().enumerate() {
+        let mut round = Round::new();
+        for (sets, scene) in &scenes {
             let (cold, warm) = shipping_cpu_seconds(scene, &clouds[..*sets], &camera, &larger)?;
-            shipping_seconds[place].0.push(cold);
-            shipping_seconds[place].1.push(warm);
+            round.push([cold, warm]);
         }
+        rounds.push(round);
     }
-    let medians: Vec<(f64, f64)> =
-        shipping_seconds.iter_mut().map(|(cold, warm)| (median(cold), median(warm))).collect();
+    let medians: Vec<[Timing; 2]> = (0..scenes.len())
+        .map(|place| {
+            [0, 1].map(|state| Timing::of(&rounds, |round: &Round| (round[place][state], round[0][state])))
+        })
+        .collect();
     let mut worst: f64 = 0.0;
     for (place, &(sets, paper_preparing, paper_rendering)) in sets_wanted.iter().enumerate() {
         let scene = &scenes[place].1;
@@ -98,7 +97,9 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             shipping(scene, &clouds[..sets], (&camera, &settings), 1 << 40, backend, predictor)?;
         worst = worst.max(differing(&picture, &shipped));
         let sum = |of: fn(&(f64, f64)) -> f64| preparing[..sets].iter().map(of).sum::<f64>();
-        for (line, seconds) in lines.iter_mut().zip([paper_rendering, reference_seconds, medians[place].0]) {
+        for (line, seconds) in
+            lines.iter_mut().zip([paper_rendering, reference_seconds, medians[place][0].seconds])
+        {
             line.points.push((sets as f64, seconds));
         }
         table.row([
@@ -108,10 +109,10 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             number(sum(|p| p.0)),
             number(paper_rendering),
             number(reference_seconds),
-            number(medians[place].0),
-            format!("{:+.1} %", 100.0 * (medians[place].0 / medians[0].0 - 1.0)),
-            number(medians[place].1),
-            format!("{:+.1} %", 100.0 * (medians[place].1 / medians[0].1 - 1.0)),
+            number(medians[place][0].seconds),
+            medians[place][0].more(),
+            number(medians[place][1].seconds),
+            medians[place][1].more(),
         ]);
     }
     std::fs::remove_dir_all(&folder)?;
@@ -119,7 +120,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         "{OBJECTS} objects of {} points, three lights with exact shadows, {side}×{side} rays. Reference: out of core on \
          this machine's disk, direct reads, caches of 8192 nodes and 4096 points a set, `line`, one run: more sets have more \
          caches together; its preprocessing begins with the shipping engine's file. Shipping: {shipping_side}×{shipping_side} rays, one thread, processor seconds of the process, \
-         nothing in memory (cold) and all pages in memory (warm), medians of {repeats} runs that take turns.",
+         nothing in memory (cold) and all pages in memory (warm), medians of {repeats} rounds in which the numbers of sets \
+         take turns; of one set: the median of what each is of the same round's single set.",
         clouds[0].header().points
     ));
     table.note(same_picture_note(worst));
@@ -132,75 +134,27 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     )
 }
 
-/// Processor seconds of a render with nothing in memory, and of the same with all pages there.
-fn shipping_cpu_seconds(
-    scene: &Scene,
-    clouds: &[Arc<Cloud>],
-    camera: &Camera,
-    settings: &RenderSettings,
-) -> Result<(f64, f64)> {
-    let set = WorkingSet::new(WorkingSetLimits::total(1 << 40), read::backend(BackendKind::Auto)?);
-    let mut paged = PagedFiles::new(set);
-    for cloud in clouds {
-        paged.open(cloud, true)?;
+/// Processor seconds by number of sets, cold and warm, of runs that follow each other.
+type Round = Vec<[f64; 2]>;
+
+/// Medians over rounds.
+struct Timing {
+    seconds: f64,
+    /// Of one set in the same round, so that what else the machine does meets both.
+    of_one_set: f64,
+}
+
+impl Timing {
+    /// `pick` finds a time, and that of one set.
+    fn of(rounds: &[Round], pick: impl Fn(&Round) -> (f64, f64)) -> Self {
+        let (mut seconds, mut ratios): (Vec<f64>, Vec<f64>) =
+            rounds.iter().map(pick).map(|(time, one)| (time, time / one)).unzip();
+        Self { seconds: median(&mut seconds), of_one_set: median(&mut ratios) }
     }
-    let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
-    let once = || -> Result<f64> {
-        let started = cpu_seconds();
-        rayset::trace::render(scene, camera, settings, &exec, &paged, &mut WholePicture::default())?;
-        Ok(cpu_seconds() - started)
-    };
-    Ok((once()?, once()?))
-}
 
-/// Seconds that the processor has spent on this process.
-fn cpu_seconds() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
-}
-
-/// Objects in four rows on a grid, each turned another way; sets take turns.
-fn scene(clouds: &[Arc<Cloud>]) -> Scene {
-    let bounds = object(&clouds[0]).bounds();
-    let scale = 1.0 / bounds.size().max_element();
-    let leaves: Vec<Arc<Node>> =
-        clouds.iter().map(|cloud| Arc::new(Node::new(Shape::Cloud(object(cloud))))).collect();
-    let place = |i: usize| {
-        let at = DVec3::new((i % 5) as f64 - 2.0, 0.0, (i / 5) as f64 - 1.5) * 1.1;
-        let moved = DAffine3::from_scale_rotation_translation(
-            DVec3::splat(scale),
-            DQuat::from_rotation_y(1.3 * i as f64),
-            at,
-        ) * DAffine3::from_translation(-bounds.center());
-        let leaf = leaves[i % leaves.len()].clone();
-        Arc::new(Node { parent_from_local: moved, ..Node::new(Shape::Operator(Operator::Union, vec![leaf])) })
-    };
-    let light = |direction: DVec3, color: [f32; 3]| Light {
-        kind: LightKind::Directional { direction },
-        color,
-        shadow: true,
-    };
-    Scene {
-        root: Arc::new(Node::new(Shape::Operator(Operator::Union, (0..OBJECTS).map(place).collect()))),
-        lighting: Lighting::Lit(vec![
-            light(DVec3::new(0.3, -1.0, -0.4), [0.5, 0.45, 0.4]),
-            light(DVec3::new(-0.8, -0.9, -0.2), [0.3, 0.3, 0.4]),
-            light(DVec3::new(0.1, -0.6, 0.8), [0.2, 0.25, 0.2]),
-        ]),
-        background: None,
-        unit_distance: clouds[0].header().radius_mean * scale,
+    fn more(&self) -> String {
+        format!("{:+.1} %", 100.0 * (self.of_one_set - 1.0))
     }
-}
-
-fn view(scene: &Scene, cloud: &Arc<Cloud>, side: u32) -> (Camera, RenderSettings, f64) {
-    let bounds = scene.root.bounds();
-    let eye = bounds.center() + DVec3::new(0.2, 0.6, 1.0).normalize() * 1.1 * bounds.size().length();
-    let camera = Camera::look_at(eye, bounds.center(), DVec3::Y, 35_f64.to_radians());
-    let scale = 1.0 / object(cloud).bounds().size().max_element();
-    let step = 0.25 * cloud.header().radius_mean * scale;
-    let settings =
-        RenderSettings { width: side, height: side, step: Step::Fixed(step), ..RenderSettings::default() };
-    (camera, settings, step)
 }
 
 fn reference(

@@ -10,6 +10,7 @@ use super::super::{
 };
 use crate::disk::RealDisk;
 use crate::engine::all_pixels;
+use crate::file_cache::FileCaching;
 use crate::index::{Index, Limits, stream_points};
 use crate::predict::{Foresight, Variant};
 use crate::records::OutOfCore;
@@ -81,7 +82,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             used(points.prefetched_used, points.prefetched),
         ];
         // The file cache of the system at hand is not ours to limit.
-        if run.file_cache_bytes == 0 {
+        if run.caching == FileCaching::NONE {
             let (mut times, mut stalls) = (Vec::new(), Vec::new());
             for _ in 0..repeats {
                 let (time, stalled) = real(&subject, &index, run, backend, real_limit)?;
@@ -140,10 +141,24 @@ fn changes(setting: &Setting, usual: SimulatedRun, (memory, points): (u64, u64))
         all.push(change("bytes a read", bytes.to_string(), run));
     }
     for part in [1, 2, 3] {
-        let file_cache_bytes = memory / 4 * part;
-        let budget = budget_of(memory - file_cache_bytes, points);
-        let run = SimulatedRun { budget, file_cache_bytes, ..usual };
+        let caching = FileCaching::by_blocks(memory / 4 * part);
+        let budget = budget_of(memory - caching.bytes, points);
+        let run = SimulatedRun { budget, caching, ..usual };
         all.push(change("file cache, of the memory", format!("{part}/4"), run));
+    }
+    for around_bytes in [16 << 10, 64 << 10, 256 << 10] {
+        let caching = FileCaching { around_bytes, ..FileCaching::by_blocks(memory / 4 * 3) };
+        let budget = budget_of(memory - caching.bytes, points);
+        for variant in [Variant::None, Variant::Line] {
+            let run = SimulatedRun { budget, caching, ..of(variant) };
+            let name =
+                if variant == Variant::None { "children and lists".into() } else { variant.to_string() };
+            all.push(change(
+                "file cache of 3/4, reading around",
+                format!("{} KiB, {name}", around_bytes >> 10),
+                run,
+            ));
+        }
     }
     for (name, backend) in [("io_uring", BackendKind::Uring), ("threads", BackendKind::Pool)] {
         // Not every system has the first.
