@@ -176,11 +176,7 @@ impl RecordCache {
     pub fn set_capacity(&mut self, capacity: usize) {
         let capacity = capacity.max(1);
         self.limit = capacity;
-        while self.resident() > capacity
-            && let Some(slot) = self.evict(u8::MAX)
-        {
-            self.free.push(slot);
-        }
+        self.shrink();
         // Places that are in use keep their numbers.
         let used = |cache: &Self| {
             let last =
@@ -336,6 +332,16 @@ impl RecordCache {
         if entry.retained == 0 {
             entry.priority /= 2;
             self.queue(slot);
+            self.shrink();
+        }
+    }
+
+    /// Drives out what is too much in a cache that was made smaller while its records were in use.
+    fn shrink(&mut self) {
+        while self.resident() > self.limit
+            && let Some(slot) = self.evict(u8::MAX)
+        {
+            self.free.push(slot);
         }
     }
 
@@ -535,12 +541,7 @@ impl RecordCache {
 
     /// A place for a record, if need be that of one of a lower priority, or of the same and used longer ago.
     fn place(&mut self, record: u64, priority: u8) -> Option<Slot> {
-        // A cache that was made smaller while its records were in use.
-        while self.resident() > self.limit
-            && let Some(slot) = self.evict(u8::MAX)
-        {
-            self.free.push(slot);
-        }
+        self.shrink();
         let free = if self.resident() < self.limit { self.free.pop() } else { None };
         let slot = match free {
             Some(slot) => slot,
@@ -565,3 +566,6 @@ impl RecordCache {
         Some(slot)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,6 +1,7 @@
 //! Asynchronous reads from the disk there is.
 
 use std::collections::HashMap;
+use std::fs::File;
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -53,6 +54,7 @@ type Done = (Ticket, PageBuffer, io::Result<()>);
 /// The machine's own disk, by one of rayset's backends.
 pub struct RealDisk {
     files: Vec<Arc<dyn Storage>>,
+    around: Option<Around>,
     lengths: Vec<u64>,
     backend: Arc<dyn ReadBackend>,
     next: Ticket,
@@ -73,6 +75,7 @@ impl RealDisk {
         Ok(Self {
             lengths: paths.iter().map(length).collect::<io::Result<_>>()?,
             files: paths.iter().map(open).collect::<io::Result<_>>()?,
+            around: None,
             backend: read::backend(backend)?,
             next: 0,
             pending: HashMap::new(),
@@ -81,10 +84,57 @@ impl RealDisk {
             stalled_nanoseconds: 0,
         })
     }
+
+    /// Has the system's file cache read what stands around a read with it, in aligned groups of so many bytes; for files that
+    /// are read through it.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn reading_around(mut self, paths: &[PathBuf], bytes: u64) -> io::Result<Self> {
+        self.around = Some(Around::new(paths, bytes)?);
+        Ok(self)
+    }
+}
+
+/// Tells the system which parts of files will be wanted.
+struct Around {
+    files: Vec<File>,
+    bytes: u64,
+    /// Groups that it was told of lately, each in the place of its number's lowest bits.
+    told: Vec<Option<(usize, u64)>>,
+}
+
+impl Around {
+    /// The system forgets groups in its own way: one that others stood in the place of is told again.
+    const REMEMBERED: usize = 256;
+
+    fn new(paths: &[PathBuf], bytes: u64) -> io::Result<Self> {
+        let files = paths.iter().map(File::open).collect::<io::Result<_>>()?;
+        Ok(Self { files, bytes: bytes.max(1), told: vec![None; Self::REMEMBERED] })
+    }
+
+    fn tell(&mut self, extent: Extent) {
+        let group = extent.offset / self.bytes;
+        let place = (group as usize + extent.file * Self::REMEMBERED / 3) % Self::REMEMBERED;
+        if self.told[place].replace((extent.file, group)) == Some((extent.file, group)) {
+            return;
+        }
+        // Advice that is not taken changes nothing but the time.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::fs::fadvise(
+            &self.files[extent.file],
+            group * self.bytes,
+            std::num::NonZeroU64::new(self.bytes),
+            rustix::fs::Advice::WillNeed,
+        );
+    }
 }
 
 impl Disk for RealDisk {
     fn submit(&mut self, batch: &[Extent]) -> Vec<Ticket> {
+        if let Some(around) = &mut self.around {
+            batch.iter().for_each(|&extent| around.tell(extent));
+        }
         let mut tickets = Vec::with_capacity(batch.len());
         let mut reads = Vec::with_capacity(batch.len());
         for &extent in batch {

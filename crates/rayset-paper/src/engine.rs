@@ -375,6 +375,11 @@ mod tests {
         let records = OutOfCore::new(Box::new(disk), budget_of(50_000, 3000), 16, true, None);
         let (again, records) = subject.reference(records, Variant::Line, pixels()).expect("a picture");
         assert!(bits(&again) == bits(&first), "on the real disk");
+        let around = RealDisk::open(&index.files(), false, Default::default());
+        let around = around.and_then(|disk| disk.reading_around(&index.files(), 16 << 10)).expect("a disk");
+        let cached = OutOfCore::new(Box::new(around), budget_of(50_000, 3000), 16, true, None);
+        let (again, _) = subject.reference(cached, Variant::Line, pixels()).expect("a picture");
+        assert!(bits(&again) == bits(&first), "through the file cache");
         let [nodes, _, points] = records.counts();
         assert!(nodes.prefetched_used > 0 && points.prefetched_used > 0, "{nodes:?} {points:?}");
         let image = folder.path().join("image.bin");

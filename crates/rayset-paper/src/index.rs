@@ -133,13 +133,22 @@ impl Index {
     /// # Errors
     /// What the system says.
     pub fn points_and_root(&self) -> io::Result<(Vec<Point>, (DVec3, DVec3))> {
-        let [nodes, _, points] = self.files();
+        let [_, _, points] = self.files();
+        let bytes = std::fs::read(points)?;
+        let count = usize::try_from(self.summary.points).unwrap_or(usize::MAX);
+        Ok((bytes.chunks_exact(POINT_BYTES).take(count).map(Point::decode).collect(), self.root()?))
+    }
+
+    /// The cube of the root.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn root(&self) -> io::Result<(DVec3, DVec3)> {
+        let [nodes, ..] = self.files();
         let mut root = [0; NODE_BYTES];
         File::open(nodes)?.read_exact(&mut root)?;
         let Node { min, max, .. } = Node::decode(&root);
-        let bytes = std::fs::read(points)?;
-        let count = usize::try_from(self.summary.points).unwrap_or(usize::MAX);
-        Ok((bytes.chunks_exact(POINT_BYTES).take(count).map(Point::decode).collect(), (min, max)))
+        Ok((min, max))
     }
 
     /// Builds the index of a cloud into a folder.

@@ -128,6 +128,8 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         .configure_mesh()
         .x_desc(axes.0)
         .y_desc(axes.1)
+        .x_label_formatter(&|v| tick(*v))
+        .y_label_formatter(&|v| tick(*v))
         .light_line_style(WHITE)
         .draw()
         .map_err(|e| failed(&e))?;
@@ -143,6 +145,17 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
         area.draw(&name).map_err(|e| failed(&e))?;
     }
     area.present().map_err(|e| failed(&e))
+}
+
+/// A place on a logarithmic axis in as few digits as say it; only ones, twos and fives, so that names do not meet.
+fn tick(v: f64) -> String {
+    let power = 10_f64.powf((v.log10() + 1e-9).floor());
+    let leading = (v / power).round();
+    if [1.0, 2.0, 5.0].contains(&leading) {
+        format!("{}", (leading * power * 1e9).round() / 1e9)
+    } else {
+        String::new()
+    }
 }
 
 /// Writes values as bars, one below the other.

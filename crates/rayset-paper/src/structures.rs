@@ -179,10 +179,8 @@ pub fn write_files(index: &Index, path: &Path) -> std::io::Result<Layout> {
 /// # Errors
 /// What the system says.
 pub fn grow(index: &Index, touch: &mut dyn FnMut(u64, usize, bool)) -> std::io::Result<(Vec<u8>, Layout)> {
-    let [nodes, _, points] = index.files();
-    let mut root = [0; NODE_BYTES];
-    File::open(nodes)?.read_exact(&mut root)?;
-    let Node { min, max, .. } = Node::decode(&root);
+    let [_, _, points] = index.files();
+    let (min, max) = index.root()?;
     let points = std::fs::read(points)?;
     let nodes_at = points.len() as u64;
     let limits = index.summary.limits;

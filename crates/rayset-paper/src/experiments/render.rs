@@ -59,6 +59,9 @@ pub struct RenderArgs {
     /// Read through the system's file cache, by caches
     #[arg(long)]
     buffered: bool,
+    /// Have that cache read so many bytes around what is asked for, by caches
+    #[arg(long, requires = "buffered")]
+    around: Option<u64>,
     /// Let rays through, so that they need all of the cloud
     #[arg(long)]
     translucent: bool,
@@ -162,7 +165,11 @@ pub fn run(args: &RenderArgs) -> Result<String> {
         }
         Kept::Caches => {
             let budget = Budget { nodes: args.nodes, points: args.points };
-            let disk = RealDisk::open(&index(args)?.files(), !args.buffered, args.backend.into())?;
+            let files = index(args)?.files();
+            let mut disk = RealDisk::open(&files, !args.buffered, args.backend.into())?;
+            if let Some(bytes) = args.around {
+                disk = disk.reading_around(&files, bytes)?;
+            }
             let prefetches = args.predictor != Variant::None;
             let records = OutOfCore::new(Box::new(disk), budget, BATCH, prefetches, None);
             let (picture, records) = subject.reference(records, args.predictor, pixels)?;

@@ -49,16 +49,14 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             "stalled",
         ],
     );
-    let repeats = setting.pick(1, 3);
     let (shipped, _) = subject.shipping()?;
-    let mut worst: f64 = 0.0;
-    let mut shown = Vec::new();
     let limit = STOPPED_AT * subject.simulated(&index, usual)?.1;
-    let real_limit = STOPPED_AT * real(&subject, &index, usual, BackendKind::Auto, f64::INFINITY)?.0;
-    let shown_until = |limit: f64, time: f64| {
-        if time >= limit { format!("more than {}", number(limit)) } else { number(time) }
-    };
-    for Change { what, value, run, backend } in changes(setting, usual, (memory, index.summary.points)) {
+    let real_limit = STOPPED_AT * real(&subject, &index, usual, BackendKind::Auto, f64::INFINITY)?.seconds;
+    let changes = changes(setting, usual, (memory, index.summary.points));
+    let repeats = setting.pick(1, 3);
+    let on_disk = on_disk(&subject, &index, &changes, (repeats, real_limit))?;
+    let (mut worst, mut shown): (f64, _) = (0.0, Vec::new());
+    for (Change { what, value, run, .. }, on_disk) in changes.into_iter().zip(on_disk) {
         let run = SimulatedRun { limit_seconds: limit, ..run };
         let (picture, simulated, records) = subject.simulated(&index, run)?;
         if simulated < limit {
@@ -68,7 +66,11 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let used = |used: u64, all: u64| {
             (100 * used).checked_div(all).map_or_else(|| "–".into(), |percent| format!("{percent} %"))
         };
-        let mut cells = vec![
+        let [real_seconds, real_stalled] = on_disk.map_or_else(
+            || ["–"; 2].map(ToOwned::to_owned),
+            |run| [shown_until(real_limit, run.seconds), format!("{:.0} %", 100.0 * run.stalled)],
+        );
+        table.row([
             what.to_owned(),
             value.clone(),
             shown_until(limit, simulated),
@@ -80,21 +82,9 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             used(nodes.prefetched_used, nodes.prefetched),
             points.misses.to_string(),
             used(points.prefetched_used, points.prefetched),
-        ];
-        // The file cache of the system at hand is not ours to limit.
-        if run.caching == FileCaching::NONE {
-            let (mut times, mut stalls) = (Vec::new(), Vec::new());
-            for _ in 0..repeats {
-                let (time, stalled) = real(&subject, &index, run, backend, real_limit)?;
-                times.push(time);
-                stalls.push(stalled / time);
-            }
-            cells.push(shown_until(real_limit, median(&mut times)));
-            cells.push(format!("{:.0} %", 100.0 * median(&mut stalls)));
-        } else {
-            cells.extend(["–".to_owned(), "–".to_owned()]);
-        }
-        table.row(cells);
+            real_seconds,
+            real_stalled,
+        ]);
         shown.push((format!("{what}: {value}"), simulated));
     }
     std::fs::remove_dir_all(&folder)?;
@@ -103,7 +93,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
          a time; the usual is `line`, the next leaf, {BATCH} reads a call, the paper's groups (eight children together, all \
          else record by record), no file cache. Bytes a read: of nodes, lists and points alike. Nothing: what a sample waits for, and the siblings of a node with it. \
          Children and lists: what section 4.2 brings in with a node and a leaf, without any prediction; the predictors have \
-         that too. The real disk is read past the page cache; medians of {repeats}. A run \
+         that too. The real disk is read past the page cache; medians of {repeats} that take turns. Reading around: the file cache brings what \
+         is absent around what is asked for, in aligned groups of so many bytes. A run \
          is stopped at {STOPPED_AT} times the usual.",
         index.summary.points, index.summary.nodes, usual.budget.nodes, usual.budget.points
     ));
@@ -169,14 +160,48 @@ fn changes(setting: &Setting, usual: SimulatedRun, (memory, points): (u64, u64))
     all
 }
 
-/// Seconds on the disk there is, and of these waited.
+fn shown_until(limit: f64, time: f64) -> String {
+    if time >= limit { format!("more than {}", number(limit)) } else { number(time) }
+}
+
+/// A run on the disk there is.
+#[derive(Clone, Copy)]
+struct OnDisk {
+    seconds: f64,
+    /// Of these, waited.
+    stalled: f64,
+}
+
+/// Medians on the disk there is, of runs that take turns, so that what else the machine does meets all alike. Nothing for
+/// changes of the file cache: that of the system at hand is not ours to limit.
+fn on_disk(
+    subject: &Subject,
+    index: &Index,
+    changes: &[Change],
+    (repeats, limit): (usize, f64),
+) -> Result<Vec<Option<OnDisk>>> {
+    let mut runs = vec![Vec::new(); changes.len()];
+    for _ in 0..repeats {
+        for (runs, change) in runs.iter_mut().zip(changes) {
+            if change.run.caching == FileCaching::NONE {
+                runs.push(real(subject, index, change.run, change.backend, limit)?);
+            }
+        }
+    }
+    let of =
+        |runs: &Vec<OnDisk>, what: fn(&OnDisk) -> f64| median(&mut runs.iter().map(what).collect::<Vec<_>>());
+    let medians =
+        |runs: &Vec<OnDisk>| OnDisk { seconds: of(runs, |r| r.seconds), stalled: of(runs, |r| r.stalled) };
+    Ok(runs.iter().map(|runs| (!runs.is_empty()).then(|| medians(runs))).collect())
+}
+
 fn real(
     subject: &Subject,
     index: &Index,
     run: SimulatedRun,
     backend: BackendKind,
     limit: f64,
-) -> Result<(f64, f64)> {
+) -> Result<OnDisk> {
     let disk = RealDisk::open(&index.files(), true, backend)?;
     let mut records = OutOfCore::new(Box::new(disk), run.budget, run.batch, run.prefetches, None);
     if let Some(bytes) = run.read_bytes {
@@ -185,7 +210,8 @@ fn real(
     let started = Instant::now();
     let pixels = all_pixels(&subject.settings).take_while(|_| started.elapsed().as_secs_f64() < limit);
     let (_, records) = subject.reference(records, run.foresight, pixels)?;
-    Ok((started.elapsed().as_secs_f64(), records.stalled_nanoseconds() as f64 * 1e-9))
+    let seconds = started.elapsed().as_secs_f64();
+    Ok(OnDisk { seconds, stalled: records.stalled_nanoseconds() as f64 * 1e-9 / seconds })
 }
 
 /// The point controller while points are streamed, with and without its predictor of regular accesses.
