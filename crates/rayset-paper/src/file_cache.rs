@@ -130,7 +130,8 @@ mod tests {
 
     #[test]
     fn what_is_absent_comes_with_its_group_and_nothing_is_read_twice() {
-        let caching = FileCaching { around_bytes: 4 * BLOCK_BYTES, ..FileCaching::by_blocks(64 * BLOCK_BYTES) };
+        let caching =
+            FileCaching { around_bytes: 4 * BLOCK_BYTES, ..FileCaching::by_blocks(64 * BLOCK_BYTES) };
         let mut cache = FileCache::new(caching);
         assert_eq!(bring(&mut cache, 5..6), [(4, 8)]);
         assert_eq!(bring(&mut cache, 4..8), []);
@@ -148,7 +149,8 @@ mod tests {
 
     #[test]
     fn a_group_larger_than_the_cache_leaves_what_was_wanted() {
-        let caching = FileCaching { around_bytes: 16 * BLOCK_BYTES, ..FileCaching::by_blocks(4 * BLOCK_BYTES) };
+        let caching =
+            FileCaching { around_bytes: 16 * BLOCK_BYTES, ..FileCaching::by_blocks(4 * BLOCK_BYTES) };
         let mut cache = FileCache::new(caching);
         bring(&mut cache, 1..2);
         assert_eq!(bring(&mut cache, 1..2), []);

@@ -93,6 +93,24 @@ fn tiles_that_are_put_off_become_the_same_pixels() {
 }
 
 #[test]
+fn where_the_pages_of_a_tile_do_not_fit_looking_ahead_reads_hardly_more_than_not_to() {
+    let folder = folder();
+    let scene = scene(&workload_cloud("sphere-1m", folder.path()), Kernel::Triweight, false);
+    let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
+    for budget_pages in [20, 28, 40] {
+        let reads = |predictor: Arc<dyn Predictor>| {
+            let paged = paged(&scene, budget_pages * page);
+            let exec = ExecSettings { predictor, ..exec(1) };
+            let mut found = WholePicture::default();
+            render(&scene, &camera(), &settings(16, 16), &exec, &paged, &mut found).expect("a picture");
+            paged.pages.statistics().total(|kind| kind.reads)
+        };
+        let (without, with) = (reads(Arc::new(NoPredictor)), reads(Arc::new(PacketPredictor::default())));
+        assert!(with as f64 <= 1.25 * without as f64, "{budget_pages} pages: {with} reads, {without} without");
+    }
+}
+
+#[test]
 fn the_picture_is_the_same_for_every_tile_slab_and_band() {
     let folder = folder();
     for (scene, settings) in scenes(folder.path()) {

@@ -203,6 +203,18 @@ fn hints_never_evict_a_page_of_the_same_or_a_higher_priority() {
 }
 
 #[test]
+fn what_a_hint_brought_in_and_nobody_uses_goes_before_what_was_used_since() {
+    let (set, object, _) = set(Numbers::new(64), pages(4));
+    assert_eq!(set.hint(&object, &[20], 200, u64::MAX), 1);
+    while !set.is_resident(&object, 20) {
+        std::thread::yield_now();
+    }
+    (0..4).for_each(|page| drop(set.retain(&object, page, 200).expect("a page")));
+    let resident: Vec<u32> = (0..64).filter(|&page| set.is_resident(&object, page)).collect();
+    assert_eq!(resident, [0, 1, 2, 3]);
+}
+
+#[test]
 fn failed_reads_and_wrong_bytes_are_errors_with_their_place() {
     let (set, object, _) = set(Numbers { broken_page: Some(2), ..Numbers::new(8) }, pages(4));
     let Err(fault) = set.retain(&object, 2, 100) else { panic!("page 2 is broken") };

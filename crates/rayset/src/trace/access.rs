@@ -6,8 +6,9 @@ use std::sync::Arc;
 use super::RenderError;
 use crate::working_set::{Object, PageGuard, WorkingSet};
 
-/// Priority of node pages: every packet needs the upper ones.
-pub(super) const NODE_PRIORITY: u8 = 255;
+/// Priority of node pages: that of point pages. Packets use the upper ones again and again, so that they stay; were all
+/// above points, those of places long gone would fill a budget that is small beside the octree.
+pub(super) const NODE_PRIORITY: u8 = 200;
 /// Priority of point pages that samples wait for.
 pub(super) const POINT_PRIORITY: u8 = 200;
 

@@ -15,8 +15,8 @@ use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
 use crate::octree::page::PointPage;
 
-/// Priority of a page that is expected on a line: below that of pages in use.
-const LINE_PRIORITY: u8 = 100;
+/// Priority of a page that is expected on a line: pages that were released give way to it.
+const LINE_PRIORITY: u8 = POINT_PRIORITY;
 /// Rays whose directions differ by more than this along some axis are tested one by one.
 const MOST_SPREAD: f64 = 0.25;
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.

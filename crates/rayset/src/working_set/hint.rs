@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::WorkingSet;
-use super::slot::{KEPT_FOR_HINT, NOT_HINTED, Object, READ_FOR_HINT, Resident, Slot};
+use super::slot::{KEPT_FOR_HINT, NOT_HINTED, Object, READ_FOR_HINT, Resident, Slot, decayed};
 
 impl WorkingSet {
     /// Asks for pages that will be wanted soon. Those that are absent are read in one batch, as far as there is room
     /// without evicting a page of the same or a higher priority, and as long as pages that were read for hints and not
-    /// yet asked for take no more than `most_bytes`. Those that are resident are kept. Returns how many of `pages`, from
-    /// the first, were dealt with.
+    /// yet asked for take no more than `most_bytes`. Those that are resident count as used now. Until somebody asks for
+    /// them all wait like pages that were released: if they stayed longer than what is used meanwhile, hints that come to
+    /// nothing would fill a small budget. Returns how many of `pages`, from the first, were dealt with.
     pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8, most_bytes: u64) -> usize {
         let mut batch = Vec::new();
         let mut dealt_with = pages.len();
@@ -24,7 +25,7 @@ impl WorkingSet {
                 }
                 Slot::Absent => *slot = Slot::Loading,
                 Slot::Resident(resident) => {
-                    self.keep_for_hint(resident, priority);
+                    self.keep_for_hint(resident, decayed(priority));
                     continue;
                 }
                 Slot::Loading | Slot::Failed(_) => continue,
@@ -37,7 +38,7 @@ impl WorkingSet {
                 Some(buffer) => {
                     self.shared.unused_hint_bytes.fetch_add(object.bytes(), Ordering::Relaxed);
                     self.shared.counters[kind.index()].hinted.fetch_add(1, Ordering::Relaxed);
-                    batch.push(self.read_of(object, page, buffer, priority, true));
+                    batch.push(self.read_of(object, page, buffer, decayed(priority), true));
                 }
                 None => {
                     self.give_up(object, page);
@@ -52,7 +53,7 @@ impl WorkingSet {
         dealt_with
     }
 
-    /// A page that will be wanted is there already: it stays until then, like those that are read for a hint.
+    /// A page that will be wanted is there already: it waits like those that are read for a hint.
     fn keep_for_hint(&self, resident: &Resident, priority: u8) {
         resident.last_use.store(self.tick(), Ordering::Relaxed);
         if resident.retained.load(Ordering::Relaxed) == 0 {

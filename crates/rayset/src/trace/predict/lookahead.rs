@@ -20,8 +20,8 @@ use crate::working_set::Object;
 
 /// Edge, in pixels, of the blocks of tiles that are looked at together.
 const BLOCK_PIXELS: u32 = 32;
-/// Priority of a page that is expected: above that of pages released, below that of pages in use.
-const HINT_PRIORITY: u8 = 150;
+/// Priority of a page that is expected: pages that were released give way to it.
+const HINT_PRIORITY: u8 = 200;
 
 /// What is known of the picture being made: where rays will go.
 pub struct Lookahead<'a> {
