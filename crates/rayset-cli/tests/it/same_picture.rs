@@ -106,7 +106,10 @@ fn where_the_pages_of_a_tile_do_not_fit_looking_ahead_reads_hardly_more_than_not
             paged.pages.statistics().total(|kind| kind.reads)
         };
         let (without, with) = (reads(Arc::new(NoPredictor)), reads(Arc::new(PacketPredictor::default())));
-        assert!(with as f64 <= 1.25 * without as f64, "{budget_pages} pages: {with} reads, {without} without");
+        assert!(
+            with as f64 <= 1.25 * without as f64,
+            "{budget_pages} pages: {with} reads, {without} without"
+        );
     }
 }
 
