@@ -21,8 +21,8 @@ use crate::swap::{LastUses, OS_PAGE_BYTES, Swap};
 
 /// A run is stopped at so many times the time of the one that prefetches.
 const STOPPED_AT: f64 = 20.0;
-/// What is swapped in at a time: a page, or what Linux brings in where nobody says otherwise.
-const SWAPPED_TOGETHER: [u64; 2] = [OS_PAGE_BYTES as u64, 8 * OS_PAGE_BYTES as u64];
+/// What is swapped in at a time: a page, what Linux brings in where nobody says otherwise, and as much as out of core.
+const SWAPPED_TOGETHER: [u64; 3] = [OS_PAGE_BYTES as u64, 8 * OS_PAGE_BYTES as u64, READ_AROUND_BYTES];
 
 pub(super) fn run(setting: &Setting) -> Result<()> {
     let memory: u64 = setting.pick(1 << 20, 32 << 20);
@@ -38,7 +38,10 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             "render s",
             "by 32 KiB: build s",
             "render s",
+            "by 64 KiB: build s",
+            "render s",
             "file order, by 4 KiB: render s",
+            "by 64 KiB s",
             "out of core: build s",
             "no prefetch s",
             "line, by blocks s",
@@ -52,7 +55,10 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             "render",
             "by 32 KiB: build and render",
             "render",
-            "file order: render",
+            "by 64 KiB: build and render",
+            "render",
+            "file order, by 4 KiB: render",
+            "by 64 KiB",
             "stalled, around, line",
         ],
     );
@@ -67,12 +73,13 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let whole = index.summary.index_bytes() + index.summary.point_bytes();
         let ratio = whole as f64 / memory as f64;
         let (render, all) = (out_of_core.around_line(), out_of_core.build + out_of_core.around_line());
-        let [by_page, by_group] = in_core.by_page_and_group;
+        let [by_page, by_group, by_as_much] = in_core.grown;
         let plotted = [
             by_page.build.seconds + by_page.render.seconds,
             by_page.render.seconds,
             by_group.render.seconds,
-            in_core.file_order.seconds,
+            by_as_much.render.seconds,
+            in_core.file_order[0].seconds,
             all,
             out_of_core.nothing.seconds,
             out_of_core.by_blocks.seconds,
@@ -81,17 +88,17 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         for (series, time) in lines.iter_mut().zip(plotted) {
             series.points.push((ratio, time));
         }
-        let ratios = [by_page, by_group].map(|paged| [paged.whole().ratio(all), paged.render.ratio(render)]);
+        let ratios = in_core.grown.map(|paged| [paged.whole().ratio(all), paged.render.ratio(render)]);
         table.row(
             [size.points.to_string(), size.height.to_string(), megabytes(whole), number(ratio)]
                 .into_iter()
-                .chain(
-                    [by_page, by_group].iter().flat_map(|paged| [paged.build.shown(), paged.render.shown()]),
-                )
-                .chain([in_core.file_order.shown(), number(out_of_core.build)])
+                .chain(in_core.grown.iter().flat_map(|paged| [paged.build.shown(), paged.render.shown()]))
+                .chain(in_core.file_order.map(Time::shown))
+                .chain([number(out_of_core.build)])
                 .chain(out_of_core.renders().map(|time| time.shown()))
                 .chain(ratios.into_iter().flatten())
-                .chain([in_core.file_order.ratio(render), format!("{:.0} %", 100.0 * stalled / render)]),
+                .chain(in_core.file_order.map(|time| time.ratio(render)))
+                .chain([format!("{:.0} %", 100.0 * stalled / render)]),
         );
         std::fs::remove_dir_all(&folder)?;
     }
@@ -111,10 +118,11 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
 }
 
 /// Lines of the plot.
-const LINES: [&str; 8] = [
+const LINES: [&str; 9] = [
     "paging: build and render",
     "paging: render",
     "paging by 32 KiB: render",
+    "paging by 64 KiB: render",
     "paging, file order: render",
     "around, line: build and render",
     "no prefetch: render",
@@ -130,8 +138,8 @@ fn note(table: &mut Table, side: u32, memory: u64) {
          blocks: the cache reads the blocks of 4 KiB that are asked for; around: with what is absent around them, in \
          aligned groups of {} KiB, of which three could be read in one seek. Records alone have all of the memory, and no \
          cache. The in-core program takes one point after another into an octree in its heap, which is swapped, least \
-         recently used, while it is built, and again while it is rendered, by 4 KiB or by aligned groups of 32 KiB; it \
-         renders with what it used last still in memory, unchanged; the program out of core begins with nothing in memory. \
+         recently used, while it is built, and again while it is rendered, by 4 KiB or by aligned groups of 32 or 64 KiB; what \
+         it writes takes no time; it renders with what it used last still in memory, unchanged; the program out of core begins with nothing in memory. \
          File order: paging of the same octree as the out-of-core builder orders it, from nothing in memory on. Building \
          out of core is its input and output. Time is counted, so the table is the same on every machine: 500 ns a sample, \
          50 ns a point of it, 100 ns a step from node to node. A run is stopped at {STOPPED_AT} times the time of `around, line`, \
@@ -188,9 +196,10 @@ impl InCoreTimes {
 }
 
 struct AllInCore {
-    by_page_and_group: [InCoreTimes; 2],
-    /// Rendering from the order of the files.
-    file_order: Time,
+    /// By what is swapped in at a time.
+    grown: [InCoreTimes; 3],
+    /// Rendering from the order of the files, by pages and by as much as out of core.
+    file_order: [Time; 2],
 }
 
 /// The program out of core.
@@ -292,14 +301,17 @@ fn in_core(
         let swap = |clock| Swap::new(memory, clock).reading_around(together).left_by(&uses);
         paged(subject, heap.as_slice(), layout, swap, render_limit)
     });
-    let [by_page, by_group] = renders;
-    let renders = [by_page?, by_group?];
+    let [by_page, by_group, by_as_much] = renders;
+    let renders = [by_page?, by_group?, by_as_much?];
     drop(heap);
     let (files, layout) = image_of_files(index)?;
-    let swap = |clock| Swap::new(memory, clock).swapped_out(layout.bytes());
+    let in_file_order = |together| {
+        let swap = |clock| Swap::new(memory, clock).reading_around(together).swapped_out(layout.bytes());
+        paged(subject, files.as_slice(), layout, swap, render_limit)
+    };
     Ok(AllInCore {
-        by_page_and_group: [0, 1].map(|i| InCoreTimes { build: builds[i], render: renders[i] }),
-        file_order: paged(subject, files, layout, swap, render_limit)?,
+        grown: [0, 1, 2].map(|i| InCoreTimes { build: builds[i], render: renders[i] }),
+        file_order: [in_file_order(SWAPPED_TOGETHER[0])?, in_file_order(READ_AROUND_BYTES)?],
     })
 }
 

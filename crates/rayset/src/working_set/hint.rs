@@ -8,10 +8,11 @@ use super::slot::{KEPT_FOR_HINT, NOT_HINTED, Object, READ_FOR_HINT, Resident, Sl
 
 impl WorkingSet {
     /// Asks for pages that will be wanted soon. Those that are absent are read in one batch, as far as there is room
-    /// without evicting a page of the same or a higher priority, and as long as pages that were read for hints and not
-    /// yet asked for take no more than `most_bytes`. Those that are resident count as used now. Until somebody asks for
-    /// them all wait like pages that were released: if they stayed longer than what is used meanwhile, hints that come to
-    /// nothing would fill a small budget. Returns how many of `pages`, from the first, were dealt with.
+    /// without evicting a page that is in use, or waits at the same or a higher priority, and as long as pages that were
+    /// read for hints and not yet asked for take no more than `most_bytes`. Those that are resident count as used now.
+    /// Until somebody asks for them all wait like pages that were released: if they stayed longer than what is used
+    /// meanwhile, hints that come to nothing would fill a small budget. Returns how many of `pages`, from the first, were
+    /// dealt with.
     pub fn hint(&self, object: &Arc<Object>, pages: &[u32], priority: u8, most_bytes: u64) -> usize {
         let mut batch = Vec::new();
         let mut dealt_with = pages.len();
