@@ -145,7 +145,7 @@ fn changes(setting: &Setting, usual: SimulatedRun, (memory, points): (u64, u64))
             let name =
                 if variant == Variant::None { "children and lists".into() } else { variant.to_string() };
             all.push(change(
-                "file cache of 3/4, reading around",
+                "3/4, reading around",
                 format!("{} KiB, {name}", around_bytes >> 10),
                 run,
             ));
