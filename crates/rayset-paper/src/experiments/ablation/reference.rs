@@ -144,11 +144,7 @@ fn changes(setting: &Setting, usual: SimulatedRun, (memory, points): (u64, u64))
             let run = SimulatedRun { budget, caching, ..of(variant) };
             let name =
                 if variant == Variant::None { "children and lists".into() } else { variant.to_string() };
-            all.push(change(
-                "3/4, reading around",
-                format!("{} KiB, {name}", around_bytes >> 10),
-                run,
-            ));
+            all.push(change("3/4, reading around", format!("{} KiB, {name}", around_bytes >> 10), run));
         }
     }
     for (name, backend) in [("io_uring", BackendKind::Uring), ("threads", BackendKind::Pool)] {
