@@ -381,11 +381,11 @@ impl PointSource for Moved {
         for p in &mut batch.position {
             *p = self.by.transform_point3(DVec3::from_array(*p)).to_array();
         }
-        let scale = self.by.matrix3.x_axis.length() as f32;
-        let names = &self.source.schema().attributes;
+        let scale = self.by.matrix3.x_axis.length();
+        let radius = self.source.schema().find("radius");
         for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-            if names.get(index).is_some_and(|name| name == "radius") {
-                column.iter_mut().for_each(|radius| *radius *= scale);
+            if radius == Some(index) {
+                column.scale(scale);
             }
         }
         Ok(())

@@ -57,7 +57,7 @@ pub(crate) fn write(workload: &Workload, path: &Path) -> Result<u64> {
 /// Writes points with all their columns to a file; returns their number.
 pub(crate) fn write_source(source: &mut dyn PointSource, path: &Path) -> Result<u64> {
     let doing = || format!("cannot write {}", path.display());
-    let attributes = source.schema().attributes.clone();
+    let attributes = source.schema().names().map(str::to_owned).collect::<Vec<_>>();
     source.select(&(0..attributes.len()).collect::<Vec<_>>());
     let mut writer = PlyWriter::create(path, &attributes).with_context(doing)?;
     let mut batch = PointBatch::default();

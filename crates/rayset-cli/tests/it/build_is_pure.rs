@@ -91,7 +91,7 @@ fn the_order_of_the_input_does_not_matter() {
     let part = |range: &mut dyn Iterator<Item = usize>| -> Box<dyn PointSource> {
         let indices: Vec<usize> = range.collect();
         let position = indices.iter().map(|&i| batch.position[i]).collect();
-        let column = |c: usize| indices.iter().map(|&i| batch.columns[c][i]).collect();
+        let column = |c: usize| indices.iter().map(|&i| batch.columns[c].get(i) as f32).collect();
         let columns = names.iter().enumerate().map(|(c, name)| (*name, column(c))).collect();
         Box::new(ArraySource::new(position, columns))
     };

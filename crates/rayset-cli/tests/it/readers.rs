@@ -10,7 +10,7 @@ use crate::common::{folder, real_data};
 /// Everything that a file holds: positions and all columns, by name.
 fn read(path: &Path, options: &ReadOptions) -> Result<(Vec<[f64; 3]>, Vec<(String, Vec<f32>)>), ReadError> {
     let mut source = points::open(path, options)?;
-    let names = source.schema().attributes.clone();
+    let names = source.schema().names().map(str::to_owned).collect::<Vec<_>>();
     source.select(&(0..names.len()).collect::<Vec<_>>());
     let mut all: Vec<Vec<f32>> = vec![Vec::new(); names.len()];
     let (mut position, mut batch) = (Vec::new(), PointBatch::default());
@@ -21,7 +21,7 @@ fn read(path: &Path, options: &ReadOptions) -> Result<(Vec<[f64; 3]>, Vec<(Strin
         }
         assert!(batch.len() <= 1000 && batch.columns.iter().all(|c| c.len() == batch.len()));
         position.extend_from_slice(&batch.position);
-        all.iter_mut().zip(&batch.columns).for_each(|(a, c)| a.extend_from_slice(c));
+        all.iter_mut().zip(&batch.columns).for_each(|(a, c)| a.extend((0..c.len()).map(|i| c.get(i) as f32)));
     }
 }
 

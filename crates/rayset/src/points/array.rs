@@ -1,6 +1,6 @@
 //! Points that are in memory already.
 
-use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+use super::{ColorDepth, ColumnInfo, PointBatch, PointSource, ReadError, Schema, Values};
 
 /// A stream over points in memory.
 #[derive(Clone, Debug)]
@@ -17,13 +17,25 @@ impl ArraySource {
     /// Panics where a column is shorter or longer than the positions.
     #[must_use]
     pub fn new(position: Vec<[f64; 3]>, columns: Vec<(&str, Vec<f32>)>) -> Self {
-        let (names, columns): (Vec<String>, Vec<Vec<f32>>) =
-            columns.into_iter().map(|(name, column)| (name.to_owned(), column)).unzip();
-        for (name, column) in names.iter().zip(&columns) {
-            assert_eq!(column.len(), position.len(), "values of column {name}");
+        let typed = columns.into_iter().map(|(name, values)| {
+            let values = Values::from(values);
+            (ColumnInfo::new(name, values.kind()), values)
+        });
+        Self::typed(position, typed.collect())
+    }
+
+    /// Points with columns of any type, each as long as the positions.
+    ///
+    /// Panics where a column is shorter or longer than the positions, or of another type than it says.
+    #[must_use]
+    pub fn typed(position: Vec<[f64; 3]>, columns: Vec<(ColumnInfo, Values)>) -> Self {
+        for (info, values) in &columns {
+            assert_eq!(values.len(), position.len(), "values of column {}", info.name);
+            assert_eq!(values.kind(), info.kind, "type of column {}", info.name);
         }
+        let (infos, columns) = columns.into_iter().unzip();
         Self {
-            schema: Schema { attributes: names, color_depth: ColorDepth::Unit },
+            schema: Schema::new(infos, ColorDepth::Unit),
             points: PointBatch { position, columns },
             selected: Vec::new(),
             next: 0,
@@ -45,11 +57,11 @@ impl PointSource for ArraySource {
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(self.selected.len());
+        batch.reset(&self.schema, &self.selected);
         let range = self.next..self.points.len().min(self.next + limit);
         batch.position.extend_from_slice(&self.points.position[range.clone()]);
         for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-            column.extend_from_slice(&self.points.columns[index][range.clone()]);
+            column.extend_from(&self.points.columns[index], range.clone());
         }
         self.next = range.end;
         Ok(())

@@ -4,11 +4,17 @@ use std::path::{Path, PathBuf};
 
 use las::{PointData, Reader};
 
-use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema};
 
 /// The scalar columns that every point format has.
-const COMMON: [&str; 6] =
-    ["intensity", "classification", "return_number", "number_of_returns", "user_data", "point_source_id"];
+const COMMON: [(&str, ColumnType); 6] = [
+    ("intensity", ColumnType::U16),
+    ("classification", ColumnType::U8),
+    ("return_number", ColumnType::U8),
+    ("number_of_returns", ColumnType::U8),
+    ("user_data", ColumnType::U8),
+    ("point_source_id", ColumnType::U16),
+];
 
 /// The points of a LAS or LAZ file.
 pub struct LasSource {
@@ -29,13 +35,18 @@ impl LasSource {
         std::fs::File::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
         let reader = guarded(path, 0, || Reader::from_path(path))?;
         let header = reader.header();
-        let mut attributes: Vec<String> = COMMON.map(str::to_owned).to_vec();
+        let mut columns: Vec<ColumnInfo> = COMMON
+            .map(|(name, kind)| ColumnInfo {
+                is_class: name == "classification",
+                ..ColumnInfo::new(name, kind)
+            })
+            .to_vec();
         if header.point_format().has_color {
-            attributes.extend(["red", "green", "blue"].map(str::to_owned));
+            columns.extend(["red", "green", "blue"].map(|name| ColumnInfo::new(name, ColumnType::U16)));
         }
         let data = las::PointDataBuilder::new().for_header(header).build();
         // The specification wants 16-bit colours, and many writers store 8-bit ones.
-        let schema = Schema { attributes, color_depth: ColorDepth::Guess };
+        let schema = Schema::new(columns, ColorDepth::Guess);
         Ok(Self { path: path.to_owned(), reader, data, schema, selected: Vec::new(), next: 0 })
     }
 }
@@ -64,7 +75,7 @@ impl PointSource for LasSource {
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(self.selected.len());
+        batch.reset(&self.schema, &self.selected);
         let left = self.reader.header().number_of_points().saturating_sub(self.next);
         if left == 0 {
             return Ok(());
@@ -75,18 +86,17 @@ impl PointSource for LasSource {
         batch.position.extend(data.x().zip(data.y()).zip(data.z()).map(|((x, y), z)| [x, y, z]));
         for (column, &attribute) in batch.columns.iter_mut().zip(&self.selected) {
             match attribute {
-                0 => column.extend(data.intensity().map(f32::from)),
-                1 => column.extend(data.classification().map(f32::from)),
-                2 => column.extend(data.return_number().map(f32::from)),
-                3 => column.extend(data.number_of_returns().map(f32::from)),
-                4 => column.extend(data.user_data().map(f32::from)),
-                5 => column.extend(data.point_source_id().map(f32::from)),
+                0 => data.intensity().for_each(|v| column.push(v.into())),
+                1 => data.classification().for_each(|v| column.push(v.into())),
+                2 => data.return_number().for_each(|v| column.push(v.into())),
+                3 => data.number_of_returns().for_each(|v| column.push(v.into())),
+                4 => data.user_data().for_each(|v| column.push(v.into())),
+                5 => data.point_source_id().for_each(|v| column.push(v.into())),
                 channel => {
                     let rgb = data.rgb().into_iter().flatten();
-                    column.extend(rgb.map(|(r, g, b)| f32::from([r, g, b][(channel - 6).min(2)])));
+                    rgb.for_each(|(r, g, b)| column.push([r, g, b][(channel - 6).min(2)].into()));
                 }
             }
-            column.resize(data.len(), f32::NAN);
         }
         Ok(())
     }

@@ -84,7 +84,7 @@ impl MeshSource {
                 "the mesh has no faces with an area",
             ));
         }
-        let schema = Schema { attributes: Vec::new(), color_depth: ColorDepth::Unit };
+        let schema = Schema::new(Vec::new(), ColorDepth::Unit);
         Ok(Self { corners, area, random: SplitMix(42), left: points, schema })
     }
 }
@@ -101,7 +101,7 @@ impl PointSource for MeshSource {
     fn select(&mut self, _: &[usize]) {}
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(0);
+        batch.reset(&self.schema, &[]);
         let count = self.left.min(limit as u64);
         let whole = self.area.last().copied().unwrap_or(0.0);
         for _ in 0..count {

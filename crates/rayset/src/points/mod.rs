@@ -1,10 +1,11 @@
 //! Points in: streaming readers for the files people have, and generators for the standard workloads.
 //!
 //! A [`PointSource`] hands out points in batches and never holds a whole file. Positions are `f64` in the file's own
-//! coordinates; everything else is an `f32` column with a name. What a column means (radius, weight, colour) is
+//! coordinates; everything else is a column with a name and a type. What a column means (radius, weight, colour) is
 //! decided by the builder, and so is what happens to invalid records.
 
 mod array;
+mod column;
 mod las;
 mod mesh;
 mod ply;
@@ -17,6 +18,7 @@ use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
 pub use self::array::ArraySource;
+pub use self::column::{ColumnInfo, ColumnType, Values};
 pub use self::las::LasSource;
 pub use self::mesh::MeshSource;
 pub use self::ply::PlySource;
@@ -40,17 +42,32 @@ pub enum ColorDepth {
 /// What a source offers besides positions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schema {
-    /// Column names, in the order of [`PointBatch::columns`] before any selection. Colours are `red`, `green`, `blue`.
-    pub attributes: Vec<String>,
+    /// Columns, in the order of [`PointBatch::columns`] before any selection. Colours are `red`, `green`, `blue`.
+    pub columns: Vec<ColumnInfo>,
     /// How to read the colour columns, if there are any.
     pub color_depth: ColorDepth,
+    /// The coordinate reference system as the file has it (WKT, or GeoTIFF keys in words); empty where it has none.
+    pub crs: String,
+    /// What the file says of itself: format, version, the program that wrote it. Empty where it says nothing.
+    pub description: String,
 }
 
 impl Schema {
+    /// Columns alone.
+    #[must_use]
+    pub fn new(columns: Vec<ColumnInfo>, color_depth: ColorDepth) -> Self {
+        Self { columns, color_depth, crs: String::new(), description: String::new() }
+    }
+
     /// Index of the column called `name`.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<usize> {
-        self.attributes.iter().position(|a| a == name)
+        self.columns.iter().position(|c| c.name == name)
+    }
+
+    /// Names of all columns.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.columns.iter().map(|c| c.name.as_str())
     }
 }
 
@@ -59,16 +76,25 @@ impl Schema {
 pub struct PointBatch {
     /// Positions in the coordinates of the file, possibly not finite: readers pass on what they find.
     pub position: Vec<[f64; 3]>,
-    /// One column for each selected attribute, each as long as `position`.
-    pub columns: Vec<Vec<f32>>,
+    /// One column for each selected column of the schema, of its type, and as long as `position`.
+    pub columns: Vec<Values>,
 }
 
 impl PointBatch {
-    /// Empties the batch and gives it `columns` columns, keeping the buffers.
-    pub fn reset(&mut self, columns: usize) {
+    /// Empties the batch and gives it the `selected` columns of a schema, keeping the buffers where types agree.
+    ///
+    /// Panics where an index is not one of the schema's.
+    pub fn reset(&mut self, schema: &Schema, selected: &[usize]) {
         self.position.clear();
-        self.columns.resize_with(columns, Vec::new);
-        self.columns.iter_mut().for_each(Vec::clear);
+        self.columns.truncate(selected.len());
+        for (place, &index) in selected.iter().enumerate() {
+            let kind = schema.columns[index].kind;
+            match self.columns.get_mut(place) {
+                Some(column) if column.kind() == kind => column.clear(),
+                Some(column) => *column = Values::empty(kind),
+                None => self.columns.push(Values::empty(kind)),
+            }
+        }
     }
 
     /// Number of points.

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::ply_header::{Element, Encoding, Header, Property, Scalar};
-use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use super::{ColorDepth, ColumnInfo, Place, PointBatch, PointSource, ReadError, Schema};
 
 const BUFFER_BYTES: usize = 256 << 10;
 /// Longest line of an ASCII file, so that a file without line ends costs bounded memory.
@@ -30,7 +30,7 @@ pub struct PlySource {
     property_columns: Vec<Option<usize>>,
     targets: Vec<Target>,
     schema: Schema,
-    selected: usize,
+    selected: Vec<usize>,
     next: u64,
     byte: u64,
     line: u64,
@@ -51,7 +51,7 @@ impl PlySource {
         let index = index.ok_or_else(|| fail("no `vertex` element"))?;
         let vertex = header.elements[index].clone();
 
-        let mut schema = Schema { attributes: Vec::new(), color_depth: ColorDepth::Guess };
+        let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
         let mut axes = [false; 3];
         let mut property_columns = Vec::new();
         for property in &vertex.properties {
@@ -71,8 +71,8 @@ impl PlySource {
                                 _ => ColorDepth::Guess,
                             };
                         }
-                        schema.attributes.push(name.to_owned());
-                        Some(schema.attributes.len() - 1)
+                        schema.columns.push(ColumnInfo::new(name, kind.column_type()));
+                        Some(schema.columns.len() - 1)
                     }
                 },
             });
@@ -88,7 +88,7 @@ impl PlySource {
             property_columns,
             targets: Vec::new(),
             schema,
-            selected: 0,
+            selected: Vec::new(),
             next: 0,
             byte: header.bytes,
             line: header.lines,
@@ -219,7 +219,7 @@ impl PlySource {
                         }
                     }
                     (_, Target::Axis(axis)) => position[*axis] = value,
-                    (_, Target::Column(column)) => batch.columns[*column].push(value as f32),
+                    (_, Target::Column(column)) => batch.columns[*column].push(value),
                     (_, Target::Nothing) => {}
                 }
             }
@@ -248,7 +248,7 @@ impl PlySource {
                             p[axis] = v;
                         }
                     }
-                    Target::Column(column) => batch.columns[column].extend(values.map(|v| v as f32)),
+                    Target::Column(column) => values.for_each(|v| batch.columns[column].push(v)),
                     Target::Nothing => {}
                 }
                 offset += kind.size();
@@ -268,7 +268,7 @@ impl PlySource {
             result =
                 self.read_binary_with_lists(&properties, "vertex", |index, value| match targets[index] {
                     Target::Axis(axis) => position[axis] = value,
-                    Target::Column(column) => batch.columns[column].push(value as f32),
+                    Target::Column(column) => batch.columns[column].push(value),
                     Target::Nothing => {}
                 });
             if result.is_err() {
@@ -292,7 +292,7 @@ impl PointSource for PlySource {
     }
 
     fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.len();
+        self.selected = columns.to_vec();
         self.targets = (self.vertex.properties.iter().zip(&self.property_columns))
             .map(|(property, column)| match (property, column) {
                 (Property::Scalar { name, .. }, None) => axis_of(name).map_or(Target::Nothing, Target::Axis),
@@ -303,7 +303,7 @@ impl PointSource for PlySource {
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(self.selected);
+        batch.reset(&self.schema, &self.selected);
         let count = (self.vertex.count - self.next).min(limit as u64) as usize;
         match (self.encoding, self.vertex.stride()) {
             (Encoding::Ascii, _) => self.fill_ascii(batch, count),

@@ -5,7 +5,7 @@
 use std::io::BufRead;
 use std::path::Path;
 
-use super::{Place, ReadError};
+use super::{ColumnType, Place, ReadError};
 
 /// Longest header accepted, so that a file of another kind is not searched to its end.
 const HEADER_LIMIT: u64 = 1 << 20;
@@ -42,6 +42,20 @@ impl Scalar {
             "double" | "float64" => Self::F64,
             _ => return None,
         })
+    }
+
+    /// The type of a column of such numbers.
+    pub(super) fn column_type(self) -> ColumnType {
+        match self {
+            Self::I8 => ColumnType::I8,
+            Self::U8 => ColumnType::U8,
+            Self::I16 => ColumnType::I16,
+            Self::U16 => ColumnType::U16,
+            Self::I32 => ColumnType::I32,
+            Self::U32 => ColumnType::U32,
+            Self::F32 => ColumnType::F32,
+            Self::F64 => ColumnType::F64,
+        }
     }
 
     pub(super) fn size(self) -> usize {

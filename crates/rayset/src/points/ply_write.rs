@@ -50,9 +50,9 @@ impl PlyWriter {
             }
             for (column, color) in batch.columns.iter().zip(&self.is_color) {
                 if *color {
-                    self.output.write_all(&[(column[i].clamp(0.0, 1.0) * 255.0).round() as u8])?;
+                    self.output.write_all(&[(column.get(i).clamp(0.0, 1.0) * 255.0).round() as u8])?;
                 } else {
-                    self.output.write_all(&column[i].to_le_bytes())?;
+                    self.output.write_all(&(column.get(i) as f32).to_le_bytes())?;
                 }
             }
         }

@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use std::fmt;
 use std::str::FromStr;
 
-use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema};
 use crate::geometry::DVec3;
 
 /// What a workload's points are spread over.
@@ -84,10 +84,10 @@ impl Workload {
         };
         Box::new(SyntheticSource {
             workload: *self,
-            schema: Schema {
-                attributes: attributes.iter().map(|&a| a.to_owned()).collect(),
-                color_depth: ColorDepth::Unit,
-            },
+            schema: Schema::new(
+                attributes.iter().map(|&a| ColumnInfo::new(a, ColumnType::F32)).collect(),
+                ColorDepth::Unit,
+            ),
             selected: Vec::new(),
             random: SplitMix(42),
             next: 0,
@@ -263,13 +263,13 @@ impl PointSource for SyntheticSource {
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(self.selected.len());
+        batch.reset(&self.schema, &self.selected);
         let count = (self.workload.points - self.next).min(limit as u64);
         for _ in 0..count {
             let (position, columns) = self.point();
             batch.position.push(position);
             for (column, &attribute) in batch.columns.iter_mut().zip(&self.selected) {
-                column.push(columns[attribute] as f32);
+                column.push(columns[attribute]);
             }
         }
         self.next += count;

@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use super::{ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema};
 
 const LINE_LIMIT: u64 = 1 << 16;
 
@@ -23,9 +23,9 @@ pub struct TextSource {
     /// For each column of the file: axis (0–2), or 3 + index of the attribute, or nothing.
     columns: Vec<Option<usize>>,
     schema: Schema,
-    /// For each attribute of the schema, the selected column that it goes to.
-    selected: Vec<Option<usize>>,
-    selected_count: usize,
+    selected: Vec<usize>,
+    /// For each column of the schema, the selected column that it goes to.
+    targets: Vec<Option<usize>>,
     line_number: u64,
     line: Vec<u8>,
 }
@@ -65,9 +65,9 @@ impl TextSource {
             input: BufReader::with_capacity(256 << 10, File::open(path).map_err(io)?),
             separator: Separator::Blank,
             columns: Vec::new(),
-            schema: Schema { attributes: Vec::new(), color_depth: ColorDepth::Guess },
+            schema: Schema::new(Vec::new(), ColorDepth::Guess),
             selected: Vec::new(),
-            selected_count: 0,
+            targets: Vec::new(),
             line_number: 0,
             line: Vec::new(),
         };
@@ -131,8 +131,8 @@ impl TextSource {
                 Some(axis) => Some(axis),
                 None if name.is_empty() || name == "-" => None,
                 None => {
-                    self.schema.attributes.push(name);
-                    Some(2 + self.schema.attributes.len())
+                    self.schema.columns.push(ColumnInfo::new(name, ColumnType::F64));
+                    Some(2 + self.schema.columns.len())
                 }
             });
         }
@@ -143,7 +143,7 @@ impl TextSource {
                 return Err(ReadError::malformed(&self.path, Place::Line(self.line_number), what));
             }
         }
-        self.selected = vec![None; self.schema.attributes.len()];
+        self.targets = vec![None; self.schema.columns.len()];
         Ok(())
     }
 
@@ -178,15 +178,15 @@ impl PointSource for TextSource {
     }
 
     fn select(&mut self, columns: &[usize]) {
-        self.selected.fill(None);
+        self.targets.fill(None);
         for (target, &column) in columns.iter().enumerate() {
-            self.selected[column] = Some(target);
+            self.targets[column] = Some(target);
         }
-        self.selected_count = columns.len();
+        self.selected = columns.to_vec();
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(self.selected_count);
+        batch.reset(&self.schema, &self.selected);
         while batch.len() < limit {
             if self.next_line()? == 0 {
                 break;
@@ -205,7 +205,7 @@ impl PointSource for TextSource {
                 let target = match *column {
                     None => continue,
                     Some(axis @ 0..3) => Ok(axis),
-                    Some(attribute) => match self.selected[attribute - 3] {
+                    Some(attribute) => match self.targets[attribute - 3] {
                         None => continue,
                         Some(target) => Err(target),
                     },
@@ -217,7 +217,7 @@ impl PointSource for TextSource {
                 };
                 match target {
                     Ok(axis) => position[axis] = value,
-                    Err(target) => batch.columns[target].push(value as f32),
+                    Err(target) => batch.columns[target].push(value),
                 }
             }
             batch.position.push(position);

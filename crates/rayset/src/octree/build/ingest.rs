@@ -146,7 +146,7 @@ fn choose_columns(
     for (input, source) in sources.iter().enumerate() {
         for name in &names {
             if source.schema().find(name).is_none() {
-                let available = source.schema().attributes.join(", ");
+                let available = source.schema().names().collect::<Vec<_>>().join(", ");
                 let available = if available.is_empty() { "x, y, z only".to_owned() } else { available };
                 return Err(BuildError::NoSuchColumn { input: input + 1, name: name.clone(), available });
             }
@@ -222,7 +222,7 @@ impl Tally {
         let mut next = 0;
         let mut value = || {
             next += 1;
-            batch.columns[columns.from[next - 1]][i]
+            batch.columns[columns.from[next - 1]].get(i) as f32
         };
         if layout.has_radius {
             let r = (f64::from(value()) * columns.radius_scale) as f32;
