@@ -32,13 +32,16 @@ pub(crate) struct BuildArgs {
     /// where there is one, else auto
     #[arg(long)]
     radius: Option<String>,
-    /// Factor on the radius
+    /// Factor on the radius, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     radius_scale: f64,
+    /// Factor on every coordinate, and on radii of a column: for data in units that make them very large or small
+    #[arg(long, default_value_t = 1.0)]
+    length_scale: f64,
     /// Weight: a number or a column. By default the column `weight` where there is one, else 1
     #[arg(long)]
     weight: Option<String>,
-    /// Factor on the weight
+    /// Factor on the weight, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     weight_scale: f64,
     /// Further columns to keep, as in intensity,classification
@@ -78,8 +81,10 @@ pub(crate) struct BuildArgs {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Invalid {
-    /// Count them and go on
+    /// Count what is no number and go on; stop where numbers are too large or too small to be stored
     Skip,
+    /// Count these, too, and go on
+    SkipAll,
     /// Stop with an error
     Reject,
 }
@@ -172,6 +177,11 @@ pub(crate) fn name_smallest_budget(error: build::BuildError, memory: u64) -> any
                 report::bytes(needed)
             )
         }
+        build::BuildError::OutOfRange { quantity, count, records, farthest, factor } => anyhow::anyhow!(
+            "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored; say --{} {factor:e}, or \
+             --invalid skip-all if these stand for missing values",
+            quantity.option().replace('_', "-")
+        ),
         other => other.into(),
     }
 }
@@ -186,18 +196,17 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
             }
         },
     };
-    let radius = match &args.radius {
-        Some(text) => Some(values::rule(text, args.radius_scale)?),
-        None if args.radius_scale != 1.0 => Some(values::rule("auto", args.radius_scale)?),
-        None => None,
-    };
     Ok(BuildOptions {
-        radius,
-        weight: args.weight.as_deref().map(|text| values::rule(text, args.weight_scale)).transpose()?,
+        radius: args.radius.as_deref().map(values::rule).transpose()?,
+        radius_scale: args.radius_scale,
+        length_scale: args.length_scale,
+        weight: args.weight.as_deref().map(values::rule).transpose()?,
+        weight_scale: args.weight_scale,
         attributes: args.attributes.clone(),
         keep_color: !args.no_color,
         invalid: match args.invalid {
             Invalid::Skip => InvalidPolicy::Skip,
+            Invalid::SkipAll => InvalidPolicy::SkipAll,
             Invalid::Reject => InvalidPolicy::Reject,
         },
         precision,

@@ -8,7 +8,7 @@ use clap::Args;
 use rayset::geometry::{Aabb, DVec3};
 use rayset::grid::Grid;
 use rayset::octree::Cloud;
-use rayset::octree::format::Column;
+use rayset::octree::format::{AttributeInfo, Column};
 use rayset::scene::{CloudObject, RenderSettings, Scene};
 use rayset::trace::memory::{self, SceneNeeds};
 
@@ -39,7 +39,10 @@ struct Info {
     position_error: f64,
     position_error_radii: f64,
     color: bool,
-    attributes: Vec<(String, f32, f32)>,
+    attributes: Vec<Attribute>,
+    crs: String,
+    sources: Vec<String>,
+    identity: String,
     file_bytes: u64,
     page_bytes: u32,
     point_pages: u32,
@@ -49,6 +52,31 @@ struct Info {
     render_memory_stored: Option<u64>,
     render_memory_least: u64,
     render_memory_comfortable: u64,
+}
+
+/// A stored attribute, as JSON.
+#[derive(serde::Serialize)]
+struct Attribute {
+    name: String,
+    #[serde(rename = "type")]
+    kind: &'static str,
+    unit: String,
+    classes: bool,
+    min: f64,
+    max: f64,
+}
+
+impl Attribute {
+    fn of(info: &AttributeInfo) -> Self {
+        Self {
+            name: info.name.clone(),
+            kind: info.kind.name(),
+            unit: info.unit.clone(),
+            classes: info.is_class,
+            min: info.min,
+            max: info.max,
+        }
+    }
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
@@ -81,7 +109,10 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         position_error: h.position_error,
         position_error_radii: h.position_error_radii,
         color: h.has_color,
-        attributes: h.attributes.iter().map(|a| (a.name.clone(), a.min, a.max)).collect(),
+        attributes: h.attributes.iter().map(Attribute::of).collect(),
+        crs: h.crs.clone(),
+        sources: h.sources.clone(),
+        identity: h.identity.to_string(),
         file_bytes: h.file_bytes,
         page_bytes: h.page_bytes,
         point_pages: h.point_pages,
@@ -136,8 +167,19 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         info.position_error, info.position_error_radii
     ));
     report::say(format_args!("colours     {}", if info.color { "yes" } else { "no" }));
-    for (name, min, max) in &info.attributes {
-        report::say(format_args!("attribute   {name}: {min} to {max}"));
+    for a in &info.attributes {
+        let unit = if a.unit.is_empty() { String::new() } else { format!(" {}", a.unit) };
+        let classes = if a.classes { ", classes" } else { "" };
+        report::say(format_args!(
+            "attribute   {}: {} to {}{unit} ({}{classes})",
+            a.name, a.min, a.max, a.kind
+        ));
+    }
+    if !info.crs.is_empty() {
+        report::say(format_args!("reference   {}", info.crs));
+    }
+    for source in &info.sources {
+        report::say(format_args!("source      {source}"));
     }
     report::say(format_args!(
         "file        {}, {} + {} pages of {}, {} nodes, {:.1} % index",

@@ -67,13 +67,13 @@ pub(crate) fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> 
 }
 
 /// Where a number of each point comes from: a number, the name of a column, or `auto`.
-pub(crate) fn rule(text: &str, scale: f64) -> anyhow::Result<rayset::octree::build::Rule> {
+pub(crate) fn rule(text: &str) -> anyhow::Result<rayset::octree::build::Rule> {
     use rayset::octree::build::Rule;
     ensure!(!text.is_empty(), "expected a number, a column name or `auto`");
     if let Ok(number) = text.parse::<f64>() {
-        return Ok(Rule::Number(number * scale));
+        return Ok(Rule::Number(number));
     }
-    Ok(if text == "auto" { Rule::Auto { scale } } else { Rule::Attribute { name: text.to_owned(), scale } })
+    Ok(if text == "auto" { Rule::Auto } else { Rule::Attribute(text.to_owned()) })
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ fn verify_grid(args: &VerifyArgs) -> Result<()> {
         report::say("ok: header, footer and length");
         return Ok(());
     }
-    let pages = grid.verify().map_err(|what| anyhow::anyhow!("{}, {what}", args.cloud.display()))?;
+    let pages = grid.verify()?;
     report::say(format_args!("ok: {pages} pages"));
     Ok(())
 }

@@ -41,6 +41,7 @@
 //! ```
 #![deny(unsafe_code)]
 
+pub mod container;
 pub mod field;
 pub mod geometry;
 pub mod grid;

@@ -5,10 +5,13 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::Arc;
 
+use rayset::container::{
+    BLOCK_BYTES, FileHeader, FileKind, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind, reseal,
+};
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
-use rayset::octree::format::{BLOCK_BYTES, Footer, Header, NodeRef, PAGE_HEAD_BYTES, PageHead, PageKind};
+use rayset::octree::format::NodeRef;
 use rayset::octree::node::{NODE_BYTES, Node, NodePage, RunRange};
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::ArraySource;
@@ -142,12 +145,12 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
         let used_bytes = (PAGE_HEAD_BYTES + records.len() * NODE_BYTES) as u32;
         let records_head = records.len() as u32;
         PageHead { kind: PageKind::Octree, page: header.point_pages, records: records_head, used_bytes }
-            .seal(page);
-        let root = NodeRef { page: 0, index: records.len() as u16 - 1 };
-        let block = Header { root, nodes: u64::MAX, ..header.clone() }.encode();
-        bytes[..BLOCK_BYTES].copy_from_slice(&block);
-        let end = bytes.len() - BLOCK_BYTES;
-        bytes[end..].copy_from_slice(&Footer::new(&block, cloud.footer().digest).encode());
+            .seal(page, header.identity);
+        let numbers = section(&bytes, SectionKind::CLOUD);
+        let root = u32::from(records.len() as u16 - 1);
+        bytes[numbers + 16..numbers + 24].copy_from_slice(&u64::from(root + 1).to_le_bytes());
+        bytes[numbers + 44..numbers + 48].copy_from_slice(&root.to_le_bytes());
+        reseal(&mut bytes);
         std::fs::write(&path, &bytes).expect("a write");
         let cloud = Arc::new(Cloud::open(&path).expect("every checksum is right"));
         let scene = scene(&cloud, Kernel::Wyvill, false);
@@ -155,5 +158,14 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
         let outcome = picture(&scene, &camera(), &settings(8, 8), &exec, &paged(&scene, 1 << 30));
         let message = outcome.expect_err("no tree is walked for ever").to_string();
         assert!(message.contains("octree") && message.contains("c.rset"), "{message}");
+        let message = verify(&cloud, Depth::Deep).expect_err("no tree is checked for ever").to_string();
+        assert!(message.contains("node"), "{message}");
     }
+}
+
+/// Where a section of a file begins.
+pub(crate) fn section(bytes: &[u8], kind: SectionKind) -> usize {
+    let block = bytes[..BLOCK_BYTES].try_into().expect("a whole block");
+    let header = FileHeader::decode(block, FileKind::of(bytes).expect("a file of ours")).expect("a header");
+    header.section(kind).expect("the section").offset as usize
 }

@@ -51,7 +51,7 @@ fn radii_over_many_octaves_and_every_column() {
 fn automatic_radii() {
     let folder = folder();
     let workload: Workload = "knot-90k".parse().expect("a workload");
-    let options = BuildOptions { radius: Some(Rule::Auto { scale: 1.0 }), ..BuildOptions::default() };
+    let options = BuildOptions { radius: Some(Rule::Auto), ..BuildOptions::default() };
     check(folder.path(), &|| vec![workload.source()], &options);
 }
 
@@ -75,7 +75,7 @@ fn a_cluster_too_dense_for_one_bucket_and_many_coinciding_points() {
         }
         boxed(ArraySource::new(position, vec![]))
     };
-    for rule in [Rule::Number(1e-4), Rule::Auto { scale: 1.0 }] {
+    for rule in [Rule::Number(1e-4), Rule::Auto] {
         check(folder.path(), &source, &BuildOptions { radius: Some(rule), ..BuildOptions::default() });
     }
 }

@@ -160,3 +160,8 @@ pub(crate) fn plain_picture(scene: &Scene, settings: &RenderSettings) -> Vec<[f3
 pub(crate) fn bits(pixels: &[[f32; 4]]) -> Vec<[u32; 4]> {
     pixels.iter().map(|p| p.map(f32::to_bits)).collect()
 }
+
+/// The program.
+pub(crate) fn program() -> std::process::Command {
+    std::process::Command::new(env!("CARGO_BIN_EXE_rayset"))
+}

@@ -155,7 +155,9 @@ fn every_flipped_byte_of_a_grid_file_is_noticed() {
         let mut damaged = bytes.clone();
         damaged[at] ^= 1 << (at % 8);
         std::fs::write(&path, &damaged).expect("a write");
-        let checked = Grid::open(&path).map_err(|e| e.to_string()).and_then(|grid| grid.verify());
+        let checked = Grid::open(&path)
+            .map_err(|e| e.to_string())
+            .and_then(|grid| grid.verify().map_err(|e| e.to_string()));
         assert!(checked.is_err(), "byte {at}");
     }
     std::fs::write(&path, &bytes[..bytes.len() - 1]).expect("a write");

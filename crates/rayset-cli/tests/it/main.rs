@@ -6,9 +6,11 @@
 mod bad_bytes;
 mod bounces;
 mod build_is_pure;
+mod columns;
 mod common;
 mod edges;
 mod figures;
+mod format;
 mod golden;
 mod graph;
 mod grids;

@@ -3,14 +3,17 @@
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use super::read::{ReadError, VolumeSource};
 use super::slices::{Held, PIECE_BYTES, SliceError, Slices, Window};
-use crate::octree::format::{BLOCK_BYTES, Footer, PAGE_HEAD_BYTES, PageHead, PageKind, stored_page_checksum};
+use crate::container::{
+    BLOCK_BYTES, FileKind, Identity, PAGE_CHECKSUM_AT, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind,
+    seal_file,
+};
 use crate::spill::{Spill, partial_path, publish, remove_leftovers};
 
 /// Why no grid was built.
@@ -141,26 +144,23 @@ impl Room {
 }
 
 fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
-    let mut header = GridHeader {
+    let header = GridHeader {
+        identity: Identity::default(),
         size: source.size,
         kind: source.kind,
-        range: (f32::INFINITY, f32::NEG_INFINITY),
+        // Not known yet.
+        range: (0.0, 0.0),
         scale: source.scale,
         offset: source.offset,
         space_from_voxel: source.space_from_voxel,
         file_bytes: 0,
+        sources: Vec::new(),
     };
-    let what = if source.size.iter().any(|n| !(2..=1 << 24).contains(n)) {
-        format!("a grid of {:?} voxels: 2 to 16777216 are needed along each axis", source.size)
-    } else if header.pages() > u64::from(u32::MAX) {
-        "the grid has more than 4294967295 bricks".into()
-    } else if !(source.space_from_voxel.matrix3.determinant().abs() > 0.0) {
-        "the axes of the grid are not independent, or a spacing is 0".into()
-    } else {
-        header.file_bytes = header.expected_file_bytes();
-        return Ok(header);
-    };
-    Err(GridBuildError::Grid { what })
+    let checked = header.check_size().and_then(|()| header.check_numbers());
+    checked.map_err(|what| GridBuildError::Grid {
+        what: format!("{what}: {} x {} x {} voxels", source.size[0], source.size[1], source.size[2]),
+    })?;
+    Ok(GridHeader { range: (f32::INFINITY, f32::NEG_INFINITY), ..header })
 }
 
 enum Failure {
@@ -208,6 +208,10 @@ fn write(
             }
         }
     }
+    if header.range.0 > header.range.1 {
+        header.range = (0.0, 0.0);
+    }
+    header.identity = slices.identity();
     Ok(writer.finish(header)?)
 }
 
@@ -247,7 +251,7 @@ fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut 
 /// The file as it grows: bricks one after another, and pages of their ranges behind where the bricks will end.
 struct Writer {
     bricks: BufWriter<File>,
-    /// A second place to write in the same file.
+    /// A second place to write, and to read, in the same file.
     ranges: File,
     /// The brick to be written.
     page: Vec<u8>,
@@ -255,16 +259,13 @@ struct Writer {
     ranges_in_page: u64,
     page_number: u32,
     range_page_number: u32,
-    /// Of the pages so far.
-    digest: u32,
-    range_checksums: Vec<u8>,
 }
 
 impl Writer {
     fn create(partial: &Path, header: &GridHeader) -> io::Result<Self> {
         let mut bricks = BufWriter::with_capacity(1 << 20, File::create(partial)?);
         bricks.write_all(&[0; BLOCK_BYTES])?;
-        let mut ranges = OpenOptions::new().write(true).open(partial)?;
+        let mut ranges = OpenOptions::new().read(true).write(true).open(partial)?;
         ranges.seek(SeekFrom::Start(header.page_offset(header.brick_pages())))?;
         Ok(Self {
             bricks,
@@ -274,8 +275,6 @@ impl Writer {
             ranges_in_page: 0,
             page_number: 0,
             range_page_number: header.brick_pages() as u32,
-            digest: 0,
-            range_checksums: Vec::new(),
         })
     }
 
@@ -283,8 +282,7 @@ impl Writer {
     fn brick(&mut self, kind: VoxelKind, (low, high): (f32, f32)) -> io::Result<()> {
         let used_bytes = (PAGE_HEAD_BYTES + kind.brick_voxels().pow(3) * kind.bytes()) as u32;
         PageHead { kind: PageKind::Voxels, page: self.page_number, records: 1, used_bytes }
-            .seal(&mut self.page);
-        self.digest = crc32c::crc32c_append(self.digest, &stored_page_checksum(&self.page).to_le_bytes());
+            .seal(&mut self.page, Identity::default());
         self.bricks.write_all(&self.page)?;
         self.page_number += 1;
         let at = PAGE_HEAD_BYTES + 8 * self.ranges_in_page as usize;
@@ -298,8 +296,7 @@ impl Writer {
         let records = self.ranges_in_page as u32;
         let used_bytes = PAGE_HEAD_BYTES as u32 + 8 * records;
         PageHead { kind: PageKind::Ranges, page: self.range_page_number, records, used_bytes }
-            .seal(&mut self.range_page);
-        self.range_checksums.extend(stored_page_checksum(&self.range_page).to_le_bytes());
+            .seal(&mut self.range_page, Identity::default());
         self.ranges.write_all(&self.range_page)?;
         self.range_page.fill(0);
         self.range_page_number += 1;
@@ -307,18 +304,58 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes what stands behind the pages, and last of all what says that this is a grid.
-    fn finish(mut self, header: &GridHeader) -> io::Result<()> {
+    /// Brings the identity into the pages, writes what stands behind them, and last of all what says that this is a grid.
+    fn finish(mut self, header: &mut GridHeader) -> io::Result<()> {
         if self.ranges_in_page > 0 {
             self.end_range_page()?;
         }
-        let block = header.encode();
-        let digest = crc32c::crc32c_append(self.digest, &self.range_checksums);
-        self.ranges.write_all(&Footer::new(&block, digest).encode())?;
         let mut file = self.bricks.into_inner().map_err(io::IntoInnerError::into_error)?;
-        file.sync_all()?;
-        file.seek(SeekFrom::Start(0))?;
-        file.write_all(&block)?;
+        let (bricks, ranges) = (header.brick_pages(), header.range_pages());
+        let pages = [
+            (SectionKind::VOXELS, bricks as u32, identify(&mut self.ranges, header, 0..bricks)?),
+            (
+                SectionKind::RANGES,
+                ranges as u32,
+                identify(&mut self.ranges, header, bricks..bricks + ranges)?,
+            ),
+        ];
+        let sections = [(SectionKind::GRID, header.encode())];
+        let whole = seal_file(
+            &mut file,
+            FileKind::Grid,
+            header.identity,
+            PAGE_BYTES as u32,
+            &pages,
+            &sections,
+            &header.metadata(),
+        )?;
+        header.file_bytes = whole.file_bytes;
         file.sync_all()
     }
+}
+
+/// Turns the checksums of pages that were sealed under no identity into those under the identity of the file, which only
+/// the last voxel settled; returns the digest of the pages.
+///
+/// A CRC of two parts follows from those of both, so the pages need not be read again: the checksum is that over the
+/// identity followed by the rest of the page. What stood for the identity before were sixteen zeros.
+fn identify(file: &mut File, header: &GridHeader, pages: Range<u64>) -> io::Result<u32> {
+    let rest_bytes = PAGE_BYTES - 4;
+    let before = Identity::default().seed();
+    // The CRC is affine: exchanging what precedes the page adds the same term to the checksum of every page.
+    let zeros = vec![0; rest_bytes];
+    let exchange =
+        crc32c::crc32c_append(before, &zeros) ^ crc32c::crc32c_append(header.identity.seed(), &zeros);
+    let mut digest = 0;
+    for page in pages {
+        let at = SeekFrom::Start(header.page_offset(page) + PAGE_CHECKSUM_AT as u64);
+        let mut checksum = [0; 4];
+        file.seek(at)?;
+        file.read_exact(&mut checksum)?;
+        let checksum = (u32::from_le_bytes(checksum) ^ exchange).to_le_bytes();
+        file.seek(at)?;
+        file.write_all(&checksum)?;
+        digest = crc32c::crc32c_append(digest, &checksum);
+    }
+    Ok(digest)
 }

@@ -1,49 +1,54 @@
-//! Opening a grid: header, footer and length are checked here, pages when they are read.
+//! Opening a grid: header, footer, length and descriptions are checked here, pages when they are read.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE};
-use crate::octree::file::OpenError;
-use crate::octree::format::stored_page_checksum;
-use crate::octree::format::{
-    BLOCK_BYTES, Footer, HeaderError, PAGE_HEAD_BYTES, PageError, PageHead, PageKind,
-};
+use super::format::{GridHeader, RANGES_PER_PAGE};
+use crate::container::{FileKind, OpenError, OpenFile, PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 
-/// An open grid file: its header, checked, and the path from which its pages are read.
+/// An open grid file: what it says of itself, checked, and the path from which its pages are read.
 #[derive(Debug)]
 pub struct Grid {
     path: PathBuf,
     header: GridHeader,
-    footer: Footer,
+}
+
+/// Why a walk through all pages of a grid stopped.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GridScanError {
+    /// The file cannot be read, or is not the one that was opened.
+    #[error(transparent)]
+    File(#[from] OpenError),
+    /// Another file has taken the name of the one that was opened.
+    #[error("{}: another file stands here now than the one that was opened", path.display())]
+    Replaced {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A page is damaged.
+    #[error("{}, byte {offset} (page {page}): {source}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The page.
+        page: u32,
+        /// Its place.
+        offset: u64,
+        /// What is wrong.
+        source: PageError,
+    },
 }
 
 impl Grid {
-    /// Opens a grid and checks its header, its length and its footer.
+    /// Opens a grid and checks its header, its length, its descriptions and its footer.
     ///
     /// # Errors
     /// [`OpenError`] where the file cannot be read or is no whole grid of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
-        let io = |source| OpenError::Io { path: path.to_owned(), source };
-        let wrong = |source| OpenError::Header { path: path.to_owned(), source };
-        let mut file = File::open(path).map_err(io)?;
-        let found = file.metadata().map_err(io)?.len();
-        if found < 2 * BLOCK_BYTES as u64 {
-            return Err(wrong(HeaderError::Magic));
-        }
-        let mut head = [0; BLOCK_BYTES];
-        file.read_exact(&mut head).map_err(io)?;
-        let header = GridHeader::decode(&head).map_err(wrong)?;
-        if found != header.file_bytes {
-            return Err(OpenError::Length { path: path.to_owned(), found, expected: header.file_bytes });
-        }
-        let footer_at = header.file_bytes - BLOCK_BYTES as u64;
-        let mut foot = [0; BLOCK_BYTES];
-        file.seek(SeekFrom::Start(footer_at)).map_err(io)?;
-        file.read_exact(&mut foot).map_err(io)?;
-        let footer = Footer::decode(&foot, &head, footer_at).map_err(wrong)?;
-        Ok(Self { path: path.to_owned(), header, footer })
+        let mut file = OpenFile::open(path, FileKind::Grid)?;
+        Ok(Self { path: path.to_owned(), header: GridHeader::read(&mut file)? })
     }
 
     /// Whether a file says that it is a grid.
@@ -73,53 +78,55 @@ impl Grid {
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
         let (bricks, kind) = (self.header.brick_pages(), self.header.kind);
         if u64::from(page) < bricks {
-            let head = PageHead::check(bytes, PageKind::Voxels, page)?;
+            let head = PageHead::check(bytes, PageKind::Voxels, page, self.header.identity)?;
             let voxels = kind.brick_voxels().pow(3);
             let fits = head.used_bytes as usize == PAGE_HEAD_BYTES + voxels * kind.bytes();
             return if fits { Ok(()) } else { Err(PageError::Content { what: "a brick of another size" }) };
         }
-        let head = PageHead::check(bytes, PageKind::Ranges, page)?;
+        let head = PageHead::check(bytes, PageKind::Ranges, page, self.header.identity)?;
         let first = (u64::from(page) - bricks) * RANGES_PER_PAGE;
         let fits = u64::from(head.records) == (bricks - first).min(RANGES_PER_PAGE);
         if fits { Ok(()) } else { Err(PageError::Content { what: "ranges of another number of bricks" }) }
     }
 
-    /// Reads and checks every page, and the digest of them all. Returns how many there are.
+    /// Reads every page in order, checks it, and hands it over with its number; holds one page at a time.
+    fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), GridScanError> {
+        let mut file = OpenFile::open(&self.path, FileKind::Grid)?;
+        if file.header().identity != self.header.identity {
+            return Err(GridScanError::Replaced { path: self.path.clone() });
+        }
+        file.check_sections()?;
+        file.for_each_page(|page, offset, bytes| {
+            let damaged = |source| GridScanError::Damaged { path: self.path.clone(), page, offset, source };
+            self.check_page(page, bytes).map_err(damaged)?;
+            visit(page, bytes);
+            Ok(())
+        })
+    }
+
+    /// Reads and checks every page, and the digests of them all. Returns how many there are.
     ///
     /// # Errors
-    /// A sentence that says what cannot be read or is damaged, and where.
-    pub fn verify(&self) -> Result<u64, String> {
-        let mut file = File::open(&self.path).map_err(|e| e.to_string())?;
-        file.seek(SeekFrom::Start(BLOCK_BYTES as u64)).map_err(|e| e.to_string())?;
-        let (mut page, mut digest) = (vec![0; PAGE_BYTES], 0);
-        for number in 0..self.header.pages() {
-            let place = || format!("byte {} (page {number})", self.header.page_offset(number));
-            file.read_exact(&mut page).map_err(|e| format!("{}: {e}", place()))?;
-            self.check_page(number as u32, &page).map_err(|e| format!("{}: {e}", place()))?;
-            digest = crc32c::crc32c_append(digest, &stored_page_checksum(&page).to_le_bytes());
-        }
-        if digest == self.footer.digest {
-            Ok(self.header.pages())
-        } else {
-            Err("the pages are not those that the footer was made for".into())
-        }
+    /// [`GridScanError`] at the first page that cannot be read or is damaged.
+    pub fn verify(&self) -> Result<u64, GridScanError> {
+        self.for_each_page(|_, _| {})?;
+        Ok(self.header.pages())
     }
 
     /// Reads every voxel, x fastest, as stored: for small grids.
     ///
     /// # Errors
-    /// A sentence that says what cannot be read or is damaged.
-    pub fn load(&self) -> Result<Vec<f32>, String> {
-        let mut file = File::open(&self.path).map_err(|e| e.to_string())?;
+    /// [`GridScanError`] at the first page that cannot be read or is damaged.
+    pub fn load(&self) -> Result<Vec<f32>, GridScanError> {
         let header = &self.header;
         let (kind, bricks) = (header.kind, header.bricks());
         let (n, cells) = (kind.brick_voxels(), kind.brick_cells());
         let mut voxels = vec![0.0; header.size.iter().product::<u64>() as usize];
-        let mut page = vec![0; PAGE_BYTES];
-        file.seek(SeekFrom::Start(BLOCK_BYTES as u64)).map_err(|e| e.to_string())?;
-        for brick in 0..header.brick_pages() {
-            file.read_exact(&mut page).map_err(|e| e.to_string())?;
-            self.check_page(brick as u32, &page).map_err(|e| format!("page {brick}: {e}"))?;
+        self.for_each_page(|brick, page| {
+            let brick = u64::from(brick);
+            if brick >= header.brick_pages() {
+                return;
+            }
             let corner = [brick % bricks[0], brick / bricks[0] % bricks[1], brick / bricks[0] / bricks[1]];
             for i in 0..n * n * n {
                 let local = [i % n, i / n % n, i / n / n].map(|v| v as u64);
@@ -130,7 +137,7 @@ impl Grid {
                     voxels[place as usize] = kind.value(bytes);
                 }
             }
-        }
+        })?;
         Ok(voxels)
     }
 }

@@ -1,18 +1,16 @@
-//! The first 4096 bytes of a grid file, and what its pages hold.
+//! What a grid file says of its voxels: the section `GRID`, as [`GridHeader`]; and what its pages hold.
 //!
 //! A brick holds the voxels that samples in its cells need, those of the neighbouring bricks included, so that a sample
-//! reads one page. Numbers are little-endian.
+//! reads one page. Numbers are little-endian. The frame around all this is [`crate::container`].
 
-use crate::geometry::{DAffine3, DVec3};
-use crate::octree::format::{
-    BLOCK_BYTES, CHECKSUM_AT, FIELDS_AT, HeaderError, PAGE_HEAD_BYTES, Reader, VERSION_AT, Writer,
-    block_checksum,
+use crate::container::{
+    BLOCK_BYTES, FileHeader, HeaderError, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
+    SectionKind, Writer,
 };
+use crate::geometry::{DAffine3, DVec3};
 
 /// First eight bytes of every file.
 pub const MAGIC: [u8; 8] = *b"RAYGRID\n";
-/// Version of the layout.
-pub const VERSION: u32 = 1;
 /// Bytes of a page.
 pub const PAGE_BYTES: usize = 32 << 10;
 /// Ranges in a page.
@@ -79,9 +77,11 @@ impl VoxelKind {
     }
 }
 
-/// What the header says.
+/// What a grid file says of itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridHeader {
+    /// What tells the file from others. Zeros while it is built: it follows from all voxels.
+    pub identity: Identity,
     /// Voxels along each axis, at least 2.
     pub size: [u64; 3],
     /// How they are stored.
@@ -96,6 +96,8 @@ pub struct GridHeader {
     pub space_from_voxel: DAffine3,
     /// Bytes of the whole file.
     pub file_bytes: u64,
+    /// What the sources said of themselves, sorted.
+    pub sources: Vec<String>,
 }
 
 impl GridHeader {
@@ -129,12 +131,6 @@ impl GridHeader {
         BLOCK_BYTES as u64 + page * PAGE_BYTES as u64
     }
 
-    /// Bytes that a file of so many pages has.
-    #[must_use]
-    pub fn expected_file_bytes(&self) -> u64 {
-        self.page_offset(self.pages()) + BLOCK_BYTES as u64
-    }
-
     /// The value that a stored number stands for.
     #[must_use]
     pub fn value(&self, stored: f64) -> f64 {
@@ -148,74 +144,100 @@ impl GridHeader {
         (a.min(b), a.max(b))
     }
 
-    /// The header as a block.
-    #[must_use]
-    pub fn encode(&self) -> [u8; BLOCK_BYTES] {
-        let mut block = [0; BLOCK_BYTES];
-        block[..MAGIC.len()].copy_from_slice(&MAGIC);
-        block[VERSION_AT..VERSION_AT + 4].copy_from_slice(&VERSION.to_le_bytes());
-        let mut w = Writer { bytes: &mut block, at: FIELDS_AT };
-        w.u32(PAGE_BYTES as u32);
+    /// The section `GRID`.
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
         w.u32(self.kind as u32);
+        w.u32(0);
         self.size.into_iter().for_each(|n| w.u64(n));
-        w.u64(self.file_bytes);
-        w.f32(self.range.0);
-        w.f32(self.range.1);
+        w.f64(self.range.0.into());
+        w.f64(self.range.1.into());
         w.f64(self.scale);
         w.f64(self.offset);
         self.space_from_voxel.to_cols_array().into_iter().for_each(|v| w.f64(v));
-        let checksum = block_checksum(&block, CHECKSUM_AT);
-        block[CHECKSUM_AT..CHECKSUM_AT + 4].copy_from_slice(&checksum.to_le_bytes());
-        block
+        w.bytes
     }
 
-    /// Reads and checks a header.
+    /// The section `META`.
+    pub(crate) fn metadata(&self) -> Metadata {
+        Metadata { crs: String::new(), sources: self.sources.clone() }
+    }
+
+    /// Reads and checks the sections of an open file.
     ///
     /// # Errors
-    /// [`HeaderError`] where the block is no header, of another version, damaged, or out of range.
-    pub fn decode(block: &[u8; BLOCK_BYTES]) -> Result<Self, HeaderError> {
-        if block[..MAGIC.len()] != MAGIC {
-            return Err(HeaderError::Magic);
+    /// [`OpenError`] where a section is missing, damaged, or out of range.
+    pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
+        let bytes = file.section(SectionKind::GRID)?;
+        let sources = Metadata::decode(&file.metadata()?).sources;
+        let at = file.header().section(SectionKind::GRID).map_or(0, |s| s.offset);
+        let wrong = |what| file.wrong(HeaderError::Field { at, what });
+        let header = Self::decode(&bytes, file.header())
+            .ok_or_else(|| wrong("the numbers of the grid end early, or its kind of voxels is unknown"))?;
+        header.check_ranges(file.header()).map_err(wrong)?;
+        Ok(Self { sources, ..header })
+    }
+
+    fn decode(bytes: &[u8], file: &FileHeader) -> Option<Self> {
+        let mut r = Reader::new(bytes);
+        let kind = *VoxelKind::ALL.get(r.u32()? as usize)?;
+        r.u32()?;
+        let size = [r.u64()?, r.u64()?, r.u64()?];
+        let range = (r.f64()? as f32, r.f64()? as f32);
+        let (scale, offset) = (r.f64()?, r.f64()?);
+        let mut columns = [0.0; 12];
+        for value in &mut columns {
+            *value = r.f64()?;
         }
-        let mut r = Reader { bytes: block, at: VERSION_AT };
-        let version = r.u32();
-        if version != VERSION {
-            return Err(HeaderError::Version { found: version });
-        }
-        let (found, expected) = (r.u32(), block_checksum(block, CHECKSUM_AT));
-        if found != expected {
-            return Err(HeaderError::Checksum { at: CHECKSUM_AT as u64, found, expected });
-        }
-        let at = r.at as u64;
-        let wrong = |what| Err(HeaderError::Field { at, what });
-        let (page_bytes, kind) = (r.u32(), r.u32());
-        let Some(&kind) = VoxelKind::ALL.get(kind as usize).filter(|_| page_bytes as usize == PAGE_BYTES)
-        else {
-            return wrong("the size of a page or the kind of voxels is unknown");
-        };
-        let size: [u64; 3] = std::array::from_fn(|_| r.u64());
-        let header = Self {
+        Some(Self {
+            identity: file.identity,
             size,
             kind,
-            file_bytes: r.u64(),
-            range: (r.f32(), r.f32()),
-            scale: r.f64(),
-            offset: r.f64(),
-            space_from_voxel: DAffine3::from_cols_array(&std::array::from_fn(|_| r.f64())),
+            range,
+            scale,
+            offset,
+            space_from_voxel: DAffine3::from_cols_array(&columns),
+            file_bytes: file.file_bytes,
+            sources: Vec::new(),
+        })
+    }
+
+    fn check_ranges(&self, file: &FileHeader) -> Result<(), &'static str> {
+        self.check_size()?;
+        if file.page_bytes as usize != PAGE_BYTES {
+            return Err("the pages of a grid have 32768 bytes");
+        }
+        let fits = |kind, pages: u64, first: u64| {
+            file.section(kind)
+                .is_some_and(|s| u64::from(s.pages) == pages && s.offset == self.page_offset(first))
         };
-        if size.iter().any(|n| !(2..=1 << 24).contains(n)) || header.pages() > u64::from(u32::MAX) {
-            return wrong("a grid has 2 to 16777216 voxels along an axis, and at most 4294967295 pages");
+        let bricks = self.brick_pages();
+        if !fits(SectionKind::VOXELS, bricks, 0) || !fits(SectionKind::RANGES, self.range_pages(), bricks) {
+            return Err("the number of pages does not fit the size of the grid");
         }
-        if header.file_bytes != header.expected_file_bytes() {
-            return wrong("the length of the file does not fit its grid");
+        self.check_numbers()
+    }
+
+    /// Whether there may be a grid of so many voxels.
+    pub(crate) fn check_size(&self) -> Result<(), &'static str> {
+        let in_range = self.size.iter().all(|n| (2..=1 << 24).contains(n));
+        if !in_range || self.pages() > u64::from(u32::MAX) {
+            return Err("a grid has 2 to 16777216 voxels along an axis, and at most 4294967295 pages");
         }
-        let determinant = header.space_from_voxel.matrix3.determinant();
-        let finite =
-            header.space_from_voxel.is_finite() && header.scale.is_finite() && header.offset.is_finite();
-        if !finite || determinant == 0.0 || !header.range.0.is_finite() || !header.range.1.is_finite() {
-            return wrong("a number of the grid is not finite, or its axes are not independent");
+        Ok(())
+    }
+
+    /// Whether the numbers that place the voxels and their values can be used.
+    pub(crate) fn check_numbers(&self) -> Result<(), &'static str> {
+        let determinant = self.space_from_voxel.matrix3.determinant();
+        let finite = self.space_from_voxel.is_finite() && self.scale.is_finite() && self.offset.is_finite();
+        if !finite || determinant == 0.0 || !determinant.is_finite() {
+            return Err("a number of the grid is not finite, or its axes are not independent");
         }
-        Ok(header)
+        if !self.range.0.is_finite() || !self.range.1.is_finite() {
+            return Err("the smallest or largest voxel is not a finite number");
+        }
+        Ok(())
     }
 
     /// Voxel coordinates of the last voxel.

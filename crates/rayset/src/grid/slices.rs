@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use super::format::GridHeader;
 use super::read::{ReadError, VolumeSource};
+use crate::container::{Identity, StreamHash};
 use crate::spill::Spill;
 
 /// Voxels are read from the source in pieces of so many bytes.
@@ -27,6 +28,8 @@ pub(super) struct Slices {
     voxel_bytes: u64,
     held: Held,
     piece: Vec<u8>,
+    /// Of what places the voxels, and of all voxels so far.
+    hash: StreamHash,
 }
 
 /// Where slices are.
@@ -58,7 +61,20 @@ impl Slices {
             voxel_bytes,
             held,
             piece: Vec::new(),
+            hash: StreamHash::new(&format!(
+                "{:?} {} {:?} {:?} {:?}",
+                header.size,
+                header.kind.name(),
+                header.scale,
+                header.offset,
+                header.space_from_voxel.to_cols_array()
+            )),
         }
+    }
+
+    /// What tells a file of these voxels from others, once all have been read.
+    pub(super) fn identity(&self) -> Identity {
+        self.hash.identity()
     }
 
     /// Bytes of the slices that a layer of bricks needs.
@@ -92,6 +108,7 @@ impl Slices {
         while done < self.slice_bytes {
             self.piece.resize((self.slice_bytes - done).min(PIECE_BYTES as u64) as usize, 0);
             source.read(&mut self.piece).map_err(SliceError::Read)?;
+            self.hash.update(&self.piece);
             match &self.held {
                 Held::Memory(_) => slice.extend_from_slice(&self.piece),
                 Held::Disk { file, places } => {

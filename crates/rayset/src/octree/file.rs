@@ -1,82 +1,27 @@
-//! Opening a cloud: header, footer and length are checked here, pages when they are read.
+//! Opening a cloud: header, footer, length and descriptions are checked here, pages when they are read.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use super::format::{BLOCK_BYTES, Footer, Header, HeaderError, PageError, PageKind};
+use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
+use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind};
 
-/// An open cloud file: its header, checked, and the path from which its pages are read.
+/// An open cloud file: what it says of itself, checked, and the path from which its pages are read.
 #[derive(Debug)]
 pub struct Cloud {
     path: PathBuf,
     header: Header,
-    footer: Footer,
-}
-
-/// Why a file does not open as a cloud.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OpenError {
-    /// The operating system refused.
-    #[error("cannot open {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The header or footer is not what it should be.
-    #[error("{}, {source}", path.display())]
-    Header {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, and where.
-        source: HeaderError,
-    },
-    /// The file is shorter or longer than its header says.
-    #[error("{}: {found} bytes where the header says {expected}; the file is incomplete or has been appended to",
-        path.display())]
-    Length {
-        /// The file.
-        path: PathBuf,
-        /// Bytes of the file.
-        found: u64,
-        /// Bytes that the header states.
-        expected: u64,
-    },
 }
 
 impl Cloud {
-    /// Opens a cloud and checks its header, its length and its footer.
+    /// Opens a cloud and checks its header, its length, its descriptions and its footer.
     ///
     /// # Errors
     /// [`OpenError`] where the file cannot be read or is no whole cloud of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
-        let io = |source| OpenError::Io { path: path.to_owned(), source };
-        let mut file = File::open(path).map_err(io)?;
-        let found = file.metadata().map_err(io)?.len();
-        let mut head = [0; BLOCK_BYTES];
-        let got = read_up_to(&mut file, &mut head).map_err(io)?;
-        let wrong = |source| OpenError::Header { path: path.to_owned(), source };
-        if got < BLOCK_BYTES {
-            if head[..got.min(8)] != super::format::MAGIC[..got.min(8)] || got == 0 {
-                return Err(wrong(HeaderError::Magic));
-            }
-            return Err(OpenError::Length { path: path.to_owned(), found, expected: 2 * BLOCK_BYTES as u64 });
-        }
-        let header = Header::decode(&head).map_err(wrong)?;
-        if found != header.file_bytes {
-            return Err(OpenError::Length { path: path.to_owned(), found, expected: header.file_bytes });
-        }
-        let footer_at = header.file_bytes - BLOCK_BYTES as u64;
-        let mut foot = [0; BLOCK_BYTES];
-        file.seek(SeekFrom::Start(footer_at)).map_err(io)?;
-        file.read_exact(&mut foot).map_err(io)?;
-        let footer = Footer::decode(&foot, &head, footer_at).map_err(wrong)?;
-        Ok(Self { path: path.to_owned(), header, footer })
+        let mut file = OpenFile::open(path, FileKind::Cloud)?;
+        Ok(Self { path: path.to_owned(), header: Header::read(&mut file)? })
     }
 
     /// Path of the file.
@@ -89,12 +34,6 @@ impl Cloud {
     #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
-    }
-
-    /// The checked footer.
-    #[must_use]
-    pub fn footer(&self) -> &Footer {
-        &self.footer
     }
 
     /// What kind of page stands at a number.
@@ -120,13 +59,14 @@ impl Cloud {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScanError {
-    /// The operating system refused.
-    #[error("cannot read {}: {source}", path.display())]
-    Io {
+    /// The file cannot be read, or is not the one that was opened.
+    #[error(transparent)]
+    File(#[from] OpenError),
+    /// Another file has taken the name of the one that was opened.
+    #[error("{}: another file stands here now than the one that was opened", path.display())]
+    Replaced {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
     },
     /// A page is damaged.
     #[error("{}, byte {offset} (page {page}): {source}", path.display())]
@@ -143,26 +83,23 @@ pub enum ScanError {
 }
 
 impl Cloud {
-    /// Reads every page in order, checks it, and hands it over with its number; holds one page at a time.
+    /// Reads every page in order, checks it, and hands it over with its number; holds one page at a time. Checks the
+    /// sections that are not pages, and the digest of all pages, too.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
     pub fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), ScanError> {
-        let io = |source| ScanError::Io { path: self.path.clone(), source };
-        let mut file = File::open(&self.path).map_err(io)?;
-        file.seek(SeekFrom::Start(self.header.page_offset(0))).map_err(io)?;
-        let mut bytes = vec![0; self.header.page_bytes as usize];
-        for page in 0..self.header.pages() {
-            file.read_exact(&mut bytes).map_err(io)?;
-            self.check_page(page, &bytes).map_err(|source| ScanError::Damaged {
-                path: self.path.clone(),
-                page,
-                offset: self.header.page_offset(page),
-                source,
-            })?;
-            visit(page, &bytes);
+        let mut file = OpenFile::open(&self.path, FileKind::Cloud)?;
+        if file.header().identity != self.header.identity {
+            return Err(ScanError::Replaced { path: self.path.clone() });
         }
-        Ok(())
+        file.check_sections()?;
+        file.for_each_page(|page, offset, bytes| {
+            let damaged = |source| ScanError::Damaged { path: self.path.clone(), page, offset, source };
+            self.check_page(page, bytes).map_err(damaged)?;
+            visit(page, bytes);
+            Ok(())
+        })
     }
 
     /// Reads every run of points in the order of the file, with the page it stands in.
@@ -177,18 +114,4 @@ impl Cloud {
             }
         })
     }
-}
-
-/// Fills as much of `buffer` as the file holds.
-fn read_up_to(file: &mut File, buffer: &mut [u8]) -> io::Result<usize> {
-    let mut filled = 0;
-    while filled < buffer.len() {
-        match file.read(&mut buffer[filled..]) {
-            Ok(0) => break,
-            Ok(n) => filled += n,
-            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-            Err(e) => return Err(e),
-        }
-    }
-    Ok(filled)
 }

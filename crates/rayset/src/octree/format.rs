@@ -1,22 +1,23 @@
-//! The first 4096 bytes of a cloud file, its footer, and the head that every page shares.
+//! What a cloud file says of its points: the sections `CLOU` (numbers), `COLS` (columns) and `META` (words), as [`Header`].
 //!
-//! Offsets are named constants built by addition; `docs/format.md` shows the same table in prose. All numbers are
-//! little-endian.
+//! `docs/format.md` shows the same tables in prose. The frame around them is [`crate::container`].
 
+use crate::container::{
+    BLOCK_BYTES, FileHeader, FileKind, HeaderError, Identity, MAX_PAGE_BYTES, Metadata, OpenError, OpenFile,
+    PAGE_HEAD_BYTES, Reader, Section, SectionKind, Writer,
+};
+use crate::geometry::curve::MAX_LEVEL;
 use crate::geometry::{Aabb, DVec3};
+use crate::octree::node::nodes_per_page;
+use crate::octree::page::{RUN_HEAD_BYTES, RUN_POINTS};
+use crate::points::ColumnType;
 
-/// First eight bytes of every file.
+/// First eight bytes of every cloud file.
 pub const MAGIC: [u8; 8] = *b"RAYSET\r\n";
-/// Version of the layout that this code writes, and the only one it reads.
-pub const VERSION: u32 = 1;
-/// Bytes of the header and of the footer; also the alignment of every page.
-pub const BLOCK_BYTES: usize = 4096;
 /// Largest number of attribute columns.
 pub const MAX_ATTRIBUTES: usize = 32;
-/// Bytes of an attribute's name in the header, padded with zeros.
-pub const NAME_BYTES: usize = 32;
-/// Bytes of the head of a page.
-pub const PAGE_HEAD_BYTES: usize = 32;
+/// Most bytes of an attribute's name, and of its unit.
+pub const NAME_BYTES: usize = 64;
 
 /// Whether all points share a value or each has its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,15 +59,21 @@ impl Column {
     }
 }
 
-/// A stored attribute: an `f32` column with a name.
+/// A stored attribute: a column with a name and a type.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeInfo {
     /// Name, at most [`NAME_BYTES`] bytes.
     pub name: String,
-    /// Smallest finite value.
-    pub min: f32,
-    /// Largest finite value.
-    pub max: f32,
+    /// Type of the numbers.
+    pub kind: ColumnType,
+    /// Unit as the source named it, at most [`NAME_BYTES`] bytes; empty where it named none.
+    pub unit: String,
+    /// Whether the numbers name classes, between which nothing may be interpolated.
+    pub is_class: bool,
+    /// Smallest finite value, rounded to `f64`.
+    pub min: f64,
+    /// Largest finite value, rounded to `f64`.
+    pub max: f64,
 }
 
 /// Where a node's record is.
@@ -78,9 +85,43 @@ pub struct NodeRef {
     pub index: u16,
 }
 
-/// What the header says.
+/// Where the columns of a run stand behind its positions. Every column is padded to four bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ColumnLayout {
+    /// Bytes of a point in columns of four and eight bytes a value, which need no padding.
+    words: u32,
+    /// Columns of two bytes a value.
+    halves: u32,
+    /// Columns of one byte a value.
+    bytes: u32,
+}
+
+impl ColumnLayout {
+    /// The layout with another column behind the others.
+    #[must_use]
+    pub fn with(self, value_bytes: usize) -> Self {
+        match value_bytes {
+            1 => Self { bytes: self.bytes + 1, ..self },
+            2 => Self { halves: self.halves + 1, ..self },
+            wide => Self { words: self.words + wide as u32, ..self },
+        }
+    }
+
+    /// Bytes that the columns of `points` points take.
+    #[must_use]
+    #[inline]
+    pub fn run_bytes(self, points: usize) -> usize {
+        points * self.words as usize
+            + self.halves as usize * (2 * points).next_multiple_of(4)
+            + self.bytes as usize * points.next_multiple_of(4)
+    }
+}
+
+/// What a cloud file says of itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
+    /// What tells the file from others.
+    pub identity: Identity,
     /// Bytes of a page, a multiple of [`BLOCK_BYTES`].
     pub page_bytes: u32,
     /// Pages that hold points; they come first.
@@ -121,102 +162,27 @@ pub struct Header {
     pub point_data_bytes: u64,
     /// Memory to render with unless the user says otherwise; 0 where none was stored.
     pub render_memory: u64,
+    /// The coordinate reference system of the positions, as the sources had it; empty where it is not known.
+    pub crs: String,
+    /// What the sources said of themselves, sorted.
+    pub sources: Vec<String>,
 }
 
-/// Why bytes are no header.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum HeaderError {
-    /// The magic number differs.
-    #[error("byte 0: not a file of this kind (no `RAYSET` signature of a cloud, or `RAYGRID` of a grid)")]
-    Magic,
-    /// Another version of the layout.
-    #[error("byte 8: format version {found}, this program reads version {VERSION}; build the cloud again")]
-    Version {
-        /// The version found.
-        found: u32,
-    },
-    /// The checksum over the block differs.
-    #[error("byte {at}: checksum {found:08x} where {expected:08x} was expected; the block is damaged")]
-    Checksum {
-        /// Offset of the checksum.
-        at: u64,
-        /// Stored.
-        found: u32,
-        /// Computed.
-        expected: u32,
-    },
-    /// A field out of its range, in a block whose checksum is right.
-    #[error("byte {at}: {what}")]
-    Field {
-        /// Offset of the field.
-        at: u64,
-        /// What is wrong with it.
-        what: &'static str,
-    },
+/// What a column of the file is for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Radius,
+    Weight,
+    Color,
+    Attribute,
 }
 
-pub(crate) const VERSION_AT: usize = MAGIC.len();
-pub(crate) const CHECKSUM_AT: usize = VERSION_AT + 4;
-pub(crate) const FIELDS_AT: usize = CHECKSUM_AT + 4;
-
-/// Writes fields one after another.
-pub(crate) struct Writer<'a> {
-    pub(crate) bytes: &'a mut [u8],
-    pub(crate) at: usize,
+impl Role {
+    const ALL: [Self; 4] = [Self::Radius, Self::Weight, Self::Color, Self::Attribute];
 }
 
-impl Writer<'_> {
-    pub(crate) fn put(&mut self, bytes: &[u8]) {
-        self.bytes[self.at..self.at + bytes.len()].copy_from_slice(bytes);
-        self.at += bytes.len();
-    }
-    pub(crate) fn u32(&mut self, v: u32) {
-        self.put(&v.to_le_bytes());
-    }
-    pub(crate) fn u64(&mut self, v: u64) {
-        self.put(&v.to_le_bytes());
-    }
-    pub(crate) fn f32(&mut self, v: f32) {
-        self.put(&v.to_le_bytes());
-    }
-    pub(crate) fn f64(&mut self, v: f64) {
-        self.put(&v.to_le_bytes());
-    }
-    pub(crate) fn vec(&mut self, v: DVec3) {
-        v.to_array().into_iter().for_each(|x| self.f64(x));
-    }
-}
-
-/// Reads fields one after another; the caller hands it a whole block, so it cannot run out.
-pub(crate) struct Reader<'a> {
-    pub(crate) bytes: &'a [u8],
-    pub(crate) at: usize,
-}
-
-impl Reader<'_> {
-    pub(crate) fn take<const N: usize>(&mut self) -> [u8; N] {
-        let mut out = [0; N];
-        out.copy_from_slice(&self.bytes[self.at..self.at + N]);
-        self.at += N;
-        out
-    }
-    pub(crate) fn u32(&mut self) -> u32 {
-        u32::from_le_bytes(self.take())
-    }
-    pub(crate) fn u64(&mut self) -> u64 {
-        u64::from_le_bytes(self.take())
-    }
-    pub(crate) fn f32(&mut self) -> f32 {
-        f32::from_le_bytes(self.take())
-    }
-    pub(crate) fn f64(&mut self) -> f64 {
-        f64::from_le_bytes(self.take())
-    }
-    pub(crate) fn vec(&mut self) -> DVec3 {
-        DVec3::new(self.f64(), self.f64(), self.f64())
-    }
-}
+const STORED: u8 = 1;
+const CLASSES: u8 = 2;
 
 impl Header {
     /// Offset of a page in the file.
@@ -231,46 +197,22 @@ impl Header {
         self.point_pages + self.node_pages
     }
 
-    /// Bytes that the file must have.
+    /// Where the columns of a run stand, the first `attributes` attributes counted.
     #[must_use]
-    pub fn expected_file_bytes(&self) -> u64 {
-        2 * BLOCK_BYTES as u64 + u64::from(self.pages()) * u64::from(self.page_bytes)
+    pub fn column_layout(&self, attributes: usize) -> ColumnLayout {
+        let four = [self.radius.is_stored(), self.weight.is_stored(), self.has_color];
+        let layout = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
+        self.attributes[..attributes].iter().fold(layout, |l, a| l.with(a.kind.bytes()))
     }
 
-    /// Bytes that one point takes in a page besides its position: radius, weight, colour, attributes.
-    #[must_use]
-    pub fn column_bytes(&self) -> usize {
-        4 * usize::from(self.radius.is_stored())
-            + 4 * usize::from(self.weight.is_stored())
-            + 4 * usize::from(self.has_color)
-            + 4 * self.attributes.len()
-    }
-
-    /// The header as a block.
-    #[must_use]
-    pub fn encode(&self) -> [u8; BLOCK_BYTES] {
-        let mut block = [0; BLOCK_BYTES];
-        block[..MAGIC.len()].copy_from_slice(&MAGIC);
-        block[VERSION_AT..VERSION_AT + 4].copy_from_slice(&VERSION.to_le_bytes());
-        let mut w = Writer { bytes: &mut block, at: FIELDS_AT };
-        w.u32(self.page_bytes);
-        w.u32(self.point_pages);
-        w.u32(self.node_pages);
+    /// The section `CLOU`.
+    pub(crate) fn encode_numbers(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        for count in [self.points, self.skipped, self.nodes, self.point_data_bytes, self.render_memory] {
+            w.u64(count);
+        }
         w.u32(self.root.page);
         w.u32(u32::from(self.root.index));
-        w.u32(self.attributes.len() as u32);
-        w.u32(
-            u32::from(self.radius.is_stored())
-                | u32::from(self.weight.is_stored()) << 1
-                | u32::from(self.has_color) << 2,
-        );
-        w.u32(0);
-        w.u64(self.file_bytes);
-        w.u64(self.points);
-        w.u64(self.skipped);
-        w.u64(self.nodes);
-        w.u64(self.point_data_bytes);
-        w.u64(self.render_memory);
         w.vec(self.root_min);
         w.f64(self.root_size);
         w.vec(self.bounds.min);
@@ -278,109 +220,160 @@ impl Header {
         w.f64(self.radius_mean);
         w.f64(self.position_error);
         w.f64(self.position_error_radii);
-        for column in [self.radius, self.weight] {
-            w.f32(column.min());
-            w.f32(column.max());
-        }
-        for attribute in &self.attributes {
-            let mut name = [0; NAME_BYTES];
-            let bytes = attribute.name.as_bytes();
-            name[..bytes.len()].copy_from_slice(bytes);
-            w.put(&name);
-            w.f32(attribute.min);
-            w.f32(attribute.max);
-        }
-        let checksum = block_checksum(&block, CHECKSUM_AT);
-        block[CHECKSUM_AT..CHECKSUM_AT + 4].copy_from_slice(&checksum.to_le_bytes());
-        block
+        w.bytes
     }
 
-    /// Reads and checks a header.
+    /// The section `COLS`.
+    pub(crate) fn encode_columns(&self) -> Vec<u8> {
+        let shared = |column: Column| AttributeInfo {
+            name: String::new(),
+            kind: ColumnType::F32,
+            unit: String::new(),
+            is_class: false,
+            min: column.min().into(),
+            max: column.max().into(),
+        };
+        let mut columns = vec![
+            (Role::Radius, self.radius.is_stored(), shared(self.radius)),
+            (Role::Weight, self.weight.is_stored(), shared(self.weight)),
+        ];
+        if self.has_color {
+            let color = AttributeInfo { kind: ColumnType::U8, max: 255.0, ..shared(Column::Constant(0.0)) };
+            columns.push((Role::Color, true, color));
+        }
+        columns.extend(self.attributes.iter().map(|a| (Role::Attribute, true, a.clone())));
+        let mut w = Writer::default();
+        w.u32(columns.len() as u32);
+        w.u32(0);
+        for (role, is_stored, column) in columns {
+            let flags = STORED * u8::from(is_stored) | CLASSES * u8::from(column.is_class);
+            w.put(&[role as u8, column.kind.code(), flags, 0]);
+            w.put(&[column.name.len() as u8, column.unit.len() as u8, 0, 0]);
+            w.f64(column.min);
+            w.f64(column.max);
+            w.put(column.name.as_bytes());
+            w.put(column.unit.as_bytes());
+            w.pad(8);
+        }
+        w.bytes
+    }
+
+    /// Reads and checks the sections of an open file.
     ///
     /// # Errors
-    /// [`HeaderError`] where the block is no header, of another version, damaged, or out of range.
-    pub fn decode(block: &[u8; BLOCK_BYTES]) -> Result<Self, HeaderError> {
-        if block[..MAGIC.len()] != MAGIC {
-            return Err(HeaderError::Magic);
-        }
-        let mut r = Reader { bytes: block, at: VERSION_AT };
-        let version = r.u32();
-        if version != VERSION {
-            return Err(HeaderError::Version { found: version });
-        }
-        let found = r.u32();
-        let expected = block_checksum(block, CHECKSUM_AT);
-        if found != expected {
-            return Err(HeaderError::Checksum { at: CHECKSUM_AT as u64, found, expected });
-        }
-        let page_bytes = r.u32();
-        let (point_pages, node_pages) = (r.u32(), r.u32());
-        let root = NodeRef { page: r.u32(), index: r.u32() as u16 };
-        let attribute_count = r.u32() as usize;
-        let flags = r.u32();
-        r.u32();
-        let (file_bytes, points, skipped, nodes) = (r.u64(), r.u64(), r.u64(), r.u64());
-        let (point_data_bytes, render_memory) = (r.u64(), r.u64());
-        let (root_min, root_size) = (r.vec(), r.f64());
-        let bounds = Aabb::new(r.vec(), r.vec());
-        let (radius_mean, position_error, position_error_radii) = (r.f64(), r.f64(), r.f64());
-        let mut column = |stored: bool| {
-            let (min, max) = (r.f32(), r.f32());
-            if stored { Column::Varying { min, max } } else { Column::Constant(min) }
-        };
-        let (radius, weight) = (column(flags & 1 != 0), column(flags & 2 != 0));
-        let field = |at: usize, what| HeaderError::Field { at: at as u64, what };
-        if attribute_count > MAX_ATTRIBUTES {
-            return Err(field(FIELDS_AT + 20, "more than 32 attributes"));
-        }
-        let mut attributes = Vec::new();
-        for _ in 0..attribute_count {
-            let at = r.at;
-            let name: [u8; NAME_BYTES] = r.take();
-            let end = name.iter().position(|&b| b == 0).unwrap_or(NAME_BYTES);
-            let name =
-                std::str::from_utf8(&name[..end]).map_err(|_| field(at, "an attribute name is not text"))?;
-            attributes.push(AttributeInfo { name: name.to_owned(), min: r.f32(), max: r.f32() });
-        }
-        let header = Self {
-            page_bytes,
-            point_pages,
-            node_pages,
-            file_bytes,
-            points,
-            skipped,
-            nodes,
-            root,
-            root_min,
-            root_size,
-            bounds,
-            radius,
-            radius_mean,
-            weight,
-            position_error,
-            position_error_radii,
-            has_color: flags & 4 != 0,
-            attributes,
-            point_data_bytes,
-            render_memory,
-        };
-        header.check_ranges().map(|()| header)
+    /// [`OpenError`] where a section is missing, damaged, or out of range.
+    pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
+        let numbers = file.section(SectionKind::CLOUD)?;
+        let columns = file.section(SectionKind::COLUMNS)?;
+        let words = Metadata::decode(&file.metadata()?);
+        let at = |kind| file.header().section(kind).map_or(0, |s: &Section| s.offset);
+        let (numbers_at, columns_at) = (at(SectionKind::CLOUD), at(SectionKind::COLUMNS));
+        let wrong = |at, what| file.wrong(HeaderError::Field { at, what });
+        let mut header = Self::decode_numbers(&numbers, file.header())
+            .ok_or_else(|| wrong(numbers_at, "the numbers of the cloud end early"))?;
+        header.decode_columns(&columns).map_err(|what| wrong(columns_at, what))?;
+        (header.crs, header.sources) = (words.crs, words.sources);
+        header.check_ranges(file.header()).map_err(|what| wrong(numbers_at, what))?;
+        Ok(header)
     }
 
-    fn check_ranges(&self) -> Result<(), HeaderError> {
-        let field = |at: usize, what| Err(HeaderError::Field { at: at as u64, what });
-        let page_bytes = self.page_bytes as usize;
-        if page_bytes == 0 || !page_bytes.is_multiple_of(BLOCK_BYTES) || page_bytes > MAX_PAGE_BYTES {
-            return field(FIELDS_AT, "the page size is no multiple of 4096 up to 262144");
+    fn decode_numbers(bytes: &[u8], file: &FileHeader) -> Option<Self> {
+        let mut r = Reader::new(bytes);
+        let pages = |kind| file.section(kind).map_or(0, |s| s.pages);
+        Some(Self {
+            identity: file.identity,
+            page_bytes: file.page_bytes,
+            point_pages: pages(SectionKind::POINTS),
+            node_pages: pages(SectionKind::NODES),
+            file_bytes: file.file_bytes,
+            points: r.u64()?,
+            skipped: r.u64()?,
+            nodes: r.u64()?,
+            point_data_bytes: r.u64()?,
+            render_memory: r.u64()?,
+            root: NodeRef { page: r.u32()?, index: r.u32()? as u16 },
+            root_min: r.vec()?,
+            root_size: r.f64()?,
+            bounds: Aabb::new(r.vec()?, r.vec()?),
+            radius_mean: r.f64()?,
+            position_error: r.f64()?,
+            position_error_radii: r.f64()?,
+            radius: Column::Constant(1.0),
+            weight: Column::Constant(1.0),
+            has_color: false,
+            attributes: Vec::new(),
+            crs: String::new(),
+            sources: Vec::new(),
+        })
+    }
+
+    fn decode_columns(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
+        const EARLY: &str = "the list of columns ends early";
+        let mut r = Reader::new(bytes);
+        let count = r.u32().ok_or(EARLY)?;
+        r.u32().ok_or(EARLY)?;
+        let mut seen: Option<Role> = None;
+        for _ in 0..count {
+            let [role, kind, flags, _]: [u8; 4] = r.take().ok_or(EARLY)?;
+            let [name, unit, _, _]: [u8; 4] = r.take().ok_or(EARLY)?;
+            let (min, max) = (r.f64().ok_or(EARLY)?, r.f64().ok_or(EARLY)?);
+            let mut text = |length: u8| {
+                let bytes = r.slice(length.into()).ok_or(EARLY)?;
+                std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| "the name of a column is no text")
+            };
+            let (name, unit) = (text(name)?, text(unit)?);
+            r.at = r.at.next_multiple_of(8).min(bytes.len());
+            let role = *Role::ALL.get(usize::from(role)).ok_or("a column for an unknown purpose")?;
+            let kind = *ColumnType::ALL.get(usize::from(kind)).ok_or("a column of an unknown type")?;
+            let is_stored = flags & STORED != 0;
+            // Columns stand in a run in this order, which the code that finds them relies on.
+            if seen.is_some_and(|before| {
+                before as u8 > role as u8 || (before == role && role != Role::Attribute)
+            }) {
+                return Err("the columns are not in the order radius, weight, colour, attributes");
+            }
+            seen = Some(role);
+            let shared = match is_stored {
+                true => Column::Varying { min: min as f32, max: max as f32 },
+                false => Column::Constant(min as f32),
+            };
+            match role {
+                Role::Radius => self.radius = shared,
+                Role::Weight => self.weight = shared,
+                Role::Color => self.has_color = is_stored,
+                Role::Attribute => {
+                    let is_class = flags & CLASSES != 0;
+                    self.attributes.push(AttributeInfo { name, kind, unit, is_class, min, max });
+                }
+            }
+            if self.attributes.len() > MAX_ATTRIBUTES {
+                return Err("more than 32 attributes");
+            }
         }
+        Ok(())
+    }
+
+    fn check_ranges(&self, file: &FileHeader) -> Result<(), &'static str> {
+        debug_assert_eq!(file.kind, FileKind::Cloud);
+        let in_place = |kind, first_page: u32| {
+            file.section(kind).is_none_or(|s| s.offset == self.page_offset(first_page))
+        };
         if self.point_pages.checked_add(self.node_pages).is_none() {
-            return field(FIELDS_AT + 4, "more than 4294967295 pages");
+            return Err("more than 4294967295 pages");
         }
-        if self.expected_file_bytes() != self.file_bytes {
-            return field(FIELDS_AT + 32, "the file length does not follow from the number of pages");
+        if !in_place(SectionKind::POINTS, 0) || !in_place(SectionKind::NODES, self.point_pages) {
+            return Err("the pages of points and of nodes do not stand first, one behind the other");
         }
         if self.points > 0 && self.root.page >= self.node_pages {
-            return field(FIELDS_AT + 12, "the root is in no node page");
+            return Err("the root is in no node page");
+        }
+        // What a walk through the tree may cost follows from these numbers, so they may not exceed what the pages hold.
+        let runs_in_page = (self.page_bytes as usize - PAGE_HEAD_BYTES) / RUN_HEAD_BYTES;
+        if self.points > u64::from(self.point_pages) * (runs_in_page * RUN_POINTS) as u64 {
+            return Err("more points than the pages can hold");
+        }
+        if self.nodes > u64::from(self.node_pages) * nodes_per_page(self.page_bytes as usize) as u64 {
+            return Err("more nodes than the pages can hold");
         }
         let finite = self.root_min.is_finite()
             && self.root_size.is_finite()
@@ -388,186 +381,29 @@ impl Header {
             && (self.points == 0 || (self.bounds.min.is_finite() && self.bounds.max.is_finite()))
             && self.radius.min() > 0.0
             && self.radius.max() < f32::INFINITY
+            && self.radius_mean > 0.0
+            && self.radius_mean.is_finite()
             && self.weight.min().is_finite()
             && self.weight.max().is_finite();
-        if finite { Ok(()) } else { field(FIELDS_AT + 80, "bounds, radii or weights are not finite") }
+        if !finite {
+            return Err("bounds, radii or weights are not finite");
+        }
+        if self.attributes.iter().any(|a| !a.min.is_finite() || !a.max.is_finite()) {
+            return Err("the range of an attribute is not finite");
+        }
+        Ok(())
     }
 }
 
-/// Largest page, so that run offsets fit their field.
-pub const MAX_PAGE_BYTES: usize = 256 << 10;
+/// Deepest level of a node.
+pub const DEEPEST_LEVEL: u8 = MAX_LEVEL as u8;
 
-/// CRC-32C of a block with the four bytes of its checksum left out.
+/// Largest run of `layout` at the widest encoding of positions, with its record and the head of its page: the least that
+/// a page must have.
 #[must_use]
-pub fn block_checksum(bytes: &[u8], checksum_at: usize) -> u32 {
-    let head = crc32c::crc32c(&bytes[..checksum_at]);
-    crc32c::crc32c_append(head, &bytes[checksum_at + 4..])
-}
-
-/// What kind of page it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum PageKind {
-    /// Node records.
-    Octree,
-    /// Runs of points.
-    Points,
-    /// A brick of a grid.
-    Voxels,
-    /// Value ranges of bricks.
-    Ranges,
-}
-
-impl PageKind {
-    /// The number that stands for the kind in a page head.
-    #[must_use]
-    pub fn code(self) -> u32 {
-        match self {
-            Self::Octree => 0x4e4f_4445,
-            Self::Points => 0x5054_5330,
-            Self::Voxels => 0x564f_5845,
-            Self::Ranges => 0x5241_4e47,
-        }
-    }
-}
-
-/// The head that every page starts with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PageHead {
-    /// Kind of page.
-    pub kind: PageKind,
-    /// Number of the page, so that a page in the wrong place is noticed.
-    pub page: u32,
-    /// Records (nodes or runs) in the page.
-    pub records: u32,
-    /// Bytes in use, the head included; the rest is zero.
-    pub used_bytes: u32,
-}
-
-const PAGE_CHECKSUM_AT: usize = 4;
-
-impl PageHead {
-    /// Writes the head and, over the whole page, its checksum.
-    pub fn seal(&self, page: &mut [u8]) {
-        let mut w = Writer { bytes: page, at: 0 };
-        w.u32(self.kind.code());
-        w.u32(0);
-        w.u32(self.page);
-        w.u32(self.records);
-        w.u32(self.used_bytes);
-        w.put(&[0; PAGE_HEAD_BYTES - 20]);
-        let checksum = block_checksum(page, PAGE_CHECKSUM_AT);
-        page[PAGE_CHECKSUM_AT..PAGE_CHECKSUM_AT + 4].copy_from_slice(&checksum.to_le_bytes());
-    }
-
-    /// Checks a page's checksum, kind and number and returns its head.
-    ///
-    /// # Errors
-    /// [`PageError`] that says which of them is wrong.
-    pub fn check(page_bytes: &[u8], kind: PageKind, page: u32) -> Result<Self, PageError> {
-        let mut r = Reader { bytes: page_bytes, at: 0 };
-        let (code, found) = (r.u32(), r.u32());
-        let expected = block_checksum(page_bytes, PAGE_CHECKSUM_AT);
-        if found != expected {
-            return Err(PageError::Checksum { found, expected });
-        }
-        let (number, records, used_bytes) = (r.u32(), r.u32(), r.u32());
-        if code != kind.code() || number != page {
-            return Err(PageError::Misplaced { number });
-        }
-        if (used_bytes as usize) < PAGE_HEAD_BYTES || used_bytes as usize > page_bytes.len() {
-            return Err(PageError::Content { what: "more bytes in use than the page has" });
-        }
-        Ok(Self { kind, page, records, used_bytes })
-    }
-}
-
-/// Why the bytes of a page cannot be used.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum PageError {
-    /// The checksum over the page differs.
-    #[error("checksum {found:08x} where {expected:08x} was expected; the page is damaged")]
-    Checksum {
-        /// Stored.
-        found: u32,
-        /// Computed.
-        expected: u32,
-    },
-    /// A whole page, in the wrong place.
-    #[error("page {number} of another kind or place stands here")]
-    Misplaced {
-        /// The number that the page gives itself.
-        number: u32,
-    },
-    /// Records that contradict themselves, under a right checksum.
-    #[error("{what}")]
-    Content {
-        /// What is wrong.
-        what: &'static str,
-    },
-}
-
-/// The last block of a file: a digest of what stands before it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Footer {
-    /// CRC-32C over the checksums of all pages, in order.
-    pub digest: u32,
-    /// The header's checksum, which ties the two together.
-    pub header_checksum: u32,
-}
-
-const FOOTER_MAGIC: [u8; 8] = *b"TESYAR\r\n";
-
-impl Footer {
-    /// The footer that belongs to an encoded header.
-    #[must_use]
-    pub fn new(header: &[u8; BLOCK_BYTES], digest: u32) -> Self {
-        Self { digest, header_checksum: Reader { bytes: header, at: CHECKSUM_AT }.u32() }
-    }
-
-    /// The footer as a block.
-    #[must_use]
-    pub fn encode(&self) -> [u8; BLOCK_BYTES] {
-        let mut block = [0; BLOCK_BYTES];
-        let mut w = Writer { bytes: &mut block, at: 0 };
-        w.put(&FOOTER_MAGIC);
-        w.u32(VERSION);
-        w.u32(0);
-        w.u32(self.digest);
-        w.u32(self.header_checksum);
-        let checksum = block_checksum(&block, CHECKSUM_AT);
-        block[CHECKSUM_AT..CHECKSUM_AT + 4].copy_from_slice(&checksum.to_le_bytes());
-        block
-    }
-
-    /// Reads and checks a footer; `at` is its offset in the file, for messages.
-    ///
-    /// # Errors
-    /// [`HeaderError`] where the block is damaged or belongs to another header.
-    pub fn decode(
-        block: &[u8; BLOCK_BYTES],
-        header: &[u8; BLOCK_BYTES],
-        at: u64,
-    ) -> Result<Self, HeaderError> {
-        let mut r = Reader { bytes: block, at: 0 };
-        let (magic, version, found): ([u8; 8], _, _) = (r.take(), r.u32(), r.u32());
-        let expected = block_checksum(block, CHECKSUM_AT);
-        if found != expected {
-            return Err(HeaderError::Checksum { at: at + CHECKSUM_AT as u64, found, expected });
-        }
-        let footer = Self { digest: r.u32(), header_checksum: r.u32() };
-        if magic != FOOTER_MAGIC
-            || version != VERSION
-            || footer.header_checksum != Self::new(header, 0).header_checksum
-        {
-            return Err(HeaderError::Field { at, what: "the footer does not belong to the header" });
-        }
-        Ok(footer)
-    }
-}
-
-/// The checksum that a sealed page carries.
-#[must_use]
-pub fn stored_page_checksum(page: &[u8]) -> u32 {
-    Reader { bytes: page, at: PAGE_CHECKSUM_AT }.u32()
+pub fn least_page_bytes(layout: ColumnLayout) -> usize {
+    let run = RUN_POINTS * 24 + layout.run_bytes(RUN_POINTS);
+    ((PAGE_HEAD_BYTES + RUN_HEAD_BYTES).next_multiple_of(4) + run)
+        .next_multiple_of(BLOCK_BYTES)
+        .min(MAX_PAGE_BYTES)
 }

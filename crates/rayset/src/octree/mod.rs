@@ -10,4 +10,5 @@ pub mod node;
 pub mod page;
 pub mod verify;
 
-pub use file::{Cloud, OpenError};
+pub use crate::container::OpenError;
+pub use file::Cloud;

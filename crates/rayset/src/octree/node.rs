@@ -1,7 +1,8 @@
 //! Node records: tight bounds of influence, what level of detail needs, and where children and points are.
 
-use super::format::{Header, NodeRef, PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
+use super::format::{DEEPEST_LEVEL, Header, NodeRef};
 use super::page::RootCell;
+use crate::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 use crate::geometry::{Aabb, DVec3};
 
 /// Bytes of a record.
@@ -56,7 +57,7 @@ impl Node {
     /// Whether this can be a child of another node: one level down.
     #[must_use]
     pub fn is_child_of(&self, parent: &Self) -> bool {
-        self.level == parent.level + 1
+        u16::from(self.level) == u16::from(parent.level) + 1
     }
 
     /// Writes the record into its 80 bytes.
@@ -126,7 +127,7 @@ impl<'a> NodePage<'a> {
     /// # Errors
     /// [`PageError`] that says what is wrong.
     pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
-        let head = PageHead::check(bytes, PageKind::Octree, page)?;
+        let head = PageHead::check(bytes, PageKind::Octree, page, header.identity)?;
         let this = Self::trusted(bytes);
         let wrong = |what| Err(PageError::Content { what });
         if this.nodes != head.records as usize || this.nodes > nodes_per_page(bytes.len()) {
@@ -139,6 +140,17 @@ impl<'a> NodePage<'a> {
                 || !(node.radius_min > 0.0 && node.radius_max.is_finite())
             {
                 return wrong("a node whose bounds or radii are not finite");
+            }
+            if !(node.radius_min <= node.radius_max)
+                || (0..3).any(|a| node.bounds_min[a] > node.bounds_max[a])
+            {
+                return wrong("a node whose smallest radius or bound exceeds the largest");
+            }
+            if node.level > DEEPEST_LEVEL || (node.child_mask != 0 && node.level == DEEPEST_LEVEL) {
+                return wrong("a node below the deepest level");
+            }
+            if u64::from(node.own.runs) > node.points || node.points > header.points {
+                return wrong("a node of more runs than points, or of more points than the cloud");
             }
             let own_end = u64::from(node.own.first_page) + u64::from(node.own.runs.min(1));
             if own_end > u64::from(header.point_pages) {

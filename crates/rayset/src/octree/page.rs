@@ -3,7 +3,8 @@
 //! A run stores positions as offsets from its own corner, in steps that are a power of two, so that decoding to
 //! coordinates about the run's centre is exact in `f32` for the usual 16-bit encoding.
 
-use super::format::{Header, PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
+use super::format::{ColumnLayout, Header};
+use crate::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 use crate::geometry::{Aabb, DVec3};
 
 /// Most points in a run.
@@ -173,8 +174,8 @@ impl RunHead {
 
     /// Bytes of the run's data.
     #[must_use]
-    pub fn data_bytes(&self, column_bytes: usize) -> usize {
-        (self.len() * self.encoding.position_bytes()).next_multiple_of(4) + self.len() * column_bytes
+    pub fn data_bytes(&self, columns: ColumnLayout) -> usize {
+        (self.len() * self.encoding.position_bytes()).next_multiple_of(4) + columns.run_bytes(self.len())
     }
 }
 
@@ -191,8 +192,8 @@ pub struct RunColumns<'a> {
     pub weight: Option<&'a [f32]>,
     /// Colours, where they are stored.
     pub color: Option<&'a [[u8; 3]]>,
-    /// Attribute columns.
-    pub attributes: &'a [&'a [f32]],
+    /// Attribute columns, each value in its own type, little-endian.
+    pub attributes: &'a [&'a [u8]],
 }
 
 /// A run ready to be placed in a page.
@@ -267,7 +268,8 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         color.iter().for_each(|c| data.extend_from_slice(&[c[0], c[1], c[2], 0]));
     }
     for attribute in run.attributes {
-        attribute.iter().for_each(|v| data.extend_from_slice(&v.to_le_bytes()));
+        data.extend_from_slice(attribute);
+        data.resize(start + (data.len() - start).next_multiple_of(4), 0);
     }
 
     // Rounded offsets may pass the exact extent by half a step, so the stored extent is rounded up.
@@ -306,7 +308,7 @@ fn round_up_to_16_bits(v: f32) -> u16 {
 pub struct PointPage<'a> {
     bytes: &'a [u8],
     runs: usize,
-    column_bytes: usize,
+    columns: ColumnLayout,
 }
 
 impl<'a> PointPage<'a> {
@@ -315,7 +317,7 @@ impl<'a> PointPage<'a> {
     /// # Errors
     /// [`PageError`] that says what is wrong.
     pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
-        let head = PageHead::check(bytes, PageKind::Points, page)?;
+        let head = PageHead::check(bytes, PageKind::Points, page, header.identity)?;
         let page = Self::trusted(bytes, header);
         if page.runs != head.records as usize || PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES > bytes.len() {
             return Err(PageError::Content { what: "more runs than fit the page" });
@@ -324,7 +326,10 @@ impl<'a> PointPage<'a> {
             let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
             let run = RunHead::decode(&bytes[at..at + RUN_HEAD_BYTES])?;
             let start = 4 * usize::from(run.offset_words);
-            if start + run.data_bytes(page.column_bytes) > head.used_bytes as usize {
+            if start < PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES {
+                return Err(PageError::Content { what: "a run whose data begin within the records" });
+            }
+            if start + run.data_bytes(page.columns) > head.used_bytes as usize {
                 return Err(PageError::Content { what: "a run that ends beyond the page" });
             }
             if !(run.radius_max().is_finite() && run.radius_max() > 0.0) {
@@ -340,7 +345,7 @@ impl<'a> PointPage<'a> {
     #[must_use]
     pub fn trusted(bytes: &'a [u8], header: &Header) -> Self {
         let runs = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
-        Self { bytes, runs, column_bytes: header.column_bytes() }
+        Self { bytes, runs, columns: header.column_layout(header.attributes.len()) }
     }
 
     /// Number of runs.
@@ -368,7 +373,7 @@ impl<'a> PointPage<'a> {
     pub fn run(&self, index: usize) -> Run<'a> {
         let head = self.head(index);
         let start = 4 * usize::from(head.offset_words);
-        Run { head, data: &self.bytes[start..start + head.data_bytes(self.column_bytes)] }
+        Run { head, data: &self.bytes[start..start + head.data_bytes(self.columns)] }
     }
 }
 
@@ -477,11 +482,17 @@ impl<'a> Run<'a> {
             .then(|| self.words(self.column_start() + 4 * n * column, n).map(|w| [w[0], w[1], w[2]]))
     }
 
-    /// An attribute column, by its index in the header.
+    /// An attribute column, by its index in the header, rounded to `f32`.
     pub fn attribute(&self, header: &Header, index: usize) -> impl Iterator<Item = f32> + use<'a> {
-        let before = usize::from(header.radius.is_stored())
-            + usize::from(header.weight.is_stored())
-            + usize::from(header.has_color);
-        self.f32_column(before + index)
+        let kind = header.attributes[index].kind;
+        self.attribute_bytes(header, index).chunks_exact(kind.bytes()).map(move |b| kind.decode(b) as f32)
+    }
+
+    /// The bytes of an attribute column, by its index in the header: values of its own type, little-endian.
+    #[must_use]
+    pub fn attribute_bytes(&self, header: &Header, index: usize) -> &'a [u8] {
+        let n = self.head.len();
+        let start = self.column_start() + header.column_layout(index).run_bytes(n);
+        &self.data[start..start + n * header.attributes[index].kind.bytes()]
     }
 }

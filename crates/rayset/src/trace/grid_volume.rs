@@ -6,10 +6,10 @@ use super::access::{Access, Halt};
 use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, numbers};
 use super::math::ln;
 use super::transfer::ColorTable;
+use crate::container::PAGE_HEAD_BYTES;
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
-use crate::octree::format::PAGE_HEAD_BYTES;
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, MAX_OPACITY, largest_stretch};
 use crate::working_set::{Object, PageGuard, PagedFiles};
 

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use super::read::Storage;
 use super::{Kind, PageSource};
+use crate::container::PageKind;
 use crate::octree::Cloud;
-use crate::octree::format::PageKind;
 
 /// The pages of a cloud file.
 pub struct CloudPages {

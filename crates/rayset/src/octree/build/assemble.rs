@@ -4,7 +4,7 @@
 //! its descendants, so that a reference only ever points backwards.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::ingest::Ingested;
@@ -12,11 +12,12 @@ use super::partition::Assemble;
 use super::plan::Cell;
 use super::subtree::{DraftRun, Piece, Summary};
 use super::{BuildError, Context, settled};
-use crate::geometry::DVec3;
-use crate::octree::format::{
-    AttributeInfo, BLOCK_BYTES, Column, Footer, Header, NodeRef, PAGE_HEAD_BYTES, PageHead, PageKind,
+use crate::container::{
+    BLOCK_BYTES, FileKind, Identity, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind, seal_file,
     stored_page_checksum,
 };
+use crate::geometry::DVec3;
+use crate::octree::format::{Column, ColumnLayout, Header, NodeRef, least_page_bytes};
 use crate::octree::node::{NODE_BYTES, Node, RunRange, nodes_per_page, to_cell_units};
 use crate::octree::page::{RUN_HEAD_BYTES, RootCell, RunHead};
 use crate::spill::{Spill, partial_path, publish};
@@ -49,7 +50,8 @@ pub(super) struct Assembler {
     output: Output,
     page_bytes: usize,
     root: RootCell,
-    column_bytes: usize,
+    identity: Identity,
+    columns: ColumnLayout,
     // The point page in the making.
     heads: Vec<RunHead>,
     data: Vec<u8>,
@@ -63,7 +65,8 @@ pub(super) struct Assembler {
     nodes: u64,
     open: Vec<OpenNode>,
     finished_root: Option<(Node, Summary)>,
-    digest: u32,
+    point_digest: u32,
+    node_digest: u32,
     temp_dir: PathBuf,
 }
 
@@ -120,21 +123,28 @@ impl Output {
 impl Assembler {
     pub(super) fn create(context: &Context<'_>, ingested: &Ingested) -> Result<Self, BuildError> {
         let small = ingested.count < SMALL_CLOUD_POINTS;
-        let page_bytes =
-            context.options.page_bytes.unwrap_or(if small { 16 << 10 } else { 32 << 10 }) as usize;
+        let default_bytes = if small { 16 << 10 } else { 32 << 10 };
         let (radius, weight) = ingested.columns();
-        let column_bytes = 4
-            * (usize::from(radius.is_stored())
-                + usize::from(weight.is_stored())
-                + usize::from(ingested.layout.has_color)
-                + ingested.layout.attributes);
+        let four = [radius.is_stored(), weight.is_stored(), ingested.layout.has_color];
+        let columns = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
+        let columns = ingested.layout.attributes.iter().fold(columns, |l, kind| l.with(kind.bytes()));
+        let least = least_page_bytes(columns);
+        let page_bytes = match context.options.page_bytes {
+            Some(bytes) if (bytes as usize) < least => {
+                let what = format!("{bytes} bytes do not hold 128 points of so many columns; {least} would");
+                return Err(BuildError::Option { option: "page size", what });
+            }
+            Some(bytes) => bytes as usize,
+            None => default_bytes.max(least),
+        };
         let mut output = Output::create(context.output)?;
         output.write(&[0; BLOCK_BYTES])?;
         Ok(Self {
             output,
             page_bytes,
             root: ingested.root,
-            column_bytes,
+            identity: ingested.identity,
+            columns,
             heads: Vec::new(),
             data: Vec::new(),
             point_pages: 0,
@@ -146,7 +156,8 @@ impl Assembler {
             nodes: 0,
             open: Vec::new(),
             finished_root: None,
-            digest: 0,
+            point_digest: 0,
+            node_digest: 0,
             temp_dir: context.temp_dir.clone(),
         })
     }
@@ -157,7 +168,7 @@ impl Assembler {
         for run in runs {
             let heads = data_start(self.heads.len() + 1);
             let bytes = &data[run.data.clone()];
-            debug_assert_eq!(bytes.len(), run.head.data_bytes(self.column_bytes));
+            debug_assert_eq!(bytes.len(), run.head.data_bytes(self.columns));
             if heads + self.data.len() + bytes.len() > self.page_bytes {
                 self.finish_point_page()?;
             }
@@ -186,17 +197,13 @@ impl Assembler {
             records: self.heads.len() as u32,
             used_bytes: (data_at + self.data.len()) as u32,
         }
-        .seal(&mut page);
+        .seal(&mut page, self.identity);
         self.point_data_bytes += self.data.len() as u64;
         self.point_pages += 1;
         self.heads.clear();
         self.data.clear();
-        self.write_page(&page)
-    }
-
-    fn write_page(&mut self, page: &[u8]) -> Result<(), BuildError> {
-        self.digest = crc32c::crc32c_append(self.digest, &stored_page_checksum(page).to_le_bytes());
-        self.output.write(page)
+        self.point_digest = with_page(self.point_digest, &page);
+        self.output.write(&page)
     }
 
     fn node(
@@ -301,13 +308,19 @@ impl Assembler {
             self.finish_node_page()?;
         }
         self.copy_node_pages()?;
-        let header = self.header(context, ingested, root);
-        let block = header.encode();
-        let footer = Footer::new(&block, self.digest).encode();
-        self.output.write(&footer)?;
+        let mut header = self.header(context, ingested, root);
+        let pages = [
+            (SectionKind::POINTS, self.point_pages, self.point_digest),
+            (SectionKind::NODES, self.node_pages, self.node_digest),
+        ];
+        let sections =
+            [(SectionKind::CLOUD, header.encode_numbers()), (SectionKind::COLUMNS, header.encode_columns())];
+        let (identity, page_bytes) = (self.identity, header.page_bytes);
         self.output.with(|file| {
-            file.seek(SeekFrom::Start(0))?;
-            file.write_all(&block)
+            let kind = FileKind::Cloud;
+            let whole = seal_file(file, kind, identity, page_bytes, &pages, &sections, &ingested.metadata)?;
+            header.file_bytes = whole.file_bytes;
+            Ok(())
         })?;
         self.output.publish(context.output)?;
         Ok(header)
@@ -329,8 +342,9 @@ impl Assembler {
                 records,
                 used_bytes: (PAGE_HEAD_BYTES + records as usize * NODE_BYTES) as u32,
             }
-            .seal(&mut page);
-            self.write_page(&page)?;
+            .seal(&mut page, self.identity);
+            self.node_digest = with_page(self.node_digest, &page);
+            self.output.write(&page)?;
         }
         Ok(())
     }
@@ -339,6 +353,7 @@ impl Assembler {
         let (radius, weight) = ingested.columns();
         let (root, summary) = root.unwrap_or((NodeRef::default(), Summary::EMPTY));
         let mut header = Header {
+            identity: self.identity,
             page_bytes: self.page_bytes as u32,
             point_pages: self.point_pages,
             node_pages: self.node_pages,
@@ -351,23 +366,32 @@ impl Assembler {
             root_size: self.root.size,
             bounds: ingested.bounds.inflated(summary.position_error),
             radius,
-            radius_mean: if ingested.count > 0 { ingested.radius_sum / ingested.count as f64 } else { 1.0 },
+            // Summed up the tree, so that the order of the input does not show in the last digit.
+            radius_mean: match ingested.radius {
+                Some(radius) if ingested.count > 0 => radius.into(),
+                None if ingested.count > 0 => summary.radius_sum / ingested.count as f64,
+                _ => 1.0,
+            },
             weight,
             position_error: summary.position_error,
             position_error_radii: summary.position_error_radii,
             has_color: ingested.layout.has_color,
-            attributes: (ingested.attribute_ranges.iter())
-                .map(|(name, min, max)| AttributeInfo { name: name.clone(), min: *min, max: *max })
-                .collect(),
+            attributes: ingested.attributes.clone(),
             point_data_bytes: self.point_data_bytes,
             render_memory: context.options.render_memory.unwrap_or(0),
+            crs: ingested.metadata.crs.clone(),
+            sources: ingested.metadata.sources.clone(),
         };
         if ingested.count == 0 {
             header.bounds = crate::geometry::Aabb::new(DVec3::ZERO, DVec3::ZERO);
         }
-        header.file_bytes = header.expected_file_bytes();
         header
     }
+}
+
+/// A digest of pages, with a further page.
+fn with_page(digest: u32, page: &[u8]) -> u32 {
+    crc32c::crc32c_append(digest, &stored_page_checksum(page).to_le_bytes())
 }
 
 /// Where the data of a page of `runs` runs starts.

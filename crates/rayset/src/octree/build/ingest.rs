@@ -1,8 +1,11 @@
 //! The first pass: every record is read once, checked, and written to a temporary file with what later passes need.
 
-use super::record::RecordLayout;
-use super::{BuildError, BuildOptions, Context, InvalidPolicy, Rule, Skipped, Stage};
+use super::columns::{Columns, radius_rule, weight_rule};
+use super::record::{self, RecordLayout};
+use super::{BuildError, BuildOptions, Context, InvalidPolicy, Quantity, Rule, Skipped, Stage};
+use crate::container::{Identity, Metadata, RecordSum};
 use crate::geometry::{Aabb, DVec3};
+use crate::octree::format::AttributeInfo;
 use crate::octree::page::RootCell;
 use crate::points::{ColorDepth, PointBatch, PointSource};
 use crate::spill::{Spill, SpillWriter};
@@ -10,12 +13,14 @@ use crate::spill::{Spill, SpillWriter};
 /// Points read at a time.
 const BATCH_POINTS: usize = 16 << 10;
 /// Largest coordinate, radius and weight; 1 over it is the smallest radius. Squares of these fit an `f32`.
-const LIMIT: f64 = 1e18;
+pub(super) const LIMIT: f64 = 1e18;
 
 /// The records, and what the first pass learnt about them.
 pub(super) struct Ingested {
     pub(super) spill: Spill,
     pub(super) layout: RecordLayout,
+    pub(super) identity: Identity,
+    pub(super) metadata: Metadata,
     pub(super) count: u64,
     pub(super) skipped: Skipped,
     pub(super) bounds: Aabb,
@@ -23,42 +28,30 @@ pub(super) struct Ingested {
     /// The radius that all points share; `None` where records have their own, or are to get one.
     pub(super) radius: Option<f32>,
     pub(super) radius_range: (f32, f32),
-    pub(super) radius_sum: f64,
     /// Factor on radii that are still to be measured.
     pub(super) auto_scale: f64,
     pub(super) weight: f32,
     pub(super) weight_range: (f32, f32),
-    /// Factor that takes the colours of the records to 0–1.
+    /// Factor that takes colours of unstated depth to 0–1.
     pub(super) color_scale: f32,
-    pub(super) attribute_ranges: Vec<(String, f32, f32)>,
-}
-
-/// Which columns of the sources make which columns of a record.
-struct Columns {
-    layout: RecordLayout,
-    /// Names without repetition: what the sources are asked for.
-    names: Vec<String>,
-    /// For each column of a record, its place in `names`.
-    from: Vec<usize>,
-    radius_scale: f64,
-    weight_scale: f64,
+    pub(super) attributes: Vec<AttributeInfo>,
 }
 
 pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> Result<Ingested, BuildError> {
     let options = context.options;
-    let radius_rule = radius_rule(options, &sources);
-    let columns = choose_columns(options, &radius_rule, &sources)?;
+    let (radius_rule, weight_rule) = (radius_rule(options, &sources), weight_rule(options, &sources));
+    let columns = Columns::choose(options, &radius_rule, &weight_rule, &sources)?;
+    let metadata = describe(&sources);
     let mut writer = SpillWriter::new(context.spill()?, 1 << 20);
-    let mut tally = Tally::new(&columns.layout);
+    let mut tally = Tally::new(options, &columns);
     let total = sources.iter().map(|s| s.count_hint()).sum::<Option<u64>>().unwrap_or(0);
-    let mut color_depth = ColorDepth::Unit;
     let mut batch = PointBatch::default();
     let mut record = Vec::with_capacity(columns.layout.stride());
     let mut done = 0;
     for (input, mut source) in sources.into_iter().enumerate() {
         let selection: Vec<usize> = columns.names.iter().filter_map(|n| source.schema().find(n)).collect();
         source.select(&selection);
-        color_depth = source.schema().color_depth;
+        tally.color_factor = known_color_factor(source.schema().color_depth);
         let mut index = 0;
         loop {
             source.fill(&mut batch, BATCH_POINTS)?;
@@ -66,7 +59,7 @@ pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> 
                 break;
             }
             for i in 0..batch.len() {
-                match tally.check(&columns, &batch, i, &mut record) {
+                match tally.check(&batch, i, &mut record) {
                     Ok(()) => writer.push(&record).map_err(context.io("write temporary files in"))?,
                     Err(what) if options.invalid == InvalidPolicy::Reject => {
                         let index = index + i as u64;
@@ -80,106 +73,76 @@ pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> 
             context.progress.update(Stage::Read, done, total);
         }
     }
-    let radius = match radius_rule {
-        Rule::Number(r) => Some(r as f32),
-        _ => None,
-    };
-    let range = if let Some(r) = radius { (r, r) } else { tally.radius_range };
+    tally.refuse_unusable(done)?;
+    let radius =
+        if let Rule::Number(r) = radius_rule { Some((r * options.radius_scale) as f32) } else { None };
+    let range = radius.map_or(tally.radius_range, |r| (r, r));
     Ok(Ingested {
         spill: writer.finish().map_err(context.io("write temporary files in"))?,
+        identity: tally.sum.identity(&pages_depend_on(options, &radius_rule, &weight_rule, &columns)),
+        metadata,
         count: tally.count,
         skipped: tally.skipped,
         bounds: tally.bounds,
         root: root_cell(&tally.bounds, f64::from(range.1)),
         radius,
         radius_range: range,
-        radius_sum: radius.map_or(tally.radius_sum, |r| f64::from(r) * tally.count as f64),
-        auto_scale: if let Rule::Auto { scale } = radius_rule { scale } else { 1.0 },
-        weight: if let Some(Rule::Number(w)) = options.weight { w as f32 } else { 1.0 },
+        auto_scale: options.radius_scale,
+        weight: if let Rule::Number(w) = weight_rule { (w * options.weight_scale) as f32 } else { 1.0 },
         weight_range: tally.weight_range,
-        color_scale: color_scale(color_depth, tally.color_max),
-        attribute_ranges: (options.attributes.iter().cloned().zip(&tally.attribute_ranges))
-            .map(|(name, &(min, max))| if min <= max { (name, min, max) } else { (name, 0.0, 0.0) })
+        color_scale: guessed_color_factor(tally.color_max),
+        attributes: (columns.infos.iter().zip(&tally.attribute_ranges))
+            .map(|(info, &(min, max))| AttributeInfo {
+                name: info.name.clone(),
+                kind: info.kind,
+                unit: info.unit.clone(),
+                is_class: info.is_class,
+                min: if min <= max { min } else { 0.0 },
+                max: if min <= max { max } else { 0.0 },
+            })
             .collect(),
         layout: columns.layout,
     })
 }
 
-fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Rule {
-    let all_have = |name: &str| sources.iter().all(|s| s.schema().find(name).is_some());
-    match &options.radius {
-        Some(rule) => rule.clone(),
-        None if all_have("radius") => Rule::Attribute { name: "radius".into(), scale: 1.0 },
-        None => Rule::Auto { scale: 1.0 },
-    }
+/// All that pages depend on besides the records, so that files which differ in it differ in their identity.
+fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
+    format!(
+        "radius {radius:?} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}",
+        options.radius_scale,
+        options.weight_scale,
+        options.precision,
+        options.page_bytes,
+        columns.layout.has_color,
+        columns.infos,
+    )
 }
 
-fn choose_columns(
-    options: &BuildOptions,
-    radius: &Rule,
-    sources: &[Box<dyn PointSource>],
-) -> Result<Columns, BuildError> {
-    let all_have = |name: &str| sources.iter().all(|s| s.schema().find(name).is_some());
-    let mut names = Vec::new();
-    let mut radius_scale = 1.0;
-    if let Rule::Attribute { name, scale } = radius {
-        names.push(name.clone());
-        radius_scale = *scale;
-    }
-    let (mut weight_scale, mut has_weight) = (1.0, false);
-    match &options.weight {
-        Some(Rule::Attribute { name, scale }) => {
-            names.push(name.clone());
-            (weight_scale, has_weight) = (*scale, true);
-        }
-        None if all_have("weight") => {
-            names.push("weight".into());
-            has_weight = true;
-        }
-        _ => {}
-    }
-    let has_color = options.keep_color && ["red", "green", "blue"].iter().all(|c| all_have(c));
-    if has_color {
-        names.extend(["red", "green", "blue"].map(str::to_owned));
-    }
-    names.extend(options.attributes.iter().cloned());
-    for (input, source) in sources.iter().enumerate() {
-        for name in &names {
-            if source.schema().find(name).is_none() {
-                let available = source.schema().names().collect::<Vec<_>>().join(", ");
-                let available = if available.is_empty() { "x, y, z only".to_owned() } else { available };
-                return Err(BuildError::NoSuchColumn { input: input + 1, name: name.clone(), available });
-            }
-        }
-    }
-    let layout = RecordLayout {
-        has_radius: matches!(radius, Rule::Attribute { .. }),
-        has_weight,
-        has_color,
-        attributes: options.attributes.len(),
-    };
-    let mut unique: Vec<String> = Vec::new();
-    let mut from = Vec::new();
-    for name in names {
-        let place = unique.iter().position(|u| *u == name).unwrap_or(unique.len());
-        if place == unique.len() {
-            unique.push(name);
-        }
-        from.push(place);
-    }
-    Ok(Columns { layout, names: unique, from, radius_scale, weight_scale })
+/// What the sources say in words; a reference system that they do not share is none.
+fn describe(sources: &[Box<dyn PointSource>]) -> Metadata {
+    let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
+    let shared = sources.iter().all(|s| s.schema().crs == crs);
+    let described = sources.iter().map(|s| s.schema().description.clone()).filter(|d| !d.is_empty());
+    Metadata { crs: if shared { crs.to_owned() } else { String::new() }, sources: described.collect() }
 }
 
 /// Running totals over the valid records.
-struct Tally {
+struct Tally<'a> {
+    options: &'a BuildOptions,
+    columns: &'a Columns,
+    sum: RecordSum,
     count: u64,
     skipped: Skipped,
+    /// Finite numbers beyond what can be stored: how many, and the farthest of them.
+    beyond: [(u64, f64); Quantity::ALL.len()],
     bounds: Aabb,
     radius_range: (f32, f32),
-    radius_sum: f64,
     weight_range: (f32, f32),
+    /// Factor that takes colours of the source at hand to 0–1, where its depth is known.
+    color_factor: Option<f32>,
+    /// Largest colour of sources of unstated depth.
     color_max: f32,
-    attribute_ranges: Vec<(f32, f32)>,
+    attribute_ranges: Vec<(f64, f64)>,
 }
 
 const NO_RANGE: (f32, f32) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -189,99 +152,146 @@ fn extend(range: &mut (f32, f32), v: f32) {
     range.1 = range.1.max(v);
 }
 
-impl Tally {
-    fn new(layout: &RecordLayout) -> Self {
+impl<'a> Tally<'a> {
+    fn new(options: &'a BuildOptions, columns: &'a Columns) -> Self {
         Self {
+            options,
+            columns,
+            sum: RecordSum::default(),
             count: 0,
             skipped: Skipped::default(),
+            beyond: Quantity::ALL.map(|_| (0, 0.0)),
             bounds: Aabb::EMPTY,
             radius_range: NO_RANGE,
-            radius_sum: 0.0,
             weight_range: NO_RANGE,
+            color_factor: None,
             color_max: 0.0,
-            attribute_ranges: vec![NO_RANGE; layout.attributes],
+            attribute_ranges: vec![(f64::INFINITY, f64::NEG_INFINITY); columns.infos.len()],
         }
     }
 
     /// Checks record `i` of a batch; counts it, and encodes it into `record` if it is valid.
-    fn check(
-        &mut self,
-        columns: &Columns,
-        batch: &PointBatch,
-        i: usize,
-        record: &mut Vec<u8>,
-    ) -> Result<(), String> {
-        let layout = &columns.layout;
-        let p = batch.position[i];
+    fn check(&mut self, batch: &PointBatch, i: usize, record: &mut Vec<u8>) -> Result<(), String> {
+        let columns = self.columns;
+        let p = batch.position[i].map(|v| v * self.options.length_scale);
         if !p.iter().all(|v| v.abs() <= LIMIT) {
             self.skipped.position += 1;
+            if p.iter().all(|v| v.is_finite()) {
+                self.note(Quantity::Position, p.iter().fold(0.0, |far: f64, v| far.max(v.abs())));
+            }
             return Err(format!("position {p:?} is not finite or exceeds {LIMIT:e}"));
         }
         record.clear();
         p.iter().for_each(|v| record.extend_from_slice(&(v + 0.0).to_le_bytes()));
-        let mut next = 0;
-        let mut value = || {
-            next += 1;
-            batch.columns[columns.from[next - 1]].get(i) as f32
-        };
-        if layout.has_radius {
-            let r = (f64::from(value()) * columns.radius_scale) as f32;
-            if !(f64::from(r) >= 1.0 / LIMIT && f64::from(r) <= LIMIT) {
+        if let Some(column) = columns.radius {
+            let r = batch.columns[column].get(i) * self.options.radius_scale * self.options.length_scale;
+            if !(r >= 1.0 / LIMIT && r <= LIMIT) {
                 self.skipped.radius += 1;
+                if r > 0.0 && r.is_finite() {
+                    self.note(if r > LIMIT { Quantity::Radius } else { Quantity::SmallRadius }, r);
+                }
                 return Err(format!("radius {r} is not between {:e} and {LIMIT:e}", 1.0 / LIMIT));
             }
-            record.extend_from_slice(&r.to_le_bytes());
+            record.extend_from_slice(&(r as f32).to_le_bytes());
         }
-        if layout.has_weight {
-            let w = (f64::from(value()) * columns.weight_scale) as f32;
-            if !(f64::from(w).abs() <= LIMIT) {
+        if let Some(column) = columns.weight {
+            let w = batch.columns[column].get(i) * self.options.weight_scale;
+            if !(w.abs() <= LIMIT) {
                 self.skipped.weight += 1;
+                if w.is_finite() {
+                    self.note(Quantity::Weight, w.abs());
+                }
                 return Err(format!("weight {w} is not finite or exceeds {LIMIT:e}"));
             }
-            record.extend_from_slice(&w.to_le_bytes());
+            record.extend_from_slice(&(w as f32).to_le_bytes());
         }
-        for _ in 0..3 * usize::from(layout.has_color) + layout.attributes {
-            let v = value();
-            record.extend_from_slice(&v.to_le_bytes());
+        for column in columns.color.iter().flatten() {
+            let v = batch.columns[*column].get(i) as f32;
+            // A colour that is not a number is 0. Signs: see `RecordLayout`.
+            let v = if v > 0.0 { v } else { 0.0 };
+            let stored = self.color_factor.map_or(v, |factor| -(v * factor));
+            record.extend_from_slice(&stored.to_le_bytes());
         }
-        self.include(layout, DVec3::from_array(p), record);
+        for (column, info) in columns.attributes.iter().zip(&columns.infos) {
+            batch.columns[*column].write_as(i, info.kind, record);
+        }
+        self.include(DVec3::from_array(p), record);
         Ok(())
     }
 
-    fn include(&mut self, layout: &RecordLayout, p: DVec3, record: &[u8]) {
-        use super::record::column;
+    fn note(&mut self, quantity: Quantity, value: f64) {
+        let (count, farthest) = &mut self.beyond[quantity as usize];
+        let first = *count == 0;
+        *count += 1;
+        *farthest = match quantity {
+            Quantity::SmallRadius if !first => farthest.min(value),
+            _ if first => value,
+            _ => farthest.max(value),
+        };
+    }
+
+    fn include(&mut self, p: DVec3, record: &[u8]) {
+        let layout = &self.columns.layout;
         self.count += 1;
+        self.sum.include(record);
         self.bounds.include(p);
         if layout.has_radius {
-            let r = column(record, 0);
-            extend(&mut self.radius_range, r);
-            self.radius_sum += f64::from(r);
+            extend(&mut self.radius_range, record::radius(record));
         }
         if layout.has_weight {
-            extend(&mut self.weight_range, column(record, layout.weight_column()));
+            extend(&mut self.weight_range, record::float(record, layout.weight_at()));
         }
-        if layout.has_color {
+        if layout.has_color && self.color_factor.is_none() {
             for channel in 0..3 {
-                self.color_max = self.color_max.max(column(record, layout.color_column() + channel));
+                let v = record::float(record, layout.color_at() + 4 * channel);
+                self.color_max = self.color_max.max(v);
             }
         }
-        for index in 0..layout.attributes {
-            let v = column(record, layout.attribute_column(index));
+        for (index, range) in self.attribute_ranges.iter_mut().enumerate() {
+            let v = layout.attributes[index].decode(&record[layout.attribute_at(index)..]);
             if v.is_finite() {
-                extend(&mut self.attribute_ranges[index], v);
+                *range = (range.0.min(v), range.1.max(v));
             }
         }
     }
+
+    /// Numbers too large to be stored are somebody's data in small units, not damage; and a cloud of nothing, made of
+    /// something, is no success.
+    fn refuse_unusable(&self, records: u64) -> Result<(), BuildError> {
+        if self.options.invalid != InvalidPolicy::SkipAll {
+            for quantity in Quantity::ALL {
+                let (count, farthest) = self.beyond[quantity as usize];
+                if count > 0 {
+                    let factor = quantity.factor(farthest);
+                    return Err(BuildError::OutOfRange { quantity, count, records, farthest, factor });
+                }
+            }
+        }
+        if self.count == 0 && records > 0 {
+            return Err(BuildError::NothingValid { records, skipped: self.skipped });
+        }
+        Ok(())
+    }
 }
 
-fn color_scale(depth: ColorDepth, max: f32) -> f32 {
+/// Factor that takes colours to 0–1, where the source states their depth.
+fn known_color_factor(depth: ColorDepth) -> Option<f32> {
     match depth {
-        ColorDepth::Unit => 1.0,
-        ColorDepth::Byte => 1.0 / 255.0,
-        ColorDepth::Word => 1.0 / 65535.0,
-        ColorDepth::Guess if max <= 1.0 => 1.0,
-        ColorDepth::Guess if max <= 255.0 => 1.0 / 255.0,
-        ColorDepth::Guess => 1.0 / 65535.0,
+        ColorDepth::Unit => Some(1.0),
+        ColorDepth::Byte => Some(1.0 / 255.0),
+        ColorDepth::Word => Some(1.0 / 65535.0),
+        ColorDepth::Guess => None,
+    }
+}
+
+/// The same for all sources that do not, from the largest colour of them all.
+fn guessed_color_factor(max: f32) -> f32 {
+    if max <= 1.0 {
+        1.0
+    } else if max <= 255.0 {
+        1.0 / 255.0
+    } else {
+        1.0 / 65535.0
     }
 }
 

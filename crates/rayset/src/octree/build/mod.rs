@@ -6,6 +6,7 @@
 //! from `memory_bytes`, `threads` and `temp_dir`, and on nothing else.
 
 mod assemble;
+mod columns;
 mod ingest;
 mod partition;
 mod pipeline;
@@ -23,7 +24,8 @@ use self::assemble::Assembler;
 use self::ingest::Ingested;
 use self::partition::{Partition, Region};
 use self::record::KeyMaker;
-use super::format::{Column, MAX_ATTRIBUTES, MAX_PAGE_BYTES};
+use super::format::{Column, MAX_ATTRIBUTES, NAME_BYTES};
+use crate::container::MAX_PAGE_BYTES;
 use crate::points::{PointSource, ReadError};
 use crate::spill;
 
@@ -32,31 +34,69 @@ use crate::spill;
 pub enum Rule {
     /// The same for every point.
     Number(f64),
-    /// A column of the input, times `scale`.
-    Attribute {
-        /// Name of the column.
-        name: String,
-        /// Factor.
-        scale: f64,
-    },
-    /// Radius only: from the local spacing of the points, times `scale`.
-    Auto {
-        /// Factor.
-        scale: f64,
-    },
+    /// A column of the input, by its name.
+    Attribute(String),
+    /// Radius only: from the local spacing of the points.
+    Auto,
 }
 
 /// What to do with a record whose position, radius or weight is no usable number.
 ///
-/// A record is invalid where a coordinate is not finite or exceeds 1e18 in size, a radius is not between 1e-18 and
-/// 1e18 (zero and negative ones included), or a weight is not finite or exceeds 1e18 in size.
+/// A record is invalid where a coordinate is not finite, a radius is not a positive number, or a weight is not finite.
+/// Coordinates, radii and weights beyond 1e18 in size, and radii below 1e-18, are out of range: they cannot be stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum InvalidPolicy {
-    /// Count it and go on.
+    /// Count invalid records and go on; stop where any is out of range, with the factor that would bring them into it.
     #[default]
     Skip,
-    /// Stop with an error that names the record.
+    /// Count invalid records and those out of range, and go on.
+    SkipAll,
+    /// Stop with an error that names the first such record.
     Reject,
+}
+
+/// A number that is out of range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// A coordinate beyond 1e18.
+    Position,
+    /// A radius beyond 1e18.
+    Radius,
+    /// A radius below 1e-18.
+    SmallRadius,
+    /// A weight beyond 1e18.
+    Weight,
+}
+
+impl Quantity {
+    const ALL: [Self; 4] = [Self::Position, Self::Radius, Self::SmallRadius, Self::Weight];
+
+    /// The option that would bring it into range.
+    #[must_use]
+    pub fn option(self) -> &'static str {
+        match self {
+            Self::Position | Self::Radius | Self::SmallRadius => "length_scale",
+            Self::Weight => "weight_scale",
+        }
+    }
+
+    /// A power of ten that brings `farthest` well into range.
+    fn factor(self, farthest: f64) -> f64 {
+        let exponent = farthest.log10();
+        let by = if self == Self::SmallRadius { -6.0 - exponent.floor() } else { 6.0 - exponent.ceil() };
+        10_f64.powi(by as i32)
+    }
+}
+
+impl std::fmt::Display for Quantity {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Position => "coordinates beyond 1e18, up to",
+            Self::Radius => "radii beyond 1e18, up to",
+            Self::SmallRadius => "radii below 1e-18, down to",
+            Self::Weight => "weights beyond 1e18, up to",
+        })
+    }
 }
 
 /// How exactly positions are stored.
@@ -80,8 +120,14 @@ impl Default for Precision {
 pub struct BuildOptions {
     /// Radius of influence. `None`: the column `radius` where every input has one, else [`Rule::Auto`].
     pub radius: Option<Rule>,
+    /// Factor on every radius, whatever `radius` is.
+    pub radius_scale: f64,
+    /// Factor on every coordinate, and on radii that come from a column.
+    pub length_scale: f64,
     /// Weight. `None`: the column `weight` where every input has one, else 1.
     pub weight: Option<Rule>,
+    /// Factor on every weight, whatever `weight` is.
+    pub weight_scale: f64,
     /// Further columns to keep.
     pub attributes: Vec<String>,
     /// Whether to keep colours where every input has them.
@@ -90,7 +136,8 @@ pub struct BuildOptions {
     pub invalid: InvalidPolicy,
     /// How exactly to store positions.
     pub precision: Precision,
-    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 32768, or 16384 below 500 000 points.
+    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 32768, or 16384 below 500 000 points, or as many as a run
+    /// of so many columns needs.
     pub page_bytes: Option<u32>,
     /// Memory to render with, stored in the file as a default.
     pub render_memory: Option<u64>,
@@ -106,7 +153,10 @@ impl Default for BuildOptions {
     fn default() -> Self {
         Self {
             radius: None,
+            radius_scale: 1.0,
+            length_scale: 1.0,
             weight: None,
+            weight_scale: 1.0,
             attributes: Vec::new(),
             keep_color: true,
             invalid: InvalidPolicy::Skip,
@@ -231,6 +281,34 @@ pub enum BuildError {
         /// What is wrong.
         what: String,
     },
+    /// Numbers that are finite and cannot be stored.
+    #[error(
+        "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored: multiply them by \
+         {factor:e} ({}), or skip them if they stand for missing values", quantity.option()
+    )]
+    OutOfRange {
+        /// Which numbers.
+        quantity: Quantity,
+        /// How many records have such.
+        count: u64,
+        /// Records of the whole input.
+        records: u64,
+        /// The farthest out of range.
+        farthest: f64,
+        /// A factor that would bring all of them into range.
+        factor: f64,
+    },
+    /// Not one record can be used.
+    #[error(
+        "none of the {records} records is valid: {} have no usable position, {} no positive radius, {} no finite \
+         weight", skipped.position, skipped.radius, skipped.weight
+    )]
+    NothingValid {
+        /// Records of the whole input.
+        records: u64,
+        /// Why they are not.
+        skipped: Skipped,
+    },
     /// The budget is too small.
     #[error("a memory budget of {given} bytes is too small: this build needs at least {needed}")]
     Memory {
@@ -324,32 +402,40 @@ fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Re
     if options.attributes.len() > MAX_ATTRIBUTES {
         return wrong("attributes", format!("at most {MAX_ATTRIBUTES} can be kept"));
     }
-    if let Some(name) = options.attributes.iter().find(|a| a.len() > super::format::NAME_BYTES) {
-        return wrong("attributes", format!("`{name}` is longer than {} bytes", super::format::NAME_BYTES));
+    if let Some(name) = options.attributes.iter().find(|a| a.is_empty() || a.len() > NAME_BYTES) {
+        return wrong("attributes", format!("`{name}` has not 1 to {NAME_BYTES} bytes"));
+    }
+    let mut names: Vec<&String> = options.attributes.iter().collect();
+    names.sort();
+    if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        return wrong("attributes", format!("`{}` is named twice", pair[0]));
     }
     if let Precision::Relative(p) = options.precision
         && !(p > 0.0 && p <= 0.5)
     {
         return wrong("precision", format!("{p} is not in (0, 0.5] of a radius"));
     }
-    for (option, rule) in [("radius", &options.radius), ("weight", &options.weight)] {
-        match rule {
-            Some(Rule::Number(v)) if option == "radius" && !(1e-18..=1e18).contains(v) => {
-                return wrong(option, format!("{v} is not between 1e-18 and 1e18"));
-            }
-            Some(Rule::Number(v)) if v.abs() > 1e18 || v.is_nan() => {
-                return wrong(option, format!("{v} is not a number of at most 1e18"));
-            }
-            Some(Rule::Attribute { scale, .. } | Rule::Auto { scale })
-                if !(*scale > 0.0 && scale.is_finite()) =>
-            {
-                return wrong(option, format!("the scale {scale} is not a positive number"));
-            }
-            Some(Rule::Auto { .. }) if option == "weight" => {
-                return wrong(option, "only a radius can be `auto`".into());
-            }
-            _ => {}
+    for (option, scale) in [
+        ("radius scale", options.radius_scale),
+        ("length scale", options.length_scale),
+        ("weight scale", options.weight_scale),
+    ] {
+        if !(scale > 0.0 && scale.is_finite()) {
+            return wrong(option, format!("{scale} is not a positive number"));
         }
+    }
+    match options.radius {
+        Some(Rule::Number(r)) if !(1e-18..=1e18).contains(&(r * options.radius_scale)) => {
+            return wrong("radius", format!("{} is not between 1e-18 and 1e18", r * options.radius_scale));
+        }
+        _ => {}
+    }
+    match options.weight {
+        Some(Rule::Number(w)) if !((w * options.weight_scale).abs() <= 1e18) => {
+            return wrong("weight", format!("{} is not a number of at most 1e18", w * options.weight_scale));
+        }
+        Some(Rule::Auto) => return wrong("weight", "only a radius can be `auto`".into()),
+        _ => {}
     }
     Ok(())
 }

@@ -1,49 +1,52 @@
 //! Points between input and pages: fixed-size records in temporary files, and the key that orders them.
 //!
-//! The order of the file is that of (Morton prefix at the owner's level, owner's level, Morton code, record bytes):
+//! The order of the file is that of (curve prefix at the owner's level, owner's level, curve place, record bytes):
 //! a node's own points stand before those of its children, and records that tie are identical, so the order is the
 //! same whatever thread or bucket a record went through.
 
 use crate::geometry::DVec3;
 use crate::geometry::curve::{MAX_LEVEL, hilbert};
 use crate::octree::page::RootCell;
+use crate::points::ColumnType;
 
-/// Bits of a Morton code.
-const MORTON_BITS: u32 = 3 * MAX_LEVEL;
+/// Bits of a place along the curve.
+const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
-/// Where the fields of a record are. Positions come first, as three `f64`.
+/// Where the fields of a record are: position (three `f64`), radius, weight (`f32`), colour (three `f32`), attributes in
+/// their own types. Nothing is aligned.
+///
+/// Colours whose depth their source states are stored as −v, v from 0 to 1 (the sign bit is set for 0, too); colours of
+/// sources that do not state it are stored as they came, not below +0, until all of these are known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
     pub(super) has_radius: bool,
     pub(super) has_weight: bool,
     pub(super) has_color: bool,
-    pub(super) attributes: usize,
+    pub(super) attributes: Vec<ColumnType>,
 }
+
+const POSITION_BYTES: usize = 24;
 
 impl RecordLayout {
     /// Bytes of a record.
     pub(super) fn stride(&self) -> usize {
-        24 + 4 * self.columns()
+        self.attribute_at(self.attributes.len())
     }
 
-    /// Number of `f32` columns: radius, weight, three of colour, attributes.
-    pub(super) fn columns(&self) -> usize {
-        usize::from(self.has_radius)
-            + usize::from(self.has_weight)
-            + 3 * usize::from(self.has_color)
-            + self.attributes
+    /// Where the weight is.
+    pub(super) fn weight_at(&self) -> usize {
+        POSITION_BYTES + 4 * usize::from(self.has_radius)
     }
 
-    pub(super) fn weight_column(&self) -> usize {
-        usize::from(self.has_radius)
+    /// Where the first channel of the colour is.
+    pub(super) fn color_at(&self) -> usize {
+        self.weight_at() + 4 * usize::from(self.has_weight)
     }
 
-    pub(super) fn color_column(&self) -> usize {
-        self.weight_column() + usize::from(self.has_weight)
-    }
-
-    pub(super) fn attribute_column(&self, index: usize) -> usize {
-        self.color_column() + 3 * usize::from(self.has_color) + index
+    /// Where an attribute is.
+    pub(super) fn attribute_at(&self, index: usize) -> usize {
+        let before: usize = self.attributes[..index].iter().map(|kind| kind.bytes()).sum();
+        self.color_at() + 12 * usize::from(self.has_color) + before
     }
 
     /// The same layout with a radius in front of the other columns.
@@ -59,35 +62,41 @@ pub(super) fn position(record: &[u8]) -> [f64; 3] {
     })
 }
 
-pub(super) fn column(record: &[u8], index: usize) -> f32 {
-    let b = &record[24 + 4 * index..28 + 4 * index];
+/// The `f32` at a place of a record.
+pub(super) fn float(record: &[u8], at: usize) -> f32 {
+    let b = &record[at..at + 4];
     f32::from_le_bytes([b[0], b[1], b[2], b[3]])
 }
 
-/// Orders records as the file does, save for ties: Morton prefix at the owner's level (60 bits), level (5), Morton
+/// The radius of a record that has one.
+pub(super) fn radius(record: &[u8]) -> f32 {
+    float(record, POSITION_BYTES)
+}
+
+/// Orders records as the file does, save for ties: curve prefix at the owner's level (60 bits), level (5), Morton
 /// code (60).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key(u128);
 
 impl Key {
     fn new(code: u64, level: u32) -> Self {
-        let below = MORTON_BITS - 3 * level;
+        let below = CURVE_BITS - 3 * level;
         let prefix = code >> below << below;
-        Self(u128::from(prefix) << (MORTON_BITS + 5) | u128::from(level) << MORTON_BITS | u128::from(code))
+        Self(u128::from(prefix) << (CURVE_BITS + 5) | u128::from(level) << CURVE_BITS | u128::from(code))
     }
 
     /// The deepest level whose cell is not smaller than the point's radius.
     pub(super) fn level(self) -> u32 {
-        (self.0 >> MORTON_BITS) as u32 & 31
+        (self.0 >> CURVE_BITS) as u32 & 31
     }
 
     pub(super) fn code(self) -> u64 {
-        self.0 as u64 & ((1 << MORTON_BITS) - 1)
+        self.0 as u64 & ((1 << CURVE_BITS) - 1)
     }
 
     /// Number, among all cells of `level`, of the cell that holds the point; for levels not below the owner's.
     pub(super) fn cell_at(self, level: u32) -> u64 {
-        self.code() >> (MORTON_BITS - 3 * level)
+        self.code() >> (CURVE_BITS - 3 * level)
     }
 }
 
@@ -108,7 +117,7 @@ impl KeyMaker {
     }
 
     pub(super) fn radius(&self, record: &[u8]) -> f32 {
-        self.radius.unwrap_or_else(|| column(record, 0))
+        self.radius.unwrap_or_else(|| radius(record))
     }
 }
 
@@ -138,8 +147,8 @@ mod tests {
     #[test]
     fn own_points_of_a_node_come_before_those_of_its_children() {
         let (wide, narrow) =
-            (Key::new(0b111_000 << (MORTON_BITS - 6), 1), Key::new(0b111_000 << (MORTON_BITS - 6), 2));
-        let earlier = Key::new(0b110_111 << (MORTON_BITS - 6), MAX_LEVEL);
+            (Key::new(0b111_000 << (CURVE_BITS - 6), 1), Key::new(0b111_000 << (CURVE_BITS - 6), 2));
+        let earlier = Key::new(0b110_111 << (CURVE_BITS - 6), MAX_LEVEL);
         assert!(earlier < wide && wide < narrow);
     }
 }

@@ -146,7 +146,7 @@ impl<'a> Radii<'a> {
         let any_unknown = self.unknown > 0;
         let io = context.io("rewrite temporary files in");
         let spill = self.writer.finish().map_err(&io)?;
-        let (mut range, mut sum) = ((f32::INFINITY, 0.0_f32), 0.0);
+        let mut range = (f32::INFINITY, 0.0_f32);
         let mut buffer = Vec::new();
         let mut first = 0;
         while first < ingested.count {
@@ -154,19 +154,18 @@ impl<'a> Radii<'a> {
             buffer.resize(count as usize * stride, 0);
             spill.read_at(&mut buffer, first * stride as u64).map_err(&io)?;
             for record in buffer.chunks_exact_mut(stride) {
-                if record::column(record, 0) <= 0.0 {
+                if record::radius(record) <= 0.0 {
                     record[24..28].copy_from_slice(&mean.to_le_bytes());
                 }
-                let radius = record::column(record, 0);
+                let radius = record::radius(record);
                 range = (range.0.min(radius), range.1.max(radius));
-                sum += f64::from(radius);
             }
             if any_unknown {
                 spill.write_at(&buffer, first * stride as u64).map_err(&io)?;
             }
             first += count;
         }
-        Ok(Ingested { spill, layout, radius: None, radius_range: range, radius_sum: sum, ..ingested })
+        Ok(Ingested { spill, layout, radius: None, radius_range: range, ..ingested })
     }
 }
 

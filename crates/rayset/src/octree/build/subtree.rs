@@ -15,6 +15,7 @@ pub(super) struct Summary {
     pub(super) influence: Aabb,
     pub(super) points: u64,
     pub(super) weight_sum: f64,
+    pub(super) radius_sum: f64,
     /// Sum of |weight| · (position − root corner), and of |weight|.
     pub(super) moment: DVec3,
     pub(super) mass: f64,
@@ -29,6 +30,7 @@ impl Summary {
         influence: Aabb::EMPTY,
         points: 0,
         weight_sum: 0.0,
+        radius_sum: 0.0,
         moment: DVec3::ZERO,
         mass: 0.0,
         radius_min: f32::INFINITY,
@@ -41,6 +43,7 @@ impl Summary {
         self.influence = self.influence.union(other.influence);
         self.points += other.points;
         self.weight_sum += other.weight_sum;
+        self.radius_sum += other.radius_sum;
         self.moment += other.moment;
         self.mass += other.mass;
         self.radius_min = self.radius_min.min(other.radius_min);
@@ -142,31 +145,33 @@ impl Packer {
 
     fn gather(&self, records: Sorted<'_>, columns: &mut Columns) {
         let layout = &self.layout;
-        columns.clear(layout.attributes);
+        columns.clear(layout.attributes.len());
         for i in 0..records.len() {
             let r = records.record(i);
             columns.position.push(record::position(r));
             columns.radius.push(self.keys.radius(r));
             columns.weight.push(if layout.has_weight {
-                record::column(r, layout.weight_column())
+                record::float(r, layout.weight_at())
             } else {
                 self.weight
             });
             if layout.has_color {
                 columns.color.push(std::array::from_fn(|c| {
-                    let v = record::column(r, layout.color_column() + c) * self.color_scale;
-                    // A colour that is not a number becomes 0, as the cast of NaN does.
+                    let v = record::float(r, layout.color_at() + 4 * c);
+                    // See `RecordLayout`: the sign bit says that the depth was known.
+                    let v = if v.is_sign_negative() { -v } else { v * self.color_scale };
                     (v.clamp(0.0, 1.0) * 255.0).round() as u8
                 }));
             }
             for (index, column) in columns.attributes.iter_mut().enumerate() {
-                column.push(record::column(r, layout.attribute_column(index)));
+                let at = layout.attribute_at(index);
+                column.extend_from_slice(&r[at..at + layout.attributes[index].bytes()]);
             }
         }
     }
 
     fn encode_run(&self, columns: &Columns, piece: &mut Piece) -> DraftRun {
-        let attributes: Vec<&[f32]> = columns.attributes.iter().map(Vec::as_slice).collect();
+        let attributes: Vec<&[u8]> = columns.attributes.iter().map(Vec::as_slice).collect();
         let run = RunColumns {
             position: &columns.position,
             radius: &columns.radius,
@@ -188,6 +193,7 @@ impl Packer {
             let reach = f64::from(r) + encoded.position_error;
             summary.influence = summary.influence.union(Aabb::new(p - reach, p + reach));
             summary.weight_sum += w;
+            summary.radius_sum += f64::from(r);
             summary.moment += (p - self.root.min) * w.abs();
             summary.mass += w.abs();
             summary.radius_min = summary.radius_min.min(r);
@@ -220,7 +226,8 @@ struct Columns {
     radius: Vec<f32>,
     weight: Vec<f32>,
     color: Vec<[u8; 3]>,
-    attributes: Vec<Vec<f32>>,
+    /// Each in its own type, little-endian.
+    attributes: Vec<Vec<u8>>,
 }
 
 impl Columns {

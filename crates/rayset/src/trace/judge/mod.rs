@@ -10,6 +10,7 @@ use std::sync::Arc;
 use crate::field::AttributeColumns;
 use crate::field::judge::{JudgeField, JudgeSample};
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
+use crate::grid::GridScanError;
 use crate::octree::file::ScanError;
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, GRID_ATTRIBUTE, GridObject, LightKind, Lighting,
@@ -70,8 +71,8 @@ pub enum JudgeError {
     #[error(transparent)]
     Cloud(#[from] ScanError),
     /// A grid.
-    #[error("{0}")]
-    Grid(String),
+    #[error(transparent)]
+    Grid(#[from] GridScanError),
 }
 
 /// A node at one place.
@@ -161,7 +162,7 @@ impl<'a> Judge<'a> {
                 Ok(())
             }
             Shape::Grid(object) => {
-                self.grids.push((Arc::as_ptr(node), object.grid.load().map_err(JudgeError::Grid)?));
+                self.grids.push((Arc::as_ptr(node), object.grid.load()?));
                 Ok(())
             }
             Shape::Cloud(_) | Shape::Procedural(_) => Ok(()),

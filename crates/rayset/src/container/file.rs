@@ -1,0 +1,246 @@
+//! Opening a file: header, footer, length and the sections that are not pages are checked here, pages when they are read.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, Section, SectionKind};
+use super::page::stored_page_checksum;
+
+/// Longest section that is read at once: directories of columns, descriptions.
+const MAX_SECTION_BYTES: u64 = 4 << 20;
+
+/// Why a file does not open.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// The operating system refused.
+    #[error("cannot open {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// It is a folder, a device or a pipe.
+    #[error("{} is not a regular file", path.display())]
+    NotRegular {
+        /// What it is called.
+        path: PathBuf,
+    },
+    /// The header, the footer or a section is not what it should be.
+    #[error("{}, {source}", path.display())]
+    Header {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        source: HeaderError,
+    },
+    /// The file is shorter or longer than its header says.
+    #[error("{}: {found} bytes where the header says {expected}; the file is incomplete or has been appended to",
+        path.display())]
+    Length {
+        /// The file.
+        path: PathBuf,
+        /// Bytes of the file.
+        found: u64,
+        /// Bytes that the header states.
+        expected: u64,
+    },
+}
+
+/// A file whose header, length and footer are those of a whole file.
+#[derive(Debug)]
+pub struct OpenFile {
+    path: PathBuf,
+    file: File,
+    header: FileHeader,
+}
+
+impl OpenFile {
+    /// Opens a file of a kind and checks its header, its features, its length and its footer.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the file cannot be read or is no whole file of the kind and version.
+    pub fn open(path: &Path, kind: FileKind) -> Result<Self, OpenError> {
+        let io = |source| OpenError::Io { path: path.to_owned(), source };
+        let wrong = |source| OpenError::Header { path: path.to_owned(), source };
+        // A pipe blocks who opens it, and a device has no end.
+        if !std::fs::metadata(path).map_err(io)?.is_file() {
+            return Err(OpenError::NotRegular { path: path.to_owned() });
+        }
+        let mut file = File::open(path).map_err(io)?;
+        let found = file.metadata().map_err(io)?.len();
+        let mut head = [0; BLOCK_BYTES];
+        let got = read_up_to(&mut file, &mut head).map_err(io)?;
+        if got < BLOCK_BYTES {
+            let begins = got > 0 && kind.magic().starts_with(&head[..got.min(8)]);
+            return Err(if begins {
+                OpenError::Length { path: path.to_owned(), found, expected: 2 * BLOCK_BYTES as u64 }
+            } else {
+                wrong(HeaderError::Magic)
+            });
+        }
+        let header = FileHeader::decode(&head, kind).map_err(wrong)?;
+        if found != header.file_bytes {
+            return Err(OpenError::Length { path: path.to_owned(), found, expected: header.file_bytes });
+        }
+        let footer_at = header.file_bytes - BLOCK_BYTES as u64;
+        let mut foot = [0; BLOCK_BYTES];
+        file.seek(SeekFrom::Start(footer_at)).map_err(io)?;
+        file.read_exact(&mut foot).map_err(io)?;
+        Footer::check(&foot, &head, footer_at).map_err(wrong)?;
+        let mut opened = Self { path: path.to_owned(), file, header };
+        opened.check_features()?;
+        Ok(opened)
+    }
+
+    fn check_features(&mut self) -> Result<(), OpenError> {
+        if self.header.required_features == 0 {
+            return Ok(());
+        }
+        let names = self.metadata().ok();
+        let name = |bit: u32| {
+            let names = names.as_ref()?.get("features")?;
+            names.get(bit.to_string())?.as_str().map(str::to_owned)
+        };
+        self.header
+            .check_features(name)
+            .map_err(|source| OpenError::Header { path: self.path.clone(), source })
+    }
+
+    /// An error of this file.
+    pub(crate) fn wrong(&self, source: HeaderError) -> OpenError {
+        OpenError::Header { path: self.path.clone(), source }
+    }
+
+    /// The checked header.
+    #[must_use]
+    pub fn header(&self) -> &FileHeader {
+        &self.header
+    }
+
+    /// The bytes of a section that does not consist of pages, checked.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the file has no such section, or it is damaged or too long.
+    pub fn section(&mut self, kind: SectionKind) -> Result<Vec<u8>, OpenError> {
+        let wrong =
+            |at, what| OpenError::Header { path: self.path.clone(), source: HeaderError::Field { at, what } };
+        let section = *self
+            .header
+            .section(kind)
+            .ok_or_else(|| wrong(0, "a section that every such file has is missing"))?;
+        if section.bytes > MAX_SECTION_BYTES {
+            return Err(wrong(section.offset, "a section of more than 4194304 bytes"));
+        }
+        let mut bytes = Vec::new();
+        self.read_section(&section, |chunk| bytes.extend_from_slice(chunk))?;
+        Ok(bytes)
+    }
+
+    /// What the file says in words.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the section is damaged or no JSON.
+    pub fn metadata(&mut self) -> Result<serde_json::Value, OpenError> {
+        let bytes = self.section(SectionKind::META)?;
+        serde_json::from_slice(&bytes).map_err(|_| OpenError::Header {
+            path: self.path.clone(),
+            source: HeaderError::Field {
+                at: self.header.section(SectionKind::META).map_or(0, |s| s.offset),
+                what: "the description is no JSON",
+            },
+        })
+    }
+
+    /// Checks the sections that are not pages, unknown ones included.
+    ///
+    /// # Errors
+    /// [`OpenError`] at the first that is damaged.
+    pub fn check_sections(&mut self) -> Result<(), OpenError> {
+        let sections = self.header.sections.clone();
+        sections.iter().filter(|s| s.pages == 0).try_for_each(|s| self.read_section(s, |_| {}))
+    }
+
+    /// Reads pages in order and checks the digest of every section of pages; `check` sees each page first, with its
+    /// number, counted over all sections. Holds one page at a time.
+    ///
+    /// # Errors
+    /// What `check` says, or [`OpenError`] for a page that cannot be read or a digest that differs.
+    pub fn for_each_page<E: From<OpenError>>(
+        &mut self,
+        mut check: impl FnMut(u32, u64, &[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let io = |source| OpenError::Io { path: self.path.clone(), source };
+        let mut page = vec![0; self.header.page_bytes as usize];
+        let mut number = 0;
+        for section in self.header.sections.iter().filter(|s| s.pages > 0) {
+            self.file.seek(SeekFrom::Start(section.offset)).map_err(io)?;
+            let mut digest = 0;
+            for index in 0..section.pages {
+                let offset = section.offset + u64::from(index) * u64::from(self.header.page_bytes);
+                self.file.read_exact(&mut page).map_err(|e| self.ends_early(offset, e))?;
+                check(number, offset, &page)?;
+                digest = crc32c::crc32c_append(digest, &stored_page_checksum(&page).to_le_bytes());
+                number += 1;
+            }
+            if digest != section.checksum {
+                let source =
+                    HeaderError::Checksum { at: section.offset, found: section.checksum, expected: digest };
+                return Err(OpenError::Header { path: self.path.clone(), source }.into());
+            }
+        }
+        Ok(())
+    }
+
+    fn ends_early(&self, at: u64, source: io::Error) -> OpenError {
+        if source.kind() == io::ErrorKind::UnexpectedEof {
+            let what =
+                "the file ends here, before what its header says; it has been cut off since it was opened";
+            return OpenError::Header { path: self.path.clone(), source: HeaderError::Field { at, what } };
+        }
+        OpenError::Io { path: self.path.clone(), source }
+    }
+
+    /// Reads a section piece by piece, and checks its checksum and the zeros behind it.
+    fn read_section(&mut self, section: &Section, mut take: impl FnMut(&[u8])) -> Result<(), OpenError> {
+        let wrong = |source| OpenError::Header { path: self.path.clone(), source };
+        let io = |source| OpenError::Io { path: self.path.clone(), source };
+        self.file.seek(SeekFrom::Start(section.offset)).map_err(io)?;
+        let mut block = [0; BLOCK_BYTES];
+        let (mut left, mut checksum, mut at) = (section.bytes, 0, section.offset);
+        while left > 0 {
+            self.file.read_exact(&mut block).map_err(|e| self.ends_early(at, e))?;
+            let used = left.min(BLOCK_BYTES as u64) as usize;
+            checksum = crc32c::crc32c_append(checksum, &block[..used]);
+            take(&block[..used]);
+            if block[used..].iter().any(|&b| b != 0) {
+                let at = at + used as u64;
+                return Err(wrong(HeaderError::Field { at, what: "bytes other than zero behind a section" }));
+            }
+            left -= used as u64;
+            at += BLOCK_BYTES as u64;
+        }
+        if checksum == section.checksum {
+            Ok(())
+        } else {
+            let (found, expected) = (section.checksum, checksum);
+            Err(wrong(HeaderError::Checksum { at: section.offset, found, expected }))
+        }
+    }
+}
+
+/// Fills as much of `buffer` as the file holds.
+fn read_up_to(file: &mut File, buffer: &mut [u8]) -> io::Result<usize> {
+    let mut filled = 0;
+    while filled < buffer.len() {
+        match file.read(&mut buffer[filled..]) {
+            Ok(0) => break,
+            Ok(n) => filled += n,
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(filled)
+}

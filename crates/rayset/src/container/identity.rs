@@ -1,0 +1,91 @@
+//! What tells one file's pages from another's: a hash of what went into the file, the same for the same input and options.
+
+use std::fmt;
+
+use xxhash_rust::xxh3::{Xxh3, xxh3_128};
+
+/// Enters every identity, so that a later builder, which lays pages out in another way, makes other identities of the
+/// same input.
+const LAYOUT_REVISION: u32 = 1;
+
+/// The identity of a file: equal for equal content, whatever the order of inputs, the threads or the memory of the build.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Identity(pub [u8; 16]);
+
+impl Identity {
+    /// What the checksum of a page begins with.
+    #[must_use]
+    pub fn seed(&self) -> u32 {
+        crc32c::crc32c(&self.0)
+    }
+}
+
+impl fmt::Display for Identity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+/// A sum of hashes of records, which does not depend on their order.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RecordSum {
+    sum: u128,
+    count: u64,
+}
+
+impl RecordSum {
+    pub(crate) fn include(&mut self, record: &[u8]) {
+        self.sum = self.sum.wrapping_add(xxh3_128(record));
+        self.count += 1;
+    }
+
+    /// The identity of a file made of these records and of `options`, which say all else that its pages depend on.
+    pub(crate) fn identity(self, options: &str) -> Identity {
+        let mut hash = StreamHash::new(options);
+        hash.update(&self.sum.to_le_bytes());
+        hash.update(&self.count.to_le_bytes());
+        hash.identity()
+    }
+}
+
+/// A hash of bytes whose order is given.
+#[derive(Clone)]
+pub(crate) struct StreamHash(Xxh3);
+
+impl StreamHash {
+    pub(crate) fn new(options: &str) -> Self {
+        let mut hash = Xxh3::new();
+        hash.update(&LAYOUT_REVISION.to_le_bytes());
+        hash.update(&(options.len() as u64).to_le_bytes());
+        hash.update(options.as_bytes());
+        Self(hash)
+    }
+
+    pub(crate) fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    pub(crate) fn identity(&self) -> Identity {
+        Identity(self.0.digest128().to_le_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_order_of_records_makes_no_other_identity_and_everything_else_does() {
+        let of = |records: &[&[u8]], options: &str| {
+            let mut sum = RecordSum::default();
+            records.iter().for_each(|r| sum.include(r));
+            sum.identity(options)
+        };
+        let identity = of(&[b"a", b"b", b"b"], "radius 1");
+        assert_eq!(identity, of(&[b"b", b"a", b"b"], "radius 1"));
+        assert_ne!(identity, of(&[b"a", b"b"], "radius 1"));
+        assert_ne!(identity, of(&[b"a", b"a", b"b"], "radius 1"));
+        assert_ne!(identity, of(&[b"a", b"b", b"b"], "radius 2"));
+        assert_eq!(identity.to_string().len(), 32);
+    }
+}

@@ -1,0 +1,37 @@
+//! The frame that cloud and grid files share: a header block with a directory of sections, pages, and a footer.
+//!
+//! Every byte of a file lies under a CRC-32C. A file has an [`Identity`], which enters the checksum of each of its pages: a
+//! page of another file, read after somebody wrote over a file that is open, does not pass for one of this. Unknown
+//! sections and optional features are ignored, unknown required features are an error that names them, so that later
+//! writers can add to a file without a new version. `docs/format.md` shows the same tables in prose.
+
+mod bytes;
+mod file;
+mod header;
+mod identity;
+mod page;
+#[cfg(feature = "internals")]
+mod reseal;
+mod write;
+
+pub use self::file::{OpenError, OpenFile};
+pub use self::header::{
+    BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, MAX_PAGE_BYTES, MAX_SECTIONS, Section,
+    SectionKind, VERSION,
+};
+pub use self::identity::Identity;
+pub use self::page::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind, stored_page_checksum};
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub use self::reseal::reseal;
+
+pub(crate) use self::bytes::{Reader, Writer};
+pub(crate) use self::identity::{RecordSum, StreamHash};
+pub(crate) use self::page::PAGE_CHECKSUM_AT;
+pub(crate) use self::write::{Metadata, seal_file};
+
+/// CRC-32C of a block with the four bytes of its checksum left out, going on from `seed`.
+fn checksum_around(seed: u32, bytes: &[u8], checksum_at: usize) -> u32 {
+    let head = crc32c::crc32c_append(seed, &bytes[..checksum_at]);
+    crc32c::crc32c_append(head, &bytes[checksum_at + 4..])
+}

@@ -1,0 +1,98 @@
+//! Which columns of the sources make which columns of a record.
+
+use super::record::RecordLayout;
+use super::{BuildError, BuildOptions, Rule};
+use crate::octree::format::NAME_BYTES;
+use crate::points::{ColumnInfo, ColumnType, PointSource};
+
+/// What a record takes from where.
+pub(super) struct Columns {
+    pub(super) layout: RecordLayout,
+    /// Names without repetition: what the sources are asked for.
+    pub(super) names: Vec<String>,
+    /// Places in `names`.
+    pub(super) radius: Option<usize>,
+    pub(super) weight: Option<usize>,
+    pub(super) color: Option<[usize; 3]>,
+    pub(super) attributes: Vec<usize>,
+    /// The attributes, each of the common type of all sources.
+    pub(super) infos: Vec<ColumnInfo>,
+}
+
+const COLORS: [&str; 3] = ["red", "green", "blue"];
+
+/// What radii are made of: as the options say, or else of the column `radius` where every source has one.
+pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Rule {
+    match &options.radius {
+        Some(rule) => rule.clone(),
+        None if all_have(sources, "radius") => Rule::Attribute("radius".into()),
+        None => Rule::Auto,
+    }
+}
+
+/// What weights are made of: as the options say, or else of the column `weight` where every source has one.
+pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Rule {
+    match &options.weight {
+        Some(rule) => rule.clone(),
+        None if all_have(sources, "weight") => Rule::Attribute("weight".into()),
+        None => Rule::Number(1.0),
+    }
+}
+
+fn all_have(sources: &[Box<dyn PointSource>], name: &str) -> bool {
+    sources.iter().all(|s| s.schema().find(name).is_some())
+}
+
+impl Columns {
+    pub(super) fn choose(
+        options: &BuildOptions,
+        radius: &Rule,
+        weight: &Rule,
+        sources: &[Box<dyn PointSource>],
+    ) -> Result<Self, BuildError> {
+        let mut names: Vec<String> = Vec::new();
+        let mut place = |name: &str| {
+            names.iter().position(|n| n == name).unwrap_or_else(|| {
+                names.push(name.to_owned());
+                names.len() - 1
+            })
+        };
+        let mut of_rule =
+            |rule: &Rule| if let Rule::Attribute(name) = rule { Some(place(name)) } else { None };
+        let (radius, weight) = (of_rule(radius), of_rule(weight));
+        let has_color = options.keep_color && COLORS.iter().all(|c| all_have(sources, c));
+        let color = has_color.then(|| COLORS.map(&mut place));
+        let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
+        for (input, source) in sources.iter().enumerate() {
+            if let Some(name) = names.iter().find(|name| source.schema().find(name).is_none()) {
+                let available = source.schema().names().collect::<Vec<_>>().join(", ");
+                let available = if available.is_empty() { "x, y, z only".to_owned() } else { available };
+                return Err(BuildError::NoSuchColumn { input: input + 1, name: name.clone(), available });
+            }
+        }
+        let infos: Vec<ColumnInfo> = options.attributes.iter().map(|name| common(name, sources)).collect();
+        let layout = RecordLayout {
+            has_radius: radius.is_some(),
+            has_weight: weight.is_some(),
+            has_color,
+            attributes: infos.iter().map(|info| info.kind).collect(),
+        };
+        Ok(Self { layout, names, radius, weight, color, attributes, infos })
+    }
+}
+
+/// A column as it is stored: of a type that holds what every source has, with their unit where all have the same.
+fn common(name: &str, sources: &[Box<dyn PointSource>]) -> ColumnInfo {
+    let infos: Vec<&ColumnInfo> = sources
+        .iter()
+        .filter_map(|s| s.schema().find(name).map(|index| &s.schema().columns[index]))
+        .collect();
+    let unit = infos.first().map_or("", |info| info.unit.as_str());
+    let same = infos.iter().all(|info| info.unit == unit) && unit.len() <= NAME_BYTES;
+    ColumnInfo {
+        name: name.to_owned(),
+        kind: infos.iter().map(|info| info.kind).reduce(ColumnType::common).unwrap_or(ColumnType::F32),
+        unit: if same { unit.to_owned() } else { String::new() },
+        is_class: !infos.is_empty() && infos.iter().all(|info| info.is_class),
+    }
+}
