@@ -26,7 +26,7 @@ pub enum OpenError {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// The header or footer is not what it should be.
     #[error("{}, {source}", path.display())]
@@ -34,7 +34,7 @@ pub enum OpenError {
         /// The file.
         path: PathBuf,
         /// What is wrong, and where.
-        source: HeaderError,
+        r#source: HeaderError,
     },
     /// The file is shorter or longer than its header says.
     #[error("{}: {found} bytes where the header says {expected}; the file is incomplete or has been appended to",
@@ -126,7 +126,7 @@ pub enum ScanError {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// A page is damaged.
     #[error("{}, byte {offset} (page {page}): {source}", path.display())]
@@ -138,7 +138,7 @@ pub enum ScanError {
         /// Its place.
         offset: u64,
         /// What is wrong.
-        source: PageError,
+        r#source: PageError,
     },
 }
 
