@@ -8,6 +8,8 @@ mod bounces;
 mod build_is_pure;
 mod common;
 mod edges;
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+mod faults;
 mod figures;
 mod golden;
 mod graph;
@@ -16,10 +18,14 @@ mod house;
 mod interrupted;
 mod layers;
 mod memory;
+mod outputs;
 mod program;
 mod readers;
 mod right_picture;
 mod same_picture;
 mod schema;
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+mod tracer;
+mod words;
 mod working_set;
 mod wrong_scenes;

@@ -51,18 +51,20 @@ impl Destination {
         if target.file_name().is_none() {
             return Err(OutputError::NoName { path: path.to_owned() });
         }
-        let Some(found) = found else {
+        if found.is_none() {
             let folder = folder_of(&target);
             return match std::fs::metadata(folder) {
                 Ok(metadata) if metadata.is_dir() => to(Target::File(target)),
                 Err(e) if e.kind() != io::ErrorKind::NotFound => Err(io(e)),
                 _ => Err(OutputError::NoFolder { path: path.to_owned(), folder: folder.to_owned() }),
             };
-        };
-        // What a process has for its standard output may have no name any more: a link in /proc then leads elsewhere.
+        }
         match std::fs::metadata(&target) {
-            Ok(there) if is_same(&found, &there).unwrap_or(true) => to(Target::File(target)),
-            _ => to(Target::Stream),
+            // What a process has for its standard output may have no name any more. The link to it, in /proc, then leads to
+            // a file by itself and to nothing by its text.
+            Err(e) if e.kind() == io::ErrorKind::NotFound && target != path => to(Target::Stream),
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(io(e)),
+            _ => to(Target::File(target)),
         }
     }
 
@@ -107,13 +109,22 @@ impl Destination {
         &self,
         inputs: impl IntoIterator<Item = P>,
     ) -> Result<(), OutputError> {
-        let clash = inputs.into_iter().find(|input| is_same_file(self.written(), input.as_ref()));
-        match clash {
-            None => Ok(()),
-            Some(input) => {
-                Err(OutputError::IsInput { path: self.named.clone(), input: input.as_ref().to_owned() })
+        let described = |path: &Path| match std::fs::metadata(path) {
+            Ok(metadata) => Ok(Some(metadata)),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+            // Not knowing is no leave to replace it.
+            Err(source) => Err(OutputError::Io { action: "look at", path: path.to_owned(), source }),
+        };
+        let Some(replaced) = described(self.written())? else { return Ok(()) };
+        for input in inputs {
+            let input = input.as_ref();
+            let Some(read) = described(input)? else { continue };
+            let same = is_same(&replaced, &read).unwrap_or_else(|| is_same_path(self.written(), input));
+            if same && read.is_file() {
+                return Err(OutputError::IsInput { path: self.named.clone(), input: input.to_owned() });
             }
         }
+        Ok(())
     }
 
     /// The one path of the file that is written, by which two outputs can be told from each other; `None` for a stream.
@@ -188,11 +199,9 @@ fn check_stream(path: &Path, kind: FileType) -> Result<(), OutputError> {
     refuse("no regular file")
 }
 
-/// Whether two paths lead to one file that is there.
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    let (Ok(of_a), Ok(of_b)) = (std::fs::metadata(a), std::fs::metadata(b)) else { return false };
-    is_same(&of_a, &of_b)
-        .unwrap_or_else(|| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b))
+/// Whether two paths are of one file, by their names.
+fn is_same_path(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Whether two descriptions are of one file; `None` where the system gives files no numbers.

@@ -13,7 +13,7 @@ mod partial;
 mod writer;
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use self::destination::Destination;
 pub use self::partial::remove_own_partials;
@@ -59,11 +59,16 @@ pub enum OutputError {
         expected: &'static str,
     },
     /// The output is the input.
-    #[error("{} is an input of this run ({}); write to another file", path.display(), input.display())]
+    #[error("{} is an input of this run{}; name another file to write", path.display(), named(path, input))]
     IsInput {
         /// The output.
         path: PathBuf,
         /// The input, as it was named.
         input: PathBuf,
     },
+}
+
+/// How the input is called, where it is another name.
+fn named(output: &Path, input: &Path) -> String {
+    if output == input { String::new() } else { format!(", called {}", input.display()) }
 }
