@@ -51,11 +51,13 @@ pub(crate) fn write(to: &Destination, bytes: &[u8]) -> Result<()> {
 fn is_standard_output(path: &Path) -> bool {
     #[cfg(unix)]
     {
+        use std::os::fd::AsFd;
         use std::os::unix::fs::MetadataExt;
-        let (Ok(path), Ok(stdout)) = (std::fs::metadata(path), rustix::fs::fstat(std::io::stdout())) else {
+        let own = std::io::stdout().as_fd().try_clone_to_owned().map(std::fs::File::from);
+        let (Ok(path), Ok(own)) = (std::fs::metadata(path), own.and_then(|file| file.metadata())) else {
             return false;
         };
-        (path.dev(), path.ino()) == (stdout.st_dev as u64, stdout.st_ino as u64)
+        (path.dev(), path.ino()) == (own.dev(), own.ino())
     }
     #[cfg(not(unix))]
     {
