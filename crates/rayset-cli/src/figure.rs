@@ -3,7 +3,6 @@
 use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
@@ -249,44 +248,34 @@ impl Preparation<'_> {
         Ok(())
     }
 
-    /// A volume of size 1 about the origin.
+    /// A volume of size 1 about the origin, with values from 0 to 1, whatever they were.
     fn volume(&self) -> Result<()> {
         let path = self.folder.join("volume.rset");
         if path.exists() {
             return Ok(());
         }
-        let mut source = match &self.args.volume {
-            Some(volume) => VolumeSource::open(volume)?,
-            None => self.noise()?,
+        self.output(&path)?;
+        let source = match &self.args.volume {
+            Some(volume) => self.rescaled(volume)?,
+            None => centred(self.noise()?),
         };
-        let last = DVec3::from_array(source.size.map(|n| n.max(2) as f64 - 1.0));
-        let bounds = Aabb::new(DVec3::ZERO, last).transformed(&source.space_from_voxel);
-        let scale = 1.0 / bounds.size().max_element();
-        source.space_from_voxel = DAffine3::from_scale(DVec3::splat(scale))
-            * DAffine3::from_translation(-bounds.center())
-            * source.space_from_voxel;
-        // Values from 0 to 1, whatever they were.
-        // Under another name until it is right: what has the final one is used again.
-        let unscaled = self.folder.join("volume.unscaled.rset");
-        self.output(&unscaled)?;
-        let header = build_grid(source, &unscaled, &self.grid_options(), &mut |_, _| {})?;
-        let (low, high) = header.value_range();
-        if self.args.volume.is_some() && high > low {
-            self.rescale(&unscaled, low, high)?;
-        }
-        std::fs::rename(&unscaled, &path).with_context(|| format!("cannot write {}", path.display()))
+        build_grid(source, &path, &self.grid_options(), &mut |_, _| {})?;
+        Ok(())
     }
 
-    /// Builds a volume once more, with its values scaled to 0 to 1.
-    fn rescale(&self, path: &Path, low: f64, high: f64) -> Result<()> {
-        let Some(volume) = &self.args.volume else { return Ok(()) };
-        let mut source = VolumeSource::open(volume)?;
-        let header = Arc::new(rayset::grid::Grid::open(path)?);
-        source.space_from_voxel = header.header().space_from_voxel;
-        source.offset = (source.offset - low) / (high - low);
-        source.scale /= high - low;
-        build_grid(source, path, &self.grid_options(), &mut |_, _| {})?;
-        Ok(())
+    /// A volume to be read with its values scaled to 0 to 1. Which they are, a first build says.
+    fn rescaled(&self, volume: &Path) -> Result<VolumeSource> {
+        let open = || Ok::<_, anyhow::Error>(centred(VolumeSource::open(volume)?));
+        let first = TemporaryFolder::within(self.folder, "range")?;
+        let header =
+            build_grid(open()?, &first.path().join("volume.rset"), &self.grid_options(), &mut |_, _| {})?;
+        let (low, high) = header.value_range();
+        let mut source = open()?;
+        if high > low {
+            source.offset = (source.offset - low) / (high - low);
+            source.scale /= high - low;
+        }
+        Ok(source)
     }
 
     fn grid_options(&self) -> GridBuildOptions {
@@ -323,6 +312,17 @@ impl Preparation<'_> {
         source.scale = 1.0 / 255.0;
         Ok(source)
     }
+}
+
+/// A volume moved and scaled to size 1 about the origin.
+fn centred(mut source: VolumeSource) -> VolumeSource {
+    let last = DVec3::from_array(source.size.map(|n| n.max(2) as f64 - 1.0));
+    let bounds = Aabb::new(DVec3::ZERO, last).transformed(&source.space_from_voxel);
+    let scale = 1.0 / bounds.size().max_element();
+    source.space_from_voxel = DAffine3::from_scale(DVec3::splat(scale))
+        * DAffine3::from_translation(-bounds.center())
+        * source.space_from_voxel;
+    source
 }
 
 /// Which axis points up in a scan.

@@ -45,8 +45,13 @@ pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
 pub(crate) struct TemporaryFolder(PathBuf);
 
 impl TemporaryFolder {
+    /// Where the system has such folders.
     pub(crate) fn new(purpose: &str) -> Result<Self> {
-        let all = std::env::temp_dir();
+        Self::within(&std::env::temp_dir(), purpose)
+    }
+
+    /// In another folder.
+    pub(crate) fn within(all: &Path, purpose: &str) -> Result<Self> {
         let mut number = 0_u32;
         loop {
             let path = all.join(format!("rayset-{purpose}-{}-{number}", std::process::id()));
