@@ -11,6 +11,7 @@ use rayset::trace::ExecSettings;
 
 use crate::bench_cloud::{Case, Measured, Prepared};
 use crate::bench_features::{self, Cost};
+use crate::interrupts::TemporaryFolder;
 use crate::{report, values};
 
 /// Build and render the standard workloads, and say how long it took.
@@ -72,15 +73,12 @@ pub(crate) fn run(args: &BenchArgs) -> Result<()> {
     } else {
         args.workloads.clone()
     };
-    let temporary = std::env::temp_dir().join(format!("rayset-bench-{}", std::process::id()));
-    let folder = args.dir.clone().unwrap_or_else(|| temporary.clone());
-    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    let outcome = measure(args, &workloads, &folder);
-    if args.dir.is_none() {
-        std::fs::remove_dir_all(&temporary)
-            .with_context(|| format!("cannot remove {}", temporary.display()))?;
-    }
-    let report = outcome?;
+    let report = if let Some(folder) = &args.dir {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        measure(args, &workloads, folder)?
+    } else {
+        measure(args, &workloads, TemporaryFolder::new("bench")?.path())?
+    };
     if args.json { report::json(&report) } else { describe(&report) }
 }
 

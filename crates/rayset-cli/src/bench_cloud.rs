@@ -18,6 +18,7 @@ use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use crate::outputs::Outputs;
 use crate::render::PredictorArg;
 use crate::statistics::{PageStatistics, WorkStatistics};
 use crate::{generate, report};
@@ -99,9 +100,11 @@ impl Prepared {
     pub(crate) fn new(workload: &Workload, folder: &Path, threads: usize) -> Result<Self> {
         let ply = folder.join(format!("{workload}.ply"));
         let path = folder.join(format!("{workload}.rset"));
+        let mut outputs = Outputs::default();
         if !ply.exists() {
-            generate::write(workload, &ply)?;
+            generate::write_source(&mut *workload.source(), &outputs.add(&ply, None)?)?;
         }
+        outputs.add(&path, None)?;
         let options = BuildOptions {
             radius: workload.radius().map(build::Rule::Number),
             threads,

@@ -11,6 +11,7 @@ use rayset::octree::build::{self, BuildOptions, BuildReport, InvalidPolicy, Prec
 use rayset::points::{self, ReadOptions};
 
 use crate::memory::{PROCESS_BYTES, peak_rss};
+use crate::outputs::Outputs;
 use crate::progress::Meter;
 use crate::{report, values};
 
@@ -94,6 +95,8 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
         return build_grid(args);
     }
     let options = options(args)?;
+    let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
+    output.require_file()?;
     let read = ReadOptions { text_columns: args.columns.clone() };
     let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
     let meter = Meter::new("points", args.json);
@@ -117,6 +120,8 @@ struct GridSummary {
 
 fn build_grid(args: &BuildArgs) -> Result<()> {
     let [input] = args.inputs.as_slice() else { bail!("a grid is built from one volume at a time") };
+    let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
+    output.require_file()?;
     let source = match &args.raw {
         Some(layout) => VolumeSource::open_raw(input, layout)?,
         None => VolumeSource::open(input)?,

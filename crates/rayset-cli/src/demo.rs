@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use rayset::octree::build::{self, BuildOptions};
+use rayset::output::Destination;
 use rayset::points::Workload;
 
+use crate::interrupts::TemporaryFolder;
 use crate::progress::Meter;
 use crate::render::{self, CameraArgs};
 use crate::{generate, memory, report, values};
@@ -33,11 +35,10 @@ pub(crate) struct DemoArgs {
 
 pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     let started = Instant::now();
-    let folder = std::env::temp_dir().join(format!("rayset-demo-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    let outcome = make(args, &folder);
-    std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
-    outcome?;
+    // Looked at first: it is written last.
+    Destination::new(&args.output)?;
+    let folder = TemporaryFolder::new("demo")?;
+    make(args, folder.path())?;
     report::say(format_args!(
         "{:.1} s in all. Now look at {}",
         started.elapsed().as_secs_f64(),
@@ -50,7 +51,7 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
     let workload = &args.workload;
     let (points, cloud) = (folder.join("points.ply"), folder.join("cloud.rset"));
     report::say(format_args!("1. generate {} points", report::count(workload.points())));
-    generate::write(workload, &points)?;
+    generate::write_source(&mut *workload.source(), &Destination::new(&points)?)?;
 
     report::say(format_args!("2. build their octree on disk, within {}", report::bytes(args.memory)));
     let options = BuildOptions {

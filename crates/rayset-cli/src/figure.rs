@@ -3,7 +3,6 @@
 use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Arc;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
@@ -11,10 +10,13 @@ use rayset::geometry::{Aabb, DAffine3, DVec3};
 use rayset::grid::build::{GridBuildOptions, build as build_grid};
 use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::output::Destination;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 use rayset::scene::{NoiseCloud, Pattern, Procedural};
 
+use crate::interrupts::{self, TemporaryFolder};
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use crate::outputs::{self, Outputs};
 use crate::{generate, report, values};
 
 /// A figure: its number, its scene and what it shows.
@@ -116,22 +118,20 @@ pub(crate) fn run(args: &FigureArgs) -> Result<()> {
         bail!("there is no figure {}; there are 1, 2, 3, 4, 5, 10 and 11", args.number);
     };
     report::say(format_args!("figure {}: {}", figure.number, figure.title));
-    let temporary = std::env::temp_dir().join(format!("rayset-figure-{}", std::process::id()));
-    let folder = args.data.as_ref().unwrap_or(&temporary);
+    let output = args.output.clone().unwrap_or_else(|| format!("fig{}.png", figure.number).into());
+    // Looked at first: it is written last.
+    Outputs::beside([&args.scan, &args.other, &args.volume].into_iter().flatten()).add(&output, None)?;
+    let Some(folder) = &args.data else {
+        return make(figure, args, TemporaryFolder::new("figure")?.path(), &output);
+    };
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    let outcome = make(figure, args, folder);
-    if args.data.is_none() {
-        std::fs::remove_dir_all(&temporary)
-            .with_context(|| format!("cannot remove {}", temporary.display()))?;
-    }
-    outcome
+    make(figure, args, folder, &output)
 }
 
-fn make(figure: &Figure, args: &FigureArgs, folder: &Path) -> Result<()> {
+fn make(figure: &Figure, args: &FigureArgs, folder: &Path, output: &Path) -> Result<()> {
     let scene = folder.join(format!("fig{}.json", figure.number));
-    std::fs::write(&scene, figure.scene).with_context(|| format!("cannot write {}", scene.display()))?;
-    let output = args.output.clone().unwrap_or_else(|| format!("fig{}.png", figure.number).into());
     let preparation = Preparation { args, folder };
+    outputs::write(&preparation.output(&scene)?, figure.scene.as_bytes())?;
     let radius = |radius: f64| radius / STATUE_HEIGHT;
     match figure.number {
         3 => preparation.statue(radius(2.0))?,
@@ -154,7 +154,7 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path) -> Result<()> {
             }
         }
     }
-    render(args, &scene, &output)
+    render(args, &scene, output)
 }
 
 fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
@@ -166,7 +166,7 @@ fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
     if let Some((width, height)) = args.size {
         command.arg("--size").arg(format!("{width}x{height}"));
     }
-    let status = command.status().context("cannot start a render")?;
+    let status = interrupts::run(&mut command).context("cannot start a render")?;
     ensure!(status.success(), "no picture was made");
     Ok(())
 }
@@ -178,6 +178,12 @@ struct Preparation<'a> {
 }
 
 impl Preparation<'_> {
+    /// A file to write in the folder.
+    fn output(&self, path: &Path) -> Result<Destination> {
+        let FigureArgs { scan, other, volume, .. } = self.args;
+        Outputs::beside([scan, other, volume].into_iter().flatten()).add(path, None)
+    }
+
     fn build_options(&self) -> BuildOptions {
         let memory_bytes = self.args.memory.saturating_sub(PROCESS_BYTES);
         BuildOptions { memory_bytes, ..BuildOptions::default() }
@@ -195,6 +201,7 @@ impl Preparation<'_> {
                 None => Ok(workload.parse::<Workload>()?.source()),
             }
         };
+        self.output(&path)?;
         let pose = if scan.is_some() { pose } else { Pose::default() };
         let standing = standing(&mut *open()?, pose)?;
         let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
@@ -206,12 +213,16 @@ impl Preparation<'_> {
     fn statue(&self, radius: f64) -> Result<()> {
         let ply = self.folder.join("statue.ply");
         if !ply.exists() {
+            let to = self.output(&ply)?;
             match &self.args.scan {
-                None => drop(generate::write(&format!("vase-{STATUE_POINTS}").parse()?, &ply)?),
+                None => {
+                    let vase: Workload = format!("vase-{STATUE_POINTS}").parse()?;
+                    generate::write_source(&mut *vase.source(), &to)?;
+                }
                 Some(mesh) => {
                     let by = standing(&mut MeshSource::open(mesh, 100_000)?, self.args.scan_pose())?;
                     let source = Box::new(MeshSource::open(mesh, STATUE_POINTS)?);
-                    generate::write_source(&mut Moved { source, by, selected: Vec::new() }, &ply)?;
+                    generate::write_source(&mut Moved { source, by, selected: Vec::new() }, &to)?;
                 }
             }
         }
@@ -224,7 +235,9 @@ impl Preparation<'_> {
         reset_peak_rss();
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = std::time::Instant::now();
-        let built = build::run(vec![source], &self.folder.join("statue.rset"), &options, &NoProgress)?;
+        let cloud = self.folder.join("statue.rset");
+        self.output(&cloud)?;
+        let built = build::run(vec![source], &cloud, &options, &NoProgress)?;
         report::say(format_args!(
             "{} points, {} on disk, {:.1} s, peak memory {}",
             report::count(built.points),
@@ -235,43 +248,34 @@ impl Preparation<'_> {
         Ok(())
     }
 
-    /// A volume of size 1 about the origin.
+    /// A volume of size 1 about the origin, with values from 0 to 1, whatever they were.
     fn volume(&self) -> Result<()> {
         let path = self.folder.join("volume.rset");
         if path.exists() {
             return Ok(());
         }
-        let mut source = match &self.args.volume {
-            Some(volume) => VolumeSource::open(volume)?,
-            None => self.noise()?,
+        self.output(&path)?;
+        let source = match &self.args.volume {
+            Some(volume) => self.rescaled(volume)?,
+            None => centred(self.noise()?),
         };
-        let last = DVec3::from_array(source.size.map(|n| n.max(2) as f64 - 1.0));
-        let bounds = Aabb::new(DVec3::ZERO, last).transformed(&source.space_from_voxel);
-        let scale = 1.0 / bounds.size().max_element();
-        source.space_from_voxel = DAffine3::from_scale(DVec3::splat(scale))
-            * DAffine3::from_translation(-bounds.center())
-            * source.space_from_voxel;
-        // Values from 0 to 1, whatever they were.
-        // Under another name until it is right: what has the final one is used again.
-        let unscaled = self.folder.join("volume.unscaled.rset");
-        let header = build_grid(source, &unscaled, &self.grid_options(), &mut |_, _| {})?;
-        let (low, high) = header.value_range();
-        if self.args.volume.is_some() && high > low {
-            self.rescale(&unscaled, low, high)?;
-        }
-        std::fs::rename(&unscaled, &path).with_context(|| format!("cannot write {}", path.display()))
+        build_grid(source, &path, &self.grid_options(), &mut |_, _| {})?;
+        Ok(())
     }
 
-    /// Builds a volume once more, with its values scaled to 0 to 1.
-    fn rescale(&self, path: &Path, low: f64, high: f64) -> Result<()> {
-        let Some(volume) = &self.args.volume else { return Ok(()) };
-        let mut source = VolumeSource::open(volume)?;
-        let header = Arc::new(rayset::grid::Grid::open(path)?);
-        source.space_from_voxel = header.header().space_from_voxel;
-        source.offset = (source.offset - low) / (high - low);
-        source.scale /= high - low;
-        build_grid(source, path, &self.grid_options(), &mut |_, _| {})?;
-        Ok(())
+    /// A volume to be read with its values scaled to 0 to 1. Which they are, a first build says.
+    fn rescaled(&self, volume: &Path) -> Result<VolumeSource> {
+        let open = || Ok::<_, anyhow::Error>(centred(VolumeSource::open(volume)?));
+        let first = TemporaryFolder::within(self.folder, "range")?;
+        let header =
+            build_grid(open()?, &first.path().join("volume.rset"), &self.grid_options(), &mut |_, _| {})?;
+        let (low, high) = header.value_range();
+        let mut source = open()?;
+        if high > low {
+            source.offset = (source.offset - low) / (high - low);
+            source.scale /= high - low;
+        }
+        Ok(source)
     }
 
     fn grid_options(&self) -> GridBuildOptions {
@@ -302,12 +306,23 @@ impl Preparation<'_> {
             }
         }
         let raw = self.folder.join("volume.raw");
-        std::fs::write(&raw, voxels).with_context(|| format!("cannot write {}", raw.display()))?;
+        outputs::write(&self.output(&raw)?, &voxels)?;
         let layout: RawLayout = format!("{SIDE}x{SIDE}x{SIDE},u8").parse()?;
         let mut source = VolumeSource::open_raw(&raw, &layout)?;
         source.scale = 1.0 / 255.0;
         Ok(source)
     }
+}
+
+/// A volume moved and scaled to size 1 about the origin.
+fn centred(mut source: VolumeSource) -> VolumeSource {
+    let last = DVec3::from_array(source.size.map(|n| n.max(2) as f64 - 1.0));
+    let bounds = Aabb::new(DVec3::ZERO, last).transformed(&source.space_from_voxel);
+    let scale = 1.0 / bounds.size().max_element();
+    source.space_from_voxel = DAffine3::from_scale(DVec3::splat(scale))
+        * DAffine3::from_translation(-bounds.center())
+        * source.space_from_voxel;
+    source
 }
 
 /// Which axis points up in a scan.

@@ -1,11 +1,13 @@
 //! `rayset generate`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
+use rayset::output::Destination;
 use rayset::points::{MeshSource, PlyWriter, PointBatch, PointSource, Workload};
 
+use crate::outputs::Outputs;
 use crate::report;
 
 /// Write a generated cloud as a binary PLY file.
@@ -31,7 +33,8 @@ pub(crate) struct GenerateArgs {
 pub(crate) fn run(args: &GenerateArgs) -> Result<()> {
     let Some(workload) = &args.workload else { return from_mesh(args) };
     let path = args.output.clone().unwrap_or_else(|| format!("{workload}.ply").into());
-    let count = write(workload, &path)?;
+    let to = Outputs::default().add(&path, None)?;
+    let count = write_source(&mut *workload.source(), &to)?;
     report::say(format_args!("{}: {} points", path.display(), report::count(count)));
     if let Some(radius) = workload.radius() {
         report::say(format_args!("build it with --radius {radius}"));
@@ -44,28 +47,23 @@ fn from_mesh(args: &GenerateArgs) -> Result<()> {
         bail!("--from-mesh needs --points")
     };
     let path = args.output.clone().unwrap_or_else(|| "points.ply".into());
-    let count = write_source(&mut MeshSource::open(mesh, points)?, &path)?;
+    let to = Outputs::beside([mesh]).add(&path, None)?;
+    let count = write_source(&mut MeshSource::open(mesh, points)?, &to)?;
     report::say(format_args!("{}: {} points", path.display(), report::count(count)));
     Ok(())
 }
 
-/// Writes a workload to a file; returns the number of points.
-pub(crate) fn write(workload: &Workload, path: &Path) -> Result<u64> {
-    write_source(&mut *workload.source(), path)
-}
-
-/// Writes points with all their columns to a file; returns their number.
-pub(crate) fn write_source(source: &mut dyn PointSource, path: &Path) -> Result<u64> {
-    let doing = || format!("cannot write {}", path.display());
+/// Writes points with all their columns; returns their number.
+pub(crate) fn write_source(source: &mut dyn PointSource, to: &Destination) -> Result<u64> {
     let attributes = source.schema().names().map(str::to_owned).collect::<Vec<_>>();
     source.select(&(0..attributes.len()).collect::<Vec<_>>());
-    let mut writer = PlyWriter::create(path, &attributes).with_context(doing)?;
+    let mut writer = PlyWriter::create(to, &attributes, source.count_hint().unwrap_or(0))?;
     let mut batch = PointBatch::default();
     loop {
         source.fill(&mut batch, 1 << 14)?;
         if batch.is_empty() {
-            return writer.finish().with_context(doing);
+            return Ok(writer.finish()?);
         }
-        writer.write(&batch).with_context(doing)?;
+        writer.write(&batch)?;
     }
 }

@@ -1,17 +1,16 @@
 //! `rayset info`
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use anyhow::Result;
 use clap::Args;
 use rayset::geometry::{Aabb, DVec3};
 use rayset::grid::Grid;
-use rayset::octree::Cloud;
 use rayset::octree::format::{AttributeInfo, Column};
 use rayset::scene::{CloudObject, RenderSettings, Scene};
 use rayset::trace::memory::{self, SceneNeeds};
 
+use crate::kinds::{self, Built};
 use crate::memory::PROCESS_BYTES;
 use crate::report;
 
@@ -80,10 +79,10 @@ impl Attribute {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    if Grid::is_grid(&args.cloud) {
-        return describe_grid(&Grid::open(&args.cloud)?);
-    }
-    let cloud = Arc::new(Cloud::open(&args.cloud)?);
+    let cloud = match kinds::open(&args.cloud)? {
+        Built::Cloud(cloud) => cloud,
+        Built::Grid(grid) => return grid_info(&grid, args.json),
+    };
     let h = cloud.header();
     let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -126,18 +125,40 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     if args.json { report::json(&info) } else { describe(&info, h.radius, h.weight) }
 }
 
-fn describe_grid(grid: &Grid) -> Result<()> {
+/// What `--json` says of a grid.
+#[derive(serde::Serialize)]
+struct GridInfo {
+    size: [u64; 3],
+    voxels: &'static str,
+    value_min: f64,
+    value_max: f64,
+    bounds_min: [f64; 3],
+    bounds_max: [f64; 3],
+    file_bytes: u64,
+    bricks: u64,
+    pages: u64,
+}
+
+fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
     let h = grid.header();
-    let (low, high) = h.value_range();
+    let (value_min, value_max) = h.value_range();
     let bounds = Aabb::new(DVec3::ZERO, h.last_voxel()).transformed(&h.space_from_voxel);
-    report::say(format_args!(
-        "voxels      {} x {} x {} of {}",
-        h.size[0],
-        h.size[1],
-        h.size[2],
-        h.kind.name()
-    ));
-    report::say(format_args!("values      {low} to {high}"));
+    if as_json {
+        return report::json(&GridInfo {
+            size: h.size,
+            voxels: h.kind.name(),
+            value_min,
+            value_max,
+            bounds_min: bounds.min.to_array(),
+            bounds_max: bounds.max.to_array(),
+            file_bytes: h.file_bytes,
+            bricks: h.brick_pages(),
+            pages: h.pages(),
+        });
+    }
+    let [x, y, z] = h.size;
+    report::say(format_args!("voxels      {x} x {y} x {z} of {}", h.kind.name()));
+    report::say(format_args!("values      {value_min} to {value_max}"));
     report::say(format_args!("bounds      {}  to  {}", bounds.min, bounds.max));
     report::say(format_args!(
         "file        {}, {} bricks, {} pages",

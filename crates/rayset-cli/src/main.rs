@@ -9,7 +9,10 @@ mod demo;
 mod figure;
 mod generate;
 mod info;
+mod interrupts;
+mod kinds;
 mod memory;
+mod outputs;
 mod progress;
 mod render;
 mod report;
@@ -57,7 +60,23 @@ enum Command {
 
 fn main() -> ExitCode {
     memory::tame_allocator();
-    let outcome = match Cli::parse().command {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        // Asked for help or the version.
+        Err(answer) if !answer.use_stderr() => return ended(report::answer(&answer)),
+        Err(error) => {
+            report::misused(&error);
+            return ExitCode::from(2);
+        }
+    };
+    let outcome =
+        interrupts::install().and_then(|()| run(cli.command)).and_then(|()| report::check_results());
+    interrupts::wait_if_ending();
+    ended(outcome)
+}
+
+fn run(command: Command) -> anyhow::Result<()> {
+    match command {
         Command::Demo(args) => demo::run(&args),
         Command::Generate(args) => generate::run(&args),
         Command::Build(args) => build::run(&args),
@@ -67,7 +86,10 @@ fn main() -> ExitCode {
         Command::Render(args) => render::run(&args),
         Command::Figure(args) => figure::run(&args),
         Command::Bench(args) => bench::run(&args),
-    };
+    }
+}
+
+fn ended(outcome: anyhow::Result<()>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -1,20 +1,97 @@
 //! What is said, and where: results to standard output, progress and failures to standard error.
+//!
+//! Names and texts out of files are anybody's: what would move the cursor, colour the terminal or turn the direction of
+//! writing is shown by its number instead.
 
-use std::io::Write;
+use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 
-/// Writes a line of results. A closed pipe is the reader's wish, not a failure.
+/// Why results could not be printed. A closed pipe is the reader's wish, not a failure.
+static LOST: Mutex<Option<io::Error>> = Mutex::new(None);
+/// Standard output is taken by a picture or points.
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+/// Writes a line of results.
 pub(crate) fn say(line: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stdout().lock(), "{line}");
+    result(&printable(&line.to_string(), |c| c.escape_unicode().to_string()));
+}
+
+/// A value as indented JSON.
+pub(crate) fn json(value: &impl serde::Serialize) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(value)?;
+    let lines: Vec<String> =
+        text.lines().map(|line| printable(line, |c| format!("\\u{:04x}", u32::from(c)))).collect();
+    result(&lines.join("\n"));
+    Ok(())
+}
+
+fn result(text: &str) {
+    if TAKEN.load(Ordering::Relaxed) {
+        return write_remark(text);
+    }
+    let mut stdout = io::stdout().lock();
+    let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
+    if let Err(error) = written {
+        LOST.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    }
+}
+
+/// Has results go to standard error from now on: standard output is an output of the command.
+pub(crate) fn leave_standard_output() {
+    TAKEN.store(true, Ordering::Relaxed);
+}
+
+/// Says whether all results have arrived.
+pub(crate) fn check_results() -> anyhow::Result<()> {
+    match LOST.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        Some(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(lost(error)),
+        _ => Ok(()),
+    }
+}
+
+/// Prints what was asked of the command line itself: help, the version.
+pub(crate) fn answer(answer: &clap::Error) -> anyhow::Result<()> {
+    match answer.print().and_then(|()| io::stdout().flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(lost(error)),
+        _ => Ok(()),
+    }
+}
+
+/// What it means that nothing more can be printed.
+fn lost(error: io::Error) -> anyhow::Error {
+    anyhow::Error::new(error).context("results are lost: cannot write to standard output")
 }
 
 /// Writes a remark that is not a result.
 pub(crate) fn remark(line: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stderr().lock(), "{line}");
+    write_remark(&printable(&line.to_string(), |c| c.escape_unicode().to_string()));
+}
+
+fn write_remark(text: &str) {
+    let _ = writeln!(io::stderr().lock(), "{text}");
 }
 
 /// Writes why the program failed, on one line.
 pub(crate) fn fail(error: &anyhow::Error) {
     remark(format_args!("error: {error:#}"));
+}
+
+/// What is wrong with the command line, in several lines.
+pub(crate) fn misused(error: &clap::Error) {
+    error.render().to_string().lines().for_each(remark);
+}
+
+/// Shows characters that a terminal would obey, by `shown`.
+fn printable(text: &str, shown: impl Fn(char) -> String) -> String {
+    let obeyed = |c: char| {
+        c.is_control()
+            || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    if !text.contains(obeyed) {
+        return text.to_owned();
+    }
+    text.chars().map(|c| if obeyed(c) { shown(c) } else { c.to_string() }).collect()
 }
 
 /// A number of bytes as people write it.
@@ -33,10 +110,4 @@ pub(crate) fn count(n: u64) -> String {
         out.push(c);
     }
     out
-}
-
-/// A value as indented JSON.
-pub(crate) fn json(value: &impl serde::Serialize) -> anyhow::Result<()> {
-    say(serde_json::to_string_pretty(value)?);
-    Ok(())
 }

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use rayset::grid::Grid;
-use rayset::octree::Cloud;
 use rayset::octree::verify::{Depth, verify};
 
+use crate::kinds::{self, Built};
 use crate::report;
 
 /// Check a cloud or grid file: by default every page's checksum and records
@@ -24,10 +24,10 @@ pub(crate) struct VerifyArgs {
 }
 
 pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
-    if Grid::is_grid(&args.cloud) {
-        return verify_grid(args);
-    }
-    let cloud = Cloud::open(&args.cloud)?;
+    let cloud = match kinds::open(&args.cloud)? {
+        Built::Cloud(cloud) => cloud,
+        Built::Grid(grid) => return verify_grid(args, &grid),
+    };
     let depth = match (args.quick, args.deep) {
         (true, _) => Depth::Quick,
         (_, true) => Depth::Deep,
@@ -48,8 +48,7 @@ pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
     Ok(())
 }
 
-fn verify_grid(args: &VerifyArgs) -> Result<()> {
-    let grid = Grid::open(&args.cloud)?;
+fn verify_grid(args: &VerifyArgs, grid: &Grid) -> Result<()> {
     if args.quick {
         report::say("ok: header, footer and length");
         return Ok(());

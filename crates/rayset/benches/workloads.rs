@@ -13,6 +13,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::output::Destination;
 use rayset::points::{self, PlyWriter, PointBatch, ReadOptions, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
@@ -46,8 +47,8 @@ impl Prepared {
         if self.ply.exists() {
             return;
         }
-        let partial = self.ply.with_extension("partial");
-        let mut writer = PlyWriter::create(&partial, &[]).expect("the file is created");
+        let to = Destination::new(&self.ply).expect("a place for the file");
+        let mut writer = PlyWriter::create(&to, &[], self.workload.points()).expect("the file is created");
         let (mut source, mut batch) = (self.workload.source(), PointBatch::default());
         source.select(&[]);
         loop {
@@ -58,7 +59,6 @@ impl Prepared {
             writer.write(&batch).expect("the file is written");
         }
         writer.finish().expect("the file is written");
-        std::fs::rename(&partial, &self.ply).expect("the file is named");
     }
 
     fn build(&self) {

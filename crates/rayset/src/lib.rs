@@ -47,6 +47,7 @@ pub mod geometry;
 pub mod grid;
 pub mod image;
 pub mod octree;
+pub mod output;
 pub mod points;
 pub mod scene;
 pub mod scene_file;

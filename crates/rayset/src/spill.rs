@@ -4,12 +4,13 @@
 //! even one that is killed. Elsewhere it is removed when dropped, and a later build of the same output removes what
 //! a killed one left.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::path::Path;
+#[cfg(not(unix))]
+use std::path::PathBuf;
 
-static NEXT: AtomicU32 = AtomicU32::new(0);
+use crate::output::{Destination, Purpose, create_unique};
 
 /// An unnamed file for records.
 #[derive(Debug)]
@@ -19,50 +20,15 @@ pub(crate) struct Spill {
     path: PathBuf,
 }
 
-fn prefix(output: &Path) -> String {
-    let name = output.file_name().unwrap_or_default().to_string_lossy();
-    format!(".{name}.rayset-tmp-")
-}
-
-/// The name under which the output grows until it is whole.
-pub(crate) fn partial_path(output: &Path) -> PathBuf {
-    let name = output.file_name().unwrap_or_default().to_string_lossy();
-    output.with_file_name(format!(".{name}.rayset-partial"))
-}
-
-/// Removes what an earlier, killed build of the same output may have left.
-pub(crate) fn remove_leftovers(output: &Path, temp_dir: &Path) -> io::Result<()> {
-    let prefix = prefix(output);
-    for entry in std::fs::read_dir(temp_dir)? {
-        let entry = entry?;
-        if entry.file_name().to_string_lossy().starts_with(&prefix) {
-            std::fs::remove_file(entry.path())?;
-        }
-    }
-    match std::fs::remove_file(partial_path(output)) {
-        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
-        _ => Ok(()),
-    }
-}
-
-/// Gives a file that is whole its name, for good.
-pub(crate) fn publish(partial: &Path, output: &Path) -> io::Result<()> {
-    std::fs::rename(partial, output)?;
-    #[cfg(unix)]
-    if let Some(parent) = output.parent() {
-        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
-        File::open(parent)?.sync_all()?;
-    }
-    Ok(())
-}
-
 impl Spill {
-    pub(crate) fn create(output: &Path, temp_dir: &Path) -> io::Result<Self> {
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let path = temp_dir.join(format!("{}{}-{number}", prefix(output), std::process::id()));
-        let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path)?;
+    pub(crate) fn create(output: &Destination, temp_dir: &Path) -> io::Result<Self> {
+        let (file, path) = create_unique(temp_dir, output.file_name(), Purpose::Temporary)?;
         #[cfg(unix)]
-        std::fs::remove_file(&path)?;
+        if let Err(error) = std::fs::remove_file(&path) {
+            // Once more: a file that keeps its name would stay.
+            let _ = std::fs::remove_file(&path);
+            return Err(error);
+        }
         Ok(Self {
             file,
             #[cfg(not(unix))]

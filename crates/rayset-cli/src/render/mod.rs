@@ -14,6 +14,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use rayset::output::Destination;
 use rayset::scene::Camera;
 use rayset::trace::memory::MemoryPlan;
 use rayset::trace::render_region;
@@ -24,6 +25,7 @@ use self::report::RenderReport;
 use self::shot::Shot;
 use self::sink::{Format, PictureSink};
 use self::work::{Work, WorkArgs};
+use crate::outputs::{self, Outputs};
 use crate::report::{bytes, remark};
 use crate::values::{self, Frames};
 
@@ -59,30 +61,47 @@ pub(crate) struct RenderArgs {
 }
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
+    // The scene may be long to read: what can be refused before is.
+    let format = Format::of(&Destination::new(&args.output)?)?;
     let mut shot = Shot::new(args)?;
-    shot.settings.layers = Format::of(&args.output)? == Format::Exr;
+    shot.settings.layers = format == Format::Exr;
+    let mut outputs = Outputs::beside(&shot.files);
+    let pictures = pictures(args, &shot)?
+        .into_iter()
+        .map(|(path, camera)| Ok((outputs.add(&path, None)?, camera)))
+        .collect::<Result<Vec<_>>>()?;
+    let stats = args.stats.as_ref().map(|path| outputs.add(path, None)).transpose()?;
     let (work, plan) = Work::prepare(&args.work, &shot.scene, shot.settings)?;
-    let numbered_picture =
-        |frame, camera| picture(args, &shot, &camera, &numbered(&args.output, frame), &work, &plan);
-    match (args.turntable, args.frames) {
+    for (picture, camera) in &pictures {
+        render(args, &shot, camera, picture, stats.as_ref(), &work, &plan)?;
+    }
+    Ok(())
+}
+
+/// Every picture that is wanted: its path, and where it is taken from.
+fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
+    let numbered = |frame| numbered(&args.output, frame);
+    Ok(match (args.turntable, args.frames) {
         (Some(turns), _) => (0..turns)
-            .try_for_each(|frame| numbered_picture(frame, shot.turned(f64::from(frame) / f64::from(turns)))),
+            .map(|frame| (numbered(frame), shot.turned(f64::from(frame) / f64::from(turns))))
+            .collect(),
         (None, Some(frames)) => {
             let path = shot.path.as_ref().with_context(|| {
                 format!("{} has no \"animation\"; --frames has nothing to follow", args.input.display())
             })?;
-            frames.of(path).try_for_each(|frame| numbered_picture(frame, path.camera(frame)))
+            frames.of(path).map(|frame| (numbered(frame), path.camera(frame))).collect()
         }
-        (None, None) => picture(args, &shot, &shot.camera, &args.output, &work, &plan),
-    }
+        (None, None) => vec![(args.output.clone(), shot.camera)],
+    })
 }
 
 /// Renders one picture.
-fn picture(
+fn render(
     args: &RenderArgs,
     shot: &Shot,
     camera: &Camera,
-    output: &Path,
+    output: &Destination,
+    stats: Option<&Destination>,
     work: &Work,
     plan: &MemoryPlan,
 ) -> Result<()> {
@@ -94,11 +113,10 @@ fn picture(
         render_region(&shot.scene, camera, &shot.settings, &region, &work.exec, &work.paged, &mut sink)?;
     sink.finish()?;
     let report = RenderReport::new(work, plan, counts, started.elapsed());
-    if let Some(path) = &args.stats {
-        let text = serde_json::to_string_pretty(&report)?;
-        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    if let Some(stats) = stats {
+        outputs::write(stats, serde_json::to_string_pretty(&report)?.as_bytes())?;
     }
-    report.describe(output);
+    report.describe(output.path());
     if report.memory_bytes < plan.comfortable_bytes && report.pages.reads_per_page > 2.0 {
         remark(format_args!(
             "pages were read {:.1} times each; --memory {} would do better",

@@ -1,17 +1,16 @@
 //! What is to be rendered: a scene file, or a cloud with a look from the command line.
 
-use std::path::Path;
-use std::sync::Arc;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::image::Development;
-use rayset::octree::Cloud;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
 
 use super::RenderArgs;
 use super::camera::warn_of_small_radii;
+use crate::kinds;
 
 /// A scene from one place.
 pub(super) struct Shot {
@@ -20,6 +19,8 @@ pub(super) struct Shot {
     pub(super) path: Option<CameraPath>,
     pub(super) settings: RenderSettings,
     pub(super) development: Development,
+    /// Every file that it was read from.
+    pub(super) files: Vec<PathBuf>,
 }
 
 impl Shot {
@@ -34,18 +35,21 @@ impl Shot {
         if args.camera.is_given() {
             bail!("the camera stands in {}; change it there", args.input.display());
         }
-        let SceneFile { scene, camera, path, mut settings, mut development } = SceneFile::load(&args.input)?;
+        let SceneFile { scene, camera, path, mut settings, mut development, mut files } =
+            SceneFile::load(&args.input)?;
         args.picture.apply(&mut settings, &mut development);
-        Ok(Self { scene, camera, path, settings, development })
+        files.push(args.input.clone());
+        Ok(Self { scene, camera, path, settings, development, files })
     }
 
     fn of_cloud(args: &RenderArgs) -> Result<Self> {
-        let cloud = Arc::new(Cloud::open(&args.input)?);
+        let cloud = kinds::open_cloud(&args.input)?;
         let (mut settings, mut development) = (args.look.settings()?, Development::default());
         args.picture.apply(&mut settings, &mut development);
         let camera = args.camera.camera(cloud.header(), settings)?;
         warn_of_small_radii(cloud.header(), &camera, settings);
-        Ok(Self { scene: args.look.scene(&cloud)?, path: None, camera, settings, development })
+        let (scene, files) = (args.look.scene(&cloud)?, vec![args.input.clone()]);
+        Ok(Self { scene, path: None, camera, settings, development, files })
     }
 
     /// The camera, turned about the middle of the scene.

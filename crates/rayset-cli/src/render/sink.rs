@@ -1,11 +1,10 @@
 //! Where a picture goes.
 
-use std::fs::File;
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use rayset::image::{Band, Development, ExrBands, PngBands};
+use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::scene::RenderSettings;
 use rayset::trace::{Region, Sink};
 
@@ -19,68 +18,77 @@ pub(super) enum Format {
 }
 
 impl Format {
-    pub(super) fn of(path: &Path) -> Result<Self> {
-        match path.extension().map(|e| e.to_string_lossy().to_lowercase()).as_deref() {
+    pub(super) fn of(to: &Destination) -> Result<Self> {
+        match to.path().extension().map(|e| e.to_string_lossy().to_lowercase()).as_deref() {
             Some("png") => Ok(Self::Png),
-            Some("exr") => Ok(Self::Exr),
-            _ => bail!("--output {}: the name of a picture ends in .png or .exr", path.display()),
+            Some("exr") => {
+                to.require_file()?;
+                Ok(Self::Exr)
+            }
+            // Pipes and devices are seldom called after pictures.
+            _ if to.is_stream() => Ok(Self::Png),
+            _ => bail!("--output {}: the name of a picture ends in .png or .exr", to.path().display()),
         }
     }
 }
 
-/// Writes bands to a file beside its name, which it gets when it is whole.
+/// Writes bands to a file that gets its name when it is whole.
 pub(super) struct PictureSink {
+    // Dropped before the file: an encoder writes when it goes.
     encoder: Encoder,
-    partial: PathBuf,
-    path: PathBuf,
+    file: OutputFile,
     meter: Meter,
 }
 
 enum Encoder {
-    Png(Box<PngBands<BufWriter<File>>>),
+    Png(Box<PngBands<BufWriter<OutputWriter>>>),
     Exr(ExrBands),
 }
 
 impl PictureSink {
     pub(super) fn create(
-        path: &Path,
+        to: &Destination,
         region: &Region,
         settings: &RenderSettings,
         development: Development,
     ) -> Result<Self> {
-        let name = path.file_name().context("--output names no file")?.to_string_lossy();
-        let partial = path.with_file_name(format!(".{name}.partial"));
-        let file = File::create(&partial).with_context(|| format!("cannot write {}", path.display()))?;
-        let output = BufWriter::new(file);
+        let doing = || format!("cannot write {}", to.path().display());
+        let format = Format::of(to)?;
+        let file = OutputFile::create(to)?;
+        let output = BufWriter::new(file.writer());
         let (width, height) = (region.columns.len() as u32, region.rows.len() as u32);
-        let encoder = match Format::of(path)? {
-            Format::Png => Encoder::Png(Box::new(PngBands::new(output, width, height, development)?)),
+        let encoder = match format {
+            Format::Png => {
+                let png = PngBands::new(output, width, height, development).with_context(doing)?;
+                Encoder::Png(Box::new(png))
+            }
             Format::Exr => {
                 let corner = (region.columns.start, region.rows.start);
                 let whole = (settings.width, settings.height);
-                Encoder::Exr(ExrBands::new(output, (width, height), corner, whole)?)
+                Encoder::Exr(ExrBands::new(output, (width, height), corner, whole).with_context(doing)?)
             }
         };
-        Ok(Self { encoder, partial, path: path.to_owned(), meter: Meter::new("pixels", false) })
+        Ok(Self { encoder, file, meter: Meter::new("pixels", false) })
     }
 
     pub(super) fn finish(self) -> Result<()> {
         self.meter.finish();
+        let doing = || format!("cannot write {}", self.file.destination().path().display());
         match self.encoder {
-            Encoder::Png(png) => png.finish()?,
-            Encoder::Exr(exr) => exr.finish()?,
+            Encoder::Png(png) => png.finish().with_context(doing)?,
+            Encoder::Exr(exr) => exr.finish().with_context(doing)?,
         }
-        std::fs::rename(&self.partial, &self.path)
-            .with_context(|| format!("cannot write {}", self.path.display()))
+        Ok(self.file.publish()?)
     }
 }
 
 impl Sink for PictureSink {
     fn band(&mut self, band: &Band) -> Result<(), String> {
-        match &mut self.encoder {
+        let written = match &mut self.encoder {
             Encoder::Png(png) => png.write(band).map_err(|e| e.to_string()),
             Encoder::Exr(exr) => exr.write(band).map_err(|e| e.to_string()),
-        }
+        };
+        written.map_err(|e| format!("{}: {e}", self.file.destination().path().display()))
     }
 
     fn progress(&mut self, done: u64, total: u64) -> bool {

@@ -9,6 +9,8 @@ mod build_is_pure;
 mod columns;
 mod common;
 mod edges;
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+mod faults;
 mod figures;
 mod format;
 mod golden;
@@ -18,10 +20,14 @@ mod house;
 mod interrupted;
 mod layers;
 mod memory;
+mod outputs;
 mod program;
 mod readers;
 mod right_picture;
 mod same_picture;
 mod schema;
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+mod tracer;
+mod words;
 mod working_set;
 mod wrong_scenes;

@@ -20,7 +20,7 @@ pub enum OpenError {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// It is a folder, a device or a pipe.
     #[error("{} is not a regular file", path.display())]
@@ -34,7 +34,7 @@ pub enum OpenError {
         /// The file.
         path: PathBuf,
         /// What is wrong, and where.
-        source: HeaderError,
+        r#source: HeaderError,
     },
     /// The file is shorter or longer than its header says.
     #[error("{}: {found} bytes where the header says {expected}; the file is incomplete or has been appended to",

@@ -2,7 +2,6 @@
 //! the slices that it needs are there.
 
 use std::collections::VecDeque;
-use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -14,7 +13,8 @@ use crate::container::{
     BLOCK_BYTES, FileKind, Identity, PAGE_CHECKSUM_AT, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind,
     seal_file,
 };
-use crate::spill::{Spill, partial_path, publish, remove_leftovers};
+use crate::output::{Destination, OutputError, OutputFile, OutputWriter, remove_leftovers};
+use crate::spill::Spill;
 
 /// Why no grid was built.
 #[derive(Debug, thiserror::Error)]
@@ -23,13 +23,16 @@ pub enum GridBuildError {
     /// The input.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The output.
+    /// The output cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// The system refused to write to it.
     #[error("cannot write {}: {source}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// A temporary file.
     #[error("temporary file in {}: {source}", folder.display())]
@@ -37,7 +40,7 @@ pub enum GridBuildError {
         /// Where it is.
         folder: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// Not even a single brick and the buffers fit.
     #[error("{needed} bytes of memory are needed, {budget} may be used")]
@@ -88,34 +91,29 @@ pub fn build(
 ) -> Result<GridHeader, GridBuildError> {
     let mut header = header_of(&source)?;
     let room = Room::divide(options.memory_bytes, &header)?;
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let folder = options.temp_dir.clone().unwrap_or_else(|| parent.to_owned());
+    let destination = Destination::new(path)?;
+    destination.require_file()?;
+    destination.refuse_inputs([source.data_path()])?;
+    let folder = options.temp_dir.clone().unwrap_or_else(|| destination.folder().to_owned());
     let temporary = |source| GridBuildError::Temporary { folder: folder.clone(), source };
-    remove_leftovers(path, &folder).map_err(temporary)?;
+    let file = OutputFile::create(&destination)?;
+    remove_leftovers(&folder, &destination);
     let held = if room.holds_slices {
         Held::Memory(VecDeque::new())
     } else {
         let places = header.kind.brick_voxels() as u64;
-        Held::Disk { file: Spill::create(path, &folder).map_err(temporary)?, places }
+        Held::Disk { file: Spill::create(&destination, &folder).map_err(temporary)?, places }
     };
-    let partial = partial_path(path);
-    let wrong = |source| GridBuildError::Write { path: path.to_owned(), source };
     let slices = Slices::new(&header, held);
-    let outcome = Writer::create(&partial, &header).map_err(wrong).and_then(|writer| {
-        let failed = |failure| match failure {
-            Failure::Slices(SliceError::Read(error)) => error.into(),
-            Failure::Slices(SliceError::Spill(error)) => temporary(error),
-            Failure::Write(error) => wrong(error),
-        };
-        write(&mut source, slices, room.bricks_at_once, writer, &mut header, progress).map_err(failed)
-    });
-    match outcome.and_then(|()| publish(&partial, path).map_err(wrong)) {
-        Ok(()) => Ok(header),
-        Err(error) => {
-            let _ = std::fs::remove_file(&partial);
-            Err(error)
-        }
-    }
+    let failed = |failure| match failure {
+        Failure::Slices(SliceError::Read(error)) => error.into(),
+        Failure::Slices(SliceError::Spill(error)) => temporary(error),
+        Failure::Write(source) => GridBuildError::Write { path: path.to_owned(), source },
+    };
+    let writer = Writer::create(&file, &header).map_err(|e| failed(Failure::Write(e)))?;
+    write(&mut source, slices, room.bricks_at_once, writer, &mut header, progress).map_err(failed)?;
+    file.publish()?;
+    Ok(header)
 }
 
 /// How memory is divided.
@@ -250,9 +248,9 @@ fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut 
 
 /// The file as it grows: bricks one after another, and pages of their ranges behind where the bricks will end.
 struct Writer {
-    bricks: BufWriter<File>,
+    bricks: BufWriter<OutputWriter>,
     /// A second place to write, and to read, in the same file.
-    ranges: File,
+    ranges: OutputWriter,
     /// The brick to be written.
     page: Vec<u8>,
     range_page: Vec<u8>,
@@ -262,10 +260,10 @@ struct Writer {
 }
 
 impl Writer {
-    fn create(partial: &Path, header: &GridHeader) -> io::Result<Self> {
-        let mut bricks = BufWriter::with_capacity(1 << 20, File::create(partial)?);
+    fn create(file: &OutputFile, header: &GridHeader) -> io::Result<Self> {
+        let mut bricks = BufWriter::with_capacity(1 << 20, file.writer());
         bricks.write_all(&[0; BLOCK_BYTES])?;
-        let mut ranges = OpenOptions::new().read(true).write(true).open(partial)?;
+        let mut ranges = file.writer();
         ranges.seek(SeekFrom::Start(header.page_offset(header.brick_pages())))?;
         Ok(Self {
             bricks,
@@ -309,7 +307,7 @@ impl Writer {
         if self.ranges_in_page > 0 {
             self.end_range_page()?;
         }
-        let mut file = self.bricks.into_inner().map_err(io::IntoInnerError::into_error)?;
+        self.bricks.flush()?;
         let (bricks, ranges) = (header.brick_pages(), header.range_pages());
         let pages = [
             (SectionKind::VOXELS, bricks as u32, identify(&mut self.ranges, header, 0..bricks)?),
@@ -321,7 +319,7 @@ impl Writer {
         ];
         let sections = [(SectionKind::GRID, header.encode())];
         let whole = seal_file(
-            &mut file,
+            &mut self.bricks,
             FileKind::Grid,
             header.identity,
             PAGE_BYTES as u32,
@@ -330,7 +328,7 @@ impl Writer {
             &header.metadata(),
         )?;
         header.file_bytes = whole.file_bytes;
-        file.sync_all()
+        self.bricks.flush()
     }
 }
 
@@ -339,7 +337,7 @@ impl Writer {
 ///
 /// A CRC of two parts follows from those of both, so the pages need not be read again: the checksum is that over the
 /// identity followed by the rest of the page. What stood for the identity before were sixteen zeros.
-fn identify(file: &mut File, header: &GridHeader, pages: Range<u64>) -> io::Result<u32> {
+fn identify(file: &mut OutputWriter, header: &GridHeader, pages: Range<u64>) -> io::Result<u32> {
     let rest_bytes = PAGE_BYTES - 4;
     let before = Identity::default().seed();
     // The CRC is affine: exchanging what precedes the page adds the same term to the checksum of every page.

@@ -37,7 +37,7 @@ pub enum GridScanError {
         /// Its place.
         offset: u64,
         /// What is wrong.
-        source: PageError,
+        r#source: PageError,
     },
 }
 

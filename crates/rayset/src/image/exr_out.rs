@@ -3,7 +3,7 @@
 //! One part of 32-bit channels in scan lines, compressed by ZIP in blocks of 16 rows; layers are told by the names of
 //! their channels, as is the custom ("Technical Introduction to OpenEXR", section on layers).
 
-use std::io::{Seek, Write};
+use std::io::{self, Seek, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
@@ -21,12 +21,24 @@ use super::{Band, LayerPixel};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExrError {
-    /// The encoder or the system refused.
+    /// The encoder refused.
     #[error("{0}")]
     Encode(String),
+    /// The system refused.
+    #[error(transparent)]
+    Io(#[from] io::Error),
     /// A band without layers came, or bands in another order.
     #[error("bands have to come from the top, with their layers")]
     Band,
+}
+
+impl From<exr::error::Error> for ExrError {
+    fn from(error: exr::error::Error) -> Self {
+        match error {
+            exr::error::Error::Io(error) => Self::Io(error),
+            other => Self::Encode(other.to_string()),
+        }
+    }
 }
 
 /// Rows of a block of ZIP.
@@ -106,7 +118,7 @@ impl ExrBands {
                 Ok(())
             })
         };
-        let writer = std::thread::Builder::new().spawn(write).map_err(|e| ExrError::Encode(e.to_string()))?;
+        let writer = std::thread::Builder::new().spawn(write)?;
         let (width, height) = (size.0, size.1);
         Ok(Self { blocks: Some(blocks), writer: Some(writer), width, height, rows: Vec::new(), first_row: 0 })
     }
@@ -170,7 +182,7 @@ impl ExrBands {
         self.blocks = None;
         let Some(writer) = self.writer.take() else { return Ok(()) };
         match writer.join() {
-            Ok(outcome) => outcome.map_err(|e| ExrError::Encode(e.to_string())),
+            Ok(outcome) => Ok(outcome?),
             Err(_) => Err(ExrError::Encode("the encoder gave up".into())),
         }
     }

@@ -8,12 +8,21 @@ use super::{Band, Development, srgb_from_linear};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PngError {
-    /// The encoder or the system refused.
-    #[error(transparent)]
-    Encode(#[from] png::EncodingError),
+    /// The encoder refused.
+    #[error("{0}")]
+    Encode(String),
     /// The system refused.
     #[error(transparent)]
     Io(#[from] io::Error),
+}
+
+impl From<png::EncodingError> for PngError {
+    fn from(error: png::EncodingError) -> Self {
+        match error {
+            png::EncodingError::IoError(error) => Self::Io(error),
+            other => Self::Encode(other.to_string()),
+        }
+    }
 }
 
 /// Entries of the table from linear light to bytes. Near black a step of it is a tenth of a byte.

@@ -78,7 +78,7 @@ pub enum ScanError {
         /// Its place.
         offset: u64,
         /// What is wrong.
-        source: PageError,
+        r#source: PageError,
     },
 }
 

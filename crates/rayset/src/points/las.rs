@@ -70,6 +70,10 @@ impl PointSource for LasSource {
         Some(self.reader.header().number_of_points())
     }
 
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
     }

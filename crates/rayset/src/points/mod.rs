@@ -116,6 +116,11 @@ pub trait PointSource {
     fn schema(&self) -> &Schema;
     /// Number of points that the file claims to hold; a claim, never trusted for an allocation.
     fn count_hint(&self) -> Option<u64>;
+
+    /// The file that is read, if it is one: an output never replaces it.
+    fn path(&self) -> Option<&Path> {
+        None
+    }
     /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema. Initially none.
     fn select(&mut self, columns: &[usize]);
     /// Replaces the contents of `batch` by up to `limit` further points; leaves it empty at the end.
@@ -153,7 +158,7 @@ pub enum ReadError {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// The file breaks the rules of its own format.
     #[error("{}, {place}: {what}", path.display())]
@@ -173,7 +178,7 @@ pub enum ReadError {
         /// Index of the first point of the batch that failed.
         point: u64,
         /// The decoder's reason.
-        source: Box<::las::Error>,
+        r#source: Box<::las::Error>,
     },
     /// The LAS or LAZ decoder gave up on damaged data.
     #[error("{}, point {point}: the compressed data is damaged", path.display())]

@@ -291,6 +291,10 @@ impl PointSource for PlySource {
         Some(self.vertex.count)
     }
 
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
         self.targets = (self.vertex.properties.iter().zip(&self.property_columns))

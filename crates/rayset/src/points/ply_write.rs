@@ -1,19 +1,21 @@
 //! Binary little-endian PLY out, for generated points.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
-use std::path::Path;
 
 use super::PointBatch;
+use crate::output::{Destination, OutputError, OutputFile, OutputWriter};
 
-/// Digits reserved in the header for the number of points, which is known only at the end.
+/// Digits reserved in the header for the number of points.
 const COUNT_WIDTH: usize = 20;
 
-/// Writes points as `float x, y, z` and one `float` (colours: `uchar`) a column.
+/// Writes points as `float x, y, z` and one `float` (colours: `uchar`) a column. The file has its name when it is whole.
 #[derive(Debug)]
 pub struct PlyWriter {
-    output: BufWriter<File>,
+    buffer: BufWriter<OutputWriter>,
+    file: OutputFile,
     count_at: u64,
+    /// What the header says at first.
+    expected: u64,
     count: u64,
     is_color: Vec<bool>,
 }
@@ -21,38 +23,56 @@ pub struct PlyWriter {
 impl PlyWriter {
     /// Creates the file and writes its header. Colour columns (`red`, `green`, `blue`) take values from 0 to 1.
     ///
+    /// The number of points stands in the header. It is written again in the end if it is another one than `expected`; a
+    /// pipe cannot be gone back in, so there `expected` has to be right.
+    ///
     /// # Errors
-    /// What the system says.
-    pub fn create(path: &Path, attributes: &[String]) -> io::Result<Self> {
-        let mut output = BufWriter::with_capacity(1 << 20, File::create(path)?);
-        let start = "ply\nformat binary_little_endian 1.0\nelement vertex ";
-        writeln!(output, "{start}{:>COUNT_WIDTH$}", 0)?;
+    /// [`OutputError::Io`].
+    pub fn create(to: &Destination, attributes: &[String], expected: u64) -> Result<Self, OutputError> {
+        let file = OutputFile::create(to)?;
+        let buffer = BufWriter::with_capacity(1 << 20, file.writer());
         let is_color: Vec<bool> =
             attributes.iter().map(|a| matches!(a.as_str(), "red" | "green" | "blue")).collect();
+        let mut writer = Self { buffer, file, count_at: 0, expected, count: 0, is_color };
+        match writer.header(attributes) {
+            Ok(()) => Ok(writer),
+            Err(source) => Err(writer.failed(source)),
+        }
+    }
+
+    fn header(&mut self, attributes: &[String]) -> io::Result<()> {
+        let start = "ply\nformat binary_little_endian 1.0\nelement vertex ";
+        self.count_at = start.len() as u64;
+        let output = &mut self.buffer;
+        writeln!(output, "{start}{:>COUNT_WIDTH$}", self.expected)?;
         for axis in ["x", "y", "z"] {
             writeln!(output, "property float {axis}")?;
         }
-        for (name, color) in attributes.iter().zip(&is_color) {
+        for (name, color) in attributes.iter().zip(&self.is_color) {
             writeln!(output, "property {} {name}", if *color { "uchar" } else { "float" })?;
         }
-        writeln!(output, "end_header")?;
-        Ok(Self { output, count_at: start.len() as u64, count: 0, is_color })
+        writeln!(output, "end_header")
     }
 
     /// Appends a batch whose columns are those of [`create`](Self::create).
     ///
     /// # Errors
-    /// What the system says.
-    pub fn write(&mut self, batch: &PointBatch) -> io::Result<()> {
+    /// [`OutputError::Io`].
+    pub fn write(&mut self, batch: &PointBatch) -> Result<(), OutputError> {
+        self.records(batch).map_err(|source| self.failed(source))
+    }
+
+    fn records(&mut self, batch: &PointBatch) -> io::Result<()> {
+        let output = &mut self.buffer;
         for (i, p) in batch.position.iter().enumerate() {
             for axis in p {
-                self.output.write_all(&(*axis as f32).to_le_bytes())?;
+                output.write_all(&(*axis as f32).to_le_bytes())?;
             }
             for (column, color) in batch.columns.iter().zip(&self.is_color) {
                 if *color {
-                    self.output.write_all(&[(column.get(i).clamp(0.0, 1.0) * 255.0).round() as u8])?;
+                    output.write_all(&[(column.get(i).clamp(0.0, 1.0) * 255.0).round() as u8])?;
                 } else {
-                    self.output.write_all(&(column.get(i) as f32).to_le_bytes())?;
+                    output.write_all(&(column.get(i) as f32).to_le_bytes())?;
                 }
             }
         }
@@ -60,14 +80,25 @@ impl PlyWriter {
         Ok(())
     }
 
-    /// Writes the number of points into the header and flushes.
+    /// Puts the number of points right, and gives the file its name. Returns the number.
     ///
     /// # Errors
-    /// What the system says.
-    pub fn finish(mut self) -> io::Result<u64> {
-        self.output.seek(SeekFrom::Start(self.count_at))?;
-        write!(self.output, "{:>COUNT_WIDTH$}", self.count)?;
-        self.output.flush()?;
+    /// [`OutputError::Io`].
+    pub fn finish(mut self) -> Result<u64, OutputError> {
+        self.end().map_err(|source| self.failed(source))?;
+        self.file.publish()?;
         Ok(self.count)
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        if self.count != self.expected {
+            self.buffer.seek(SeekFrom::Start(self.count_at))?;
+            write!(self.buffer, "{:>COUNT_WIDTH$}", self.count)?;
+        }
+        self.buffer.flush()
+    }
+
+    fn failed(&self, source: io::Error) -> OutputError {
+        OutputError::Io { action: "write", path: self.file.destination().path().to_owned(), source }
     }
 }

@@ -177,6 +177,10 @@ impl PointSource for TextSource {
         None
     }
 
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.targets.fill(None);
         for (target, &column) in columns.iter().enumerate() {

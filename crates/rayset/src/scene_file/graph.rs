@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::SceneFileError;
 use super::preset::Preset;
-use super::reader::{Cursor, Object, beside, nearest};
+use super::reader::{Cursor, Object, nearest};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use crate::grid::{self, Grid};
@@ -255,7 +255,7 @@ impl<'a> GraphReader<'a> {
 
     /// Opens a grid file, once for all nodes that name it.
     fn open_grid(&mut self, at: &Cursor<'a>) -> Result<Arc<Grid>, SceneFileError> {
-        let path = beside(at.document.file, at.text()?);
+        let path = at.document.beside(at.text()?);
         let key =
             path.canonicalize().map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))?;
         if let Some(grid) = self.grids.get(&key) {
@@ -269,7 +269,7 @@ impl<'a> GraphReader<'a> {
 
     /// Opens a cloud file, once for all nodes that name it.
     fn open(&mut self, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
-        let path = beside(at.document.file, at.text()?);
+        let path = at.document.beside(at.text()?);
         let key =
             path.canonicalize().map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))?;
         if let Some(cloud) = self.clouds.get(&key) {

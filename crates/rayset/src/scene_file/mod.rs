@@ -10,6 +10,7 @@ mod preset;
 mod reader;
 mod view;
 
+use std::cell::RefCell;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -37,6 +38,8 @@ pub struct SceneFile {
     pub settings: RenderSettings,
     /// From light to the picture's numbers.
     pub development: Development,
+    /// Files that it names: clouds, grids and colour-map presets.
+    pub files: Vec<PathBuf>,
 }
 
 /// What is wrong with a scene file, and where.
@@ -65,7 +68,7 @@ pub enum LoadError {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: std::io::Error,
+        r#source: std::io::Error,
     },
     /// Something in the file.
     #[error(transparent)]
@@ -93,7 +96,7 @@ impl SceneFile {
     /// # Errors
     /// [`SceneFileError`] that names line, column, key and what was expected.
     pub fn parse(path: &Path, text: &str) -> Result<Self, SceneFileError> {
-        let document = Document { file: path, text };
+        let document = Document { file: path, text, named: RefCell::default() };
         let value = document.parse()?;
         let whole = Cursor::root(&document, &value);
         let known = [
@@ -132,7 +135,8 @@ impl SceneFile {
         })?;
         let camera = view::camera(&file, &bounds, &settings)?;
         let path = view::path(&file, &bounds, &settings)?;
-        Ok(Self { scene, camera, path, settings, development })
+        let files = document.named.take().into_iter().collect();
+        Ok(Self { scene, camera, path, settings, development, files })
     }
 }
 

@@ -5,7 +5,7 @@
 use serde_json::Value;
 
 use super::SceneFileError;
-use super::reader::{Cursor, beside};
+use super::reader::Cursor;
 use crate::scene::{ColorMap, Palette};
 
 /// A map of a preset file.
@@ -19,7 +19,7 @@ impl Preset {
     pub(super) fn load(at: &Cursor<'_>) -> Result<Self, SceneFileError> {
         let object = at.object(&["file", "name"])?;
         let file_at = object.require("file")?;
-        let path = beside(at.document.file, file_at.text()?);
+        let path = at.document.beside(file_at.text()?);
         let wrong = |what: String| file_at.error(format!("{}: {what}", path.display()));
         let text = std::fs::read_to_string(&path).map_err(|e| wrong(format!("cannot read it: {e}")))?;
         let value: Value =

@@ -1,6 +1,8 @@
 //! Reading a JSON document strictly: every value is asked for by type, every key has to be known, and whatever is wrong
 //! says where it stands and what was expected.
 
+use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
@@ -14,9 +16,18 @@ use crate::geometry::DVec3;
 pub(super) struct Document<'a> {
     pub(super) file: &'a Path,
     pub(super) text: &'a str,
+    /// Every file that was looked for at its word.
+    pub(super) named: RefCell<BTreeSet<PathBuf>>,
 }
 
 impl Document<'_> {
+    /// The file that the scene names.
+    pub(super) fn beside(&self, name: &str) -> PathBuf {
+        let path = self.file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name));
+        self.named.borrow_mut().insert(path.clone());
+        path
+    }
+
     /// Parses the text.
     pub(super) fn parse(&self) -> Result<Value, SceneFileError> {
         let value = serde_json::from_str(self.text).map_err(|e| {
@@ -261,11 +272,6 @@ impl<'a> Object<'a> {
     ) -> Result<T, SceneFileError> {
         self.get(key).map_or(Ok(default), |cursor| read(&cursor))
     }
-}
-
-/// A path that a scene file names.
-pub(super) fn beside(file: &Path, name: &str) -> PathBuf {
-    file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name))
 }
 
 /// The word that is most like another, where one is like it at all.

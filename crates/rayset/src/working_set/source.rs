@@ -76,7 +76,7 @@ pub enum PageFault {
         /// Its place.
         offset: u64,
         /// The system's reason.
-        source: Arc<io::Error>,
+        r#source: Arc<io::Error>,
     },
     /// The page is damaged.
     #[error("{name}, byte {offset} (page {page}): {what}")]

@@ -27,7 +27,7 @@ pub enum ReadError {
         /// The file.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
     /// The file ends early, or is damaged.
     #[error("{}, byte {offset} of the voxels: {what}", path.display())]
@@ -156,6 +156,12 @@ impl VolumeSource {
     pub fn is_volume(path: &Path) -> bool {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
         [".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz", ".vti"].iter().any(|end| name.ends_with(end))
+    }
+
+    /// The file that voxels are read from; headers may stand in another.
+    #[must_use]
+    pub fn data_path(&self) -> &Path {
+        &self.path
     }
 
     fn new(path: &Path, described: Described, data: Box<dyn Read + Send>) -> Self {

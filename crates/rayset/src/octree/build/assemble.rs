@@ -3,9 +3,8 @@
 //! The order of nodes in their pages is that in which they are finished: every group of siblings stands after all
 //! its descendants, so that a reference only ever points backwards.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::ingest::Ingested;
 use super::partition::Assemble;
@@ -20,7 +19,8 @@ use crate::geometry::DVec3;
 use crate::octree::format::{Column, ColumnLayout, Header, NodeRef, least_page_bytes};
 use crate::octree::node::{NODE_BYTES, Node, RunRange, nodes_per_page, to_cell_units};
 use crate::octree::page::{RUN_HEAD_BYTES, RootCell, RunHead};
-use crate::spill::{Spill, partial_path, publish};
+use crate::output::{OutputFile, OutputWriter};
+use crate::spill::Spill;
 
 /// Below this many points pages are smaller, so that the last ones waste less.
 const SMALL_CLOUD_POINTS: u64 = 500_000;
@@ -70,58 +70,45 @@ pub(super) struct Assembler {
     temp_dir: PathBuf,
 }
 
-/// The growing file; removed when dropped before it is whole.
+/// The growing file, through a buffer.
 struct Output {
-    file: Option<BufWriter<File>>,
-    partial: PathBuf,
-}
-
-impl Drop for Output {
-    fn drop(&mut self) {
-        if self.file.take().is_some() {
-            let _ = std::fs::remove_file(&self.partial);
-        }
-    }
+    buffer: BufWriter<OutputWriter>,
+    file: OutputFile,
 }
 
 impl Output {
-    fn create(path: &Path) -> Result<Self, BuildError> {
-        let partial = partial_path(path);
-        let file = File::create(&partial).map_err(|source| BuildError::Io {
-            action: "create",
-            path: partial.clone(),
-            source,
-        })?;
-        Ok(Self { file: Some(BufWriter::with_capacity(1 << 20, file)), partial })
+    fn new(file: OutputFile) -> Self {
+        Self { buffer: BufWriter::with_capacity(1 << 20, file.writer()), file }
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), BuildError> {
-        self.with(|file| file.write_all(bytes))
+        self.with(|buffer| buffer.write_all(bytes))
     }
 
-    fn with(&mut self, f: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), BuildError> {
-        let file = self.file.as_mut().expect("used only before the file is finished");
-        f(file).map_err(|source| BuildError::Io { action: "write", path: self.partial.clone(), source })
+    fn with(
+        &mut self,
+        f: impl FnOnce(&mut BufWriter<OutputWriter>) -> io::Result<()>,
+    ) -> Result<(), BuildError> {
+        f(&mut self.buffer).map_err(|source| BuildError::Io {
+            action: "write",
+            path: self.file.destination().path().to_owned(),
+            source,
+        })
     }
 
     /// Makes the file durable and gives it its name.
-    fn publish(mut self, path: &Path) -> Result<(), BuildError> {
-        self.with(|file| {
-            file.flush()?;
-            file.get_ref().sync_all()
-        })?;
-        publish(&self.partial, path).map_err(|source| BuildError::Io {
-            action: "rename the finished file to",
-            path: path.into(),
-            source,
-        })?;
-        self.file = None;
-        Ok(())
+    fn publish(mut self) -> Result<(), BuildError> {
+        self.with(BufWriter::flush)?;
+        Ok(self.file.publish()?)
     }
 }
 
 impl Assembler {
-    pub(super) fn create(context: &Context<'_>, ingested: &Ingested) -> Result<Self, BuildError> {
+    pub(super) fn create(
+        context: &Context<'_>,
+        ingested: &Ingested,
+        file: OutputFile,
+    ) -> Result<Self, BuildError> {
         let small = ingested.count < SMALL_CLOUD_POINTS;
         let default_bytes = if small { 16 << 10 } else { 32 << 10 };
         let (radius, weight) = ingested.columns();
@@ -137,7 +124,7 @@ impl Assembler {
             Some(bytes) => bytes as usize,
             None => default_bytes.max(least),
         };
-        let mut output = Output::create(context.output)?;
+        let mut output = Output::new(file);
         output.write(&[0; BLOCK_BYTES])?;
         Ok(Self {
             output,
@@ -322,7 +309,7 @@ impl Assembler {
             header.file_bytes = whole.file_bytes;
             Ok(())
         })?;
-        self.output.publish(context.output)?;
+        self.output.publish()?;
         Ok(header)
     }
 

@@ -26,8 +26,9 @@ use self::partition::{Partition, Region};
 use self::record::KeyMaker;
 use super::format::{Column, MAX_ATTRIBUTES, NAME_BYTES};
 use crate::container::MAX_PAGE_BYTES;
+use crate::output::{Destination, OutputError, OutputFile, remove_leftovers};
 use crate::points::{PointSource, ReadError};
-use crate::spill;
+use crate::spill::Spill;
 
 /// Where a number of each point comes from.
 #[derive(Clone, Debug, PartialEq)]
@@ -240,7 +241,7 @@ pub enum BuildError {
     /// The input could not be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The output or a temporary file could not be written.
+    /// A temporary file could not be written or read.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// What was attempted.
@@ -248,8 +249,11 @@ pub enum BuildError {
         /// The file, or the folder of the temporary files.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        r#source: io::Error,
     },
+    /// The output cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// No input was given.
     #[error("no input files")]
     NoInput,
@@ -321,7 +325,7 @@ pub enum BuildError {
 
 /// What every stage of one build shares.
 struct Context<'a> {
-    output: &'a Path,
+    output: &'a Destination,
     temp_dir: PathBuf,
     options: &'a BuildOptions,
     progress: &'a dyn Progress,
@@ -332,8 +336,8 @@ impl Context<'_> {
         move |source| BuildError::Io { action, path: self.temp_dir.clone(), source }
     }
 
-    fn spill(&self) -> Result<spill::Spill, BuildError> {
-        spill::Spill::create(self.output, &self.temp_dir).map_err(self.io("create a temporary file in"))
+    fn spill(&self) -> Result<Spill, BuildError> {
+        Spill::create(self.output, &self.temp_dir).map_err(self.io("create a temporary file in"))
     }
 }
 
@@ -348,10 +352,14 @@ pub fn run(
     progress: &dyn Progress,
 ) -> Result<BuildReport, BuildError> {
     check_options(options, &sources)?;
-    let parent = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let temp_dir = options.temp_dir.clone().unwrap_or_else(|| parent.to_owned());
-    let context = Context { output, temp_dir, options, progress };
-    spill::remove_leftovers(output, &context.temp_dir).map_err(context.io("clean up temporary files in"))?;
+    let destination = Destination::new(output)?;
+    destination.require_file()?;
+    destination.refuse_inputs(sources.iter().filter_map(|source| source.path()))?;
+    let temp_dir = options.temp_dir.clone().unwrap_or_else(|| destination.folder().to_owned());
+    // Before any work, so that what cannot be written is known at once.
+    let file = OutputFile::create(&destination)?;
+    remove_leftovers(&temp_dir, &destination);
+    let context = Context { output: &destination, temp_dir, options, progress };
 
     let mut clock = StageClock::start();
     let ingested = ingest::run(&context, sources)?;
@@ -363,7 +371,7 @@ pub fn run(
     } else {
         ingested
     };
-    let mut assembler = Assembler::create(&context, &ingested)?;
+    let mut assembler = Assembler::create(&context, &ingested, file)?;
     order_and_pack(&context, &ingested, &mut assembler)?;
     let header = assembler.finish(&context, &ingested)?;
     clock.lap(Stage::Write);

@@ -48,19 +48,14 @@ impl FileStorage {
 }
 
 impl Storage for FileStorage {
-    #[cfg(unix)]
-    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        std::os::unix::fs::FileExt::read_exact_at(&self.file, buffer, offset)
-    }
-
-    #[cfg(not(unix))]
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let mut done = 0;
         while done < buffer.len() {
-            let at = offset + done as u64;
-            match std::os::windows::fs::FileExt::seek_read(&self.file, &mut buffer[done..], at)? {
-                0 => return Err(io::ErrorKind::UnexpectedEof.into()),
-                n => done += n,
+            match read_at(&self.file, &mut buffer[done..], offset + done as u64) {
+                Ok(0) => return Err(ends_early(offset + done as u64, offset + buffer.len() as u64)),
+                Ok(n) => done += n,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(e),
             }
         }
         Ok(())
@@ -69,4 +64,20 @@ impl Storage for FileStorage {
     fn file(&self) -> Option<&File> {
         Some(&self.file)
     }
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+    std::os::unix::fs::FileExt::read_at(file, buffer, offset)
+}
+
+#[cfg(not(unix))]
+fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+    std::os::windows::fs::FileExt::seek_read(file, buffer, offset)
+}
+
+/// What a file that is shorter than it was or should be comes to.
+fn ends_early(end: u64, wanted: u64) -> io::Error {
+    let what = format!("the file ends at byte {end}, before byte {wanted}, up to which it is needed");
+    io::Error::new(io::ErrorKind::UnexpectedEof, what)
 }

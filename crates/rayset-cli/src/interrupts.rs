@@ -1,0 +1,188 @@
+//! Signals: what is being written is removed, then the process ends, with 128 and the number of the signal as a shell
+//! would say it. A second signal of the same kind ends it at once.
+//!
+//! This state belongs to the process, as signals do.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use anyhow::{Context, Result};
+use rayset::output::Destination;
+
+/// What has to be looked after when a signal comes.
+#[derive(Default)]
+struct Watched {
+    /// Outputs, and the folder of their temporary files if it is another than theirs.
+    outputs: Vec<(Destination, Option<PathBuf>)>,
+    folders: Vec<PathBuf>,
+    /// Number of a process that works for this one.
+    child: Option<u32>,
+}
+
+static WATCHED: Mutex<Watched> =
+    Mutex::new(Watched { outputs: Vec::new(), folders: Vec::new(), child: None });
+
+fn watched() -> MutexGuard<'static, Watched> {
+    WATCHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Has a signal remove what is being written for an output.
+pub(crate) fn watch(output: &Destination, temp_dir: Option<&Path>) {
+    watched().outputs.push((output.clone(), temp_dir.map(Path::to_owned)));
+}
+
+/// Runs a command to its end; a signal ends it, too.
+pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
+    let mut child = command.spawn()?;
+    watched().child = Some(child.id());
+    let status = child.wait();
+    watched().child = None;
+    status
+}
+
+/// A folder for what is needed for a while. It goes when dropped, and at a signal.
+pub(crate) struct TemporaryFolder(PathBuf);
+
+impl TemporaryFolder {
+    /// Where the system has such folders.
+    pub(crate) fn new(purpose: &str) -> Result<Self> {
+        Self::within(&std::env::temp_dir(), purpose)
+    }
+
+    /// In another folder.
+    pub(crate) fn within(all: &Path, purpose: &str) -> Result<Self> {
+        let mut number = 0_u32;
+        loop {
+            let path = all.join(format!("rayset-{purpose}-{}-{number}", std::process::id()));
+            // Held while it is made, so that no signal finds it made and not known.
+            let mut watched = watched();
+            match std::fs::create_dir(&path) {
+                Ok(()) => {
+                    watched.folders.push(path.clone());
+                    return Ok(Self(path));
+                }
+                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
+                Err(e) => return Err(e).with_context(|| format!("cannot create {}", path.display())),
+            }
+        }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for TemporaryFolder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+        watched().folders.retain(|path| *path != self.0);
+    }
+}
+
+#[cfg(unix)]
+pub(crate) use self::unix::{install, wait_if_ending};
+
+#[cfg(unix)]
+mod unix {
+    use std::path::PathBuf;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::Duration;
+
+    use anyhow::{Context, Result};
+    use rayset::output::remove_own_partials;
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+    use signal_hook::{flag, iterator::Signals};
+
+    use super::{Watched, watched};
+    use crate::report;
+
+    const SIGNALS: [(i32, &str); 3] = [(SIGINT, "SIGINT"), (SIGTERM, "SIGTERM"), (SIGHUP, "SIGHUP")];
+
+    /// Set as soon as a signal comes, by its handler.
+    static ENDING: AtomicBool = AtomicBool::new(false);
+
+    /// Starts to listen to signals. Those that whoever started this process has had ignored, as `nohup` does, stay so.
+    pub(crate) fn install() -> Result<()> {
+        let doing = "cannot listen to signals";
+        let ignored = ignored_signals();
+        let wanted: Vec<(i32, &str)> =
+            SIGNALS.into_iter().filter(|(signal, _)| ignored & (1 << (signal - 1)) == 0).collect();
+        for &(signal, _) in &wanted {
+            let came = Arc::new(AtomicBool::new(false));
+            // Handlers run in this order: the first signal finds the flag unset.
+            flag::register_conditional_shutdown(signal, 128 + signal, came.clone()).context(doing)?;
+            flag::register(signal, came).context(doing)?;
+        }
+        // At the limit of file sizes a write is to fail instead, and be told of.
+        flag::register(SIGXFSZ, Arc::default()).context(doing)?;
+        let mut signals = Signals::new(wanted.iter().map(|(signal, _)| signal)).context(doing)?;
+        let listen = move || {
+            if let Some(signal) = signals.forever().next() {
+                let name = wanted.iter().find(|(known, _)| *known == signal).map_or("a signal", |(_, n)| n);
+                end(signal, name);
+            }
+        };
+        std::thread::Builder::new()
+            .name("rayset-signals".into())
+            .stack_size(128 << 10)
+            .spawn(listen)
+            .context(doing)?;
+        Ok(())
+    }
+
+    /// Bit n − 1 for signal n, where the system says.
+    fn ignored_signals() -> u64 {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+        mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
+    }
+
+    fn end(signal: i32, name: &str) -> ! {
+        ENDING.store(true, Ordering::SeqCst);
+        // Never given back: what would be watched from now on is not begun.
+        let watched = watched();
+        if let Some(child) = watched.child.and_then(|child| rustix::process::Pid::from_raw(child as i32)) {
+            let _ = rustix::process::kill_process(child, rustix::process::Signal::TERM);
+        }
+        remove(&watched);
+        report::remark(format_args!("ended by {name}; nothing unfinished is left behind"));
+        // Threads have gone on meanwhile.
+        remove(&watched);
+        std::process::exit(128 + signal);
+    }
+
+    fn remove(watched: &Watched) {
+        for (output, temp_dir) in &watched.outputs {
+            remove_own_partials(output, temp_dir.as_deref());
+        }
+        watched.folders.iter().for_each(remove_folder);
+    }
+
+    /// Other threads may put files into it until the process ends.
+    fn remove_folder(path: &PathBuf) {
+        for _ in 0..50 {
+            if std::fs::remove_dir_all(path).is_ok() || !path.exists() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Leaves it to the thread that hears signals to end the process, if one has come: what a command failed of may be that
+    /// its files were taken away.
+    pub(crate) fn wait_if_ending() {
+        while ENDING.load(Ordering::SeqCst) {
+            std::thread::park();
+        }
+    }
+}
+
+#[cfg(not(unix))]
+pub(crate) fn install() -> Result<()> {
+    Ok(())
+}
+
+#[cfg(not(unix))]
+pub(crate) fn wait_if_ending() {}

@@ -1,0 +1,92 @@
+//! What a file is, by its first bytes, so that a wrong one is told what to do with.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use rayset::grid::Grid;
+use rayset::octree::Cloud;
+use rayset::{grid, octree};
+
+/// Bytes of the shortest cloud or grid file: a header and a footer.
+const LEAST_BYTES: u64 = 2 * rayset::container::BLOCK_BYTES as u64;
+
+/// A file that rayset builds.
+pub(crate) enum Built {
+    Cloud(Arc<Cloud>),
+    Grid(Grid),
+}
+
+/// Opens a cloud or a grid.
+pub(crate) fn open(path: &Path) -> Result<Built> {
+    let doing = || format!("cannot open {}", path.display());
+    let metadata = std::fs::metadata(path).with_context(doing)?;
+    if metadata.is_dir() {
+        bail!("{} is a folder; name a cloud or grid file in it", path.display());
+    }
+    if !metadata.is_file() {
+        bail!(
+            "{} is a pipe or a device; a cloud or grid is read in many places and has to be a regular file",
+            path.display()
+        );
+    }
+    let mut head = Vec::new();
+    File::open(path).with_context(doing)?.take(8).read_to_end(&mut head).with_context(doing)?;
+    let is_cloud = head == octree::format::MAGIC;
+    let is_grid = head == grid::format::MAGIC;
+    if (is_cloud || is_grid) && metadata.len() < LEAST_BYTES {
+        bail!(
+            "{} ends at byte {}; a {} file has at least {LEAST_BYTES}: copy or build it again",
+            path.display(),
+            metadata.len(),
+            if is_cloud { "cloud" } else { "grid" }
+        );
+    }
+    if is_cloud {
+        Ok(Built::Cloud(Arc::new(Cloud::open(path)?)))
+    } else if is_grid {
+        Ok(Built::Grid(Grid::open(path)?))
+    } else {
+        bail!("{} is neither a cloud file nor a grid file; {}", path.display(), advice(path, &head));
+    }
+}
+
+/// Opens a cloud.
+pub(crate) fn open_cloud(path: &Path) -> Result<Arc<Cloud>> {
+    match open(path)? {
+        Built::Cloud(cloud) => Ok(cloud),
+        Built::Grid(_) => bail!(
+            "{} is a grid file; grids are rendered as objects of a scene, as in {{\"type\": \"grid\", \"file\": \
+             \"{}\"}}: see docs/scene.md",
+            path.display(),
+            path.file_name().unwrap_or_default().to_string_lossy()
+        ),
+    }
+}
+
+/// What to do with a file that has not been built.
+fn advice(path: &Path, head: &[u8]) -> String {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let name = path.display();
+    let built = path.with_extension("rset");
+    match head {
+        [] => "it is empty".into(),
+        _ if head.iter().all(|&byte| byte == 0) => {
+            "it begins with zeros, as files do that were not finished".into()
+        }
+        [b'{', ..] => {
+            "a scene file has a name that ends in .json, and goes to `rayset check` or `rayset render`".into()
+        }
+        _ => match extension.as_str() {
+            "json" => "a scene goes to `rayset check` or `rayset render`".into(),
+            "png" | "exr" => "it is a picture by its name".into(),
+            "ply" | "las" | "laz" | "xyz" | "txt" | "csv" | "asc" | "pts" | "nrrd" | "nhdr" | "mha"
+            | "mhd" | "nii" | "gz" | "vti" => {
+                format!("build one of it: `rayset build {name} -o {}`", built.display())
+            }
+            _ => "`rayset build` makes one of points or voxels".into(),
+        },
+    }
+}

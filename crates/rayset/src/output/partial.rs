@@ -1,0 +1,171 @@
+//! Files under names of their own, held by locks; and the removal of those that a killed process has left.
+//!
+//! A file is created, locked, and then looked at again under its name: whoever removes leftovers may have taken the lock
+//! first, and the name away. Whoever removes one holds its lock while doing so. So a file that its writer has found under
+//! its name keeps that name until the writer lets go of the lock.
+//!
+//! Some network file systems have no locks. There files are written without, and never removed as leftovers.
+
+use std::ffi::OsStr;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::destination::{Destination, is_same};
+
+/// What a file beside an output is for.
+#[derive(Clone, Copy)]
+pub(crate) enum Purpose {
+    /// It becomes the output.
+    Partial,
+    /// It holds what does not fit in memory.
+    Temporary,
+}
+
+impl Purpose {
+    const ALL: [Self; 2] = [Self::Partial, Self::Temporary];
+
+    /// How names begin.
+    fn prefix(self, output: &OsStr) -> String {
+        let purpose = match self {
+            Self::Partial => "partial",
+            Self::Temporary => "tmp",
+        };
+        format!(".{}.rayset-{purpose}-", short(output))
+    }
+}
+
+/// The name of an output, short enough to be part of another: file systems allow 255 bytes.
+fn short(name: &OsStr) -> String {
+    const MOST_BYTES: usize = 180;
+    let text = name.to_string_lossy();
+    if text.len() <= MOST_BYTES {
+        return text.into_owned();
+    }
+    let end = (0..=MOST_BYTES).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
+    format!("{}~{:08x}", &text[..end], crc32c::crc32c(name.as_encoded_bytes()))
+}
+
+/// The process whose number a name bears after its prefix, if it is such a name: `PROCESS-NUMBER`.
+fn process_of(name: &OsStr, prefix: &str) -> Option<u32> {
+    let (process, number) = name.to_str()?.strip_prefix(prefix)?.split_once('-')?;
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    if digits(number) { process.parse().ok() } else { None }
+}
+
+/// Creates a file in `folder` under a name that is made of `output`'s, and locks it.
+pub(crate) fn create_unique(folder: &Path, output: &OsStr, purpose: Purpose) -> io::Result<(File, PathBuf)> {
+    let prefix = purpose.prefix(output);
+    let process = std::process::id();
+    let mut number = 0_u32;
+    loop {
+        let path = folder.join(format!("{prefix}{process}-{number}"));
+        number = number.wrapping_add(1);
+        let file = match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
+            result => result?,
+        };
+        match hold(&file, &path) {
+            Ok(true) => return Ok((file, path)),
+            // It was taken for a leftover before it was locked.
+            Ok(false) => {}
+            Err(error) => {
+                let _ = std::fs::remove_file(&path);
+                return Err(error);
+            }
+        }
+    }
+}
+
+/// Locks a file that has just been created. False if it has lost its name meanwhile, or is about to.
+fn hold(file: &File, path: &Path) -> io::Result<bool> {
+    match lock(file) {
+        Ok(()) => has_name(file, path),
+        Err(TryLockError::WouldBlock) => Ok(false),
+        Err(TryLockError::Error(e)) if has_no_locks(&e) => Ok(true),
+        Err(TryLockError::Error(e)) => Err(e),
+    }
+}
+
+fn lock(file: &File) -> Result<(), TryLockError> {
+    loop {
+        match file.try_lock() {
+            Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Interrupted => {}
+            result => return result,
+        }
+    }
+}
+
+/// Whether an error says that the file system does not know locks.
+fn has_no_locks(error: &io::Error) -> bool {
+    #[cfg(unix)]
+    let no_locks = error.raw_os_error() == Some(rustix::io::Errno::NOLCK.raw_os_error());
+    #[cfg(not(unix))]
+    let no_locks = false;
+    no_locks || error.kind() == io::ErrorKind::Unsupported
+}
+
+/// Whether an open file is the one under a name.
+fn has_name(file: &File, path: &Path) -> io::Result<bool> {
+    match std::fs::symlink_metadata(path) {
+        Ok(named) => Ok(is_same(&file.metadata()?, &named).unwrap_or(true)),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(e) => Err(e),
+    }
+}
+
+/// Removes from `folder` what killed processes have left of an output. What cannot be removed stays: it is no reason not
+/// to write.
+pub(crate) fn remove_leftovers(folder: &Path, output: &Destination) {
+    for_each_partial(folder, output.file_name(), |path, _| {
+        // Opening would wait, were it a pipe.
+        if !std::fs::symlink_metadata(path)?.is_file() {
+            return Ok(());
+        }
+        let file = OpenOptions::new().read(true).write(true).open(path)?;
+        if lock(&file).is_ok() && has_name(&file, path)? {
+            std::fs::remove_file(path)?;
+        }
+        Ok(())
+    });
+}
+
+/// Removes what this process is writing at the moment for a destination, though it is locked: for a process that is about
+/// to end by a signal. `temp_dir` is where temporary files lie, if not beside the output.
+pub fn remove_own_partials(destination: &Destination, temp_dir: Option<&Path>) {
+    if destination.is_stream() {
+        return;
+    }
+    for folder in std::iter::once(destination.folder()).chain(temp_dir) {
+        for_each_partial(folder, destination.file_name(), |path, process| {
+            // In another container there may be a process of the same number: only what is open here is removed.
+            if process == std::process::id() && is_open_here(path).unwrap_or(true) {
+                std::fs::remove_file(path)?;
+            }
+            Ok(())
+        });
+    }
+}
+
+/// Whether this process has a file open; `None` where the system does not say.
+fn is_open_here(path: &Path) -> Option<bool> {
+    let named = std::fs::symlink_metadata(path).ok()?;
+    let mut files = std::fs::read_dir("/proc/self/fd").ok()?.filter_map(|entry| {
+        let open = std::fs::metadata(entry.ok()?.path()).ok()?;
+        is_same(&open, &named)
+    });
+    Some(files.any(|same| same))
+}
+
+/// Calls `visit` with every file that stands beside an output for it, and the number of the process that wrote it.
+fn for_each_partial(folder: &Path, output: &OsStr, visit: impl Fn(&Path, u32) -> io::Result<()>) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    let prefixes = Purpose::ALL.map(|purpose| purpose.prefix(output));
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        if let Some(process) = prefixes.iter().find_map(|prefix| process_of(&name, prefix)) {
+            // Somebody else may have removed it, or may not let us.
+            let _ = visit(&entry.path(), process);
+        }
+    }
+}

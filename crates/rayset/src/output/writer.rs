@@ -1,0 +1,198 @@
+//! A file that grows beside its name.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::destination::Target;
+use super::partial::{Purpose, create_unique, remove_leftovers};
+use super::{Destination, OutputError};
+
+/// An output that is being written. It gets its name by [`publish`](Self::publish); dropped before, it is removed.
+///
+/// A pipe or a device gets bytes as they are written.
+#[derive(Debug)]
+pub struct OutputFile {
+    destination: Destination,
+    growing: Arc<Growing>,
+    /// `None` for a stream, and once the file has its name.
+    partial: Option<PathBuf>,
+}
+
+/// What all writers of a file share.
+#[derive(Debug)]
+struct Growing {
+    file: File,
+    /// Why bytes are missing. Encoders and buffers that are dropped write on and tell nobody of failures, so these are kept:
+    /// a file of which a write has failed never gets its name.
+    failure: Mutex<Option<io::Error>>,
+}
+
+impl OutputFile {
+    /// Creates a partial file beside the destination, or opens the pipe or device. What killed processes have left of the
+    /// same output is removed.
+    ///
+    /// # Errors
+    /// [`OutputError::Io`].
+    pub fn create(destination: &Destination) -> Result<Self, OutputError> {
+        let io = |source| OutputError::Io { action: "write", path: destination.path().to_owned(), source };
+        let (file, partial) = match &destination.target {
+            Target::Stream => (File::options().write(true).open(destination.path()).map_err(io)?, None),
+            Target::File(_) => {
+                let folder = destination.folder();
+                remove_leftovers(folder, destination);
+                let (file, partial) =
+                    create_unique(folder, destination.file_name(), Purpose::Partial).map_err(io)?;
+                (file, Some(partial))
+            }
+        };
+        let growing = Arc::new(Growing { file, failure: Mutex::default() });
+        Ok(Self { destination: destination.clone(), growing, partial })
+    }
+
+    /// Where it goes.
+    #[must_use]
+    pub fn destination(&self) -> &Destination {
+        &self.destination
+    }
+
+    /// Writes from the beginning on. Several writers of one file keep places of their own.
+    #[must_use]
+    pub fn writer(&self) -> OutputWriter {
+        OutputWriter { growing: self.growing.clone(), is_stream: self.destination.is_stream(), at: 0 }
+    }
+
+    /// Makes the file durable and gives it its name.
+    ///
+    /// # Errors
+    /// [`OutputError::Io`]; what stood under the name is then as it was, unless only the folder could not be made durable.
+    pub fn publish(mut self) -> Result<(), OutputError> {
+        self.give_name().map_err(|source| OutputError::Io {
+            action: "write",
+            path: self.destination.path().to_owned(),
+            source,
+        })
+    }
+
+    fn give_name(&mut self) -> io::Result<()> {
+        if let Some(error) = self.growing.failure.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            return Err(error);
+        }
+        let (Target::File(path), Some(partial)) = (&self.destination.target, &self.partial) else {
+            return Ok(());
+        };
+        self.growing.file.sync_all()?;
+        std::fs::rename(partial, path)?;
+        self.partial = None;
+        sync_folder(self.destination.folder())
+    }
+}
+
+impl Drop for OutputFile {
+    fn drop(&mut self) {
+        if let Some(partial) = self.partial.take()
+            && std::fs::remove_file(&partial).is_err()
+        {
+            // Once more: the first attempt may have been disturbed.
+            let _ = std::fs::remove_file(&partial);
+        }
+    }
+}
+
+/// Makes the names in a folder durable, where the file system knows how to.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    match File::open(folder)?.sync_all() {
+        Err(e) if matches!(e.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => {}
+        result => return result,
+    }
+    let _ = folder;
+    Ok(())
+}
+
+/// A place in an [`OutputFile`] where bytes are written, and read again unless it is a stream, without a buffer.
+#[derive(Debug)]
+pub struct OutputWriter {
+    growing: Arc<Growing>,
+    is_stream: bool,
+    at: u64,
+}
+
+impl OutputWriter {
+    /// Waits until all that was written is on disk.
+    ///
+    /// # Errors
+    /// The system's reason.
+    pub fn sync(&self) -> io::Result<()> {
+        self.growing.file.sync_all()
+    }
+}
+
+impl Write for OutputWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let file = &self.growing.file;
+        let written = if self.is_stream { (&*file).write(bytes) } else { write_at(file, bytes, self.at) };
+        match &written {
+            Ok(count) => self.at += *count as u64,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => {
+                let mut failure = self.growing.failure.lock().unwrap_or_else(PoisonError::into_inner);
+                failure.get_or_insert_with(|| match error.raw_os_error() {
+                    Some(code) => io::Error::from_raw_os_error(code),
+                    None => error.kind().into(),
+                });
+            }
+        }
+        written
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Read for OutputWriter {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let read = read_at(&self.growing.file, bytes, self.at)?;
+        self.at += read as u64;
+        Ok(read)
+    }
+}
+
+impl Seek for OutputWriter {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let target = match to {
+            SeekFrom::Start(at) => Some(at),
+            SeekFrom::Current(by) => self.at.checked_add_signed(by),
+            SeekFrom::End(by) => self.growing.file.metadata()?.len().checked_add_signed(by),
+        };
+        let target = target.ok_or(io::ErrorKind::InvalidInput)?;
+        if self.is_stream && target != self.at {
+            let what = "a pipe or a device cannot be written in several places";
+            return Err(io::Error::new(io::ErrorKind::NotSeekable, what));
+        }
+        self.at = target;
+        Ok(target)
+    }
+}
+
+#[cfg(unix)]
+fn write_at(file: &File, bytes: &[u8], at: u64) -> io::Result<usize> {
+    std::os::unix::fs::FileExt::write_at(file, bytes, at)
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, bytes: &mut [u8], at: u64) -> io::Result<usize> {
+    std::os::unix::fs::FileExt::read_at(file, bytes, at)
+}
+
+#[cfg(not(unix))]
+fn read_at(file: &File, bytes: &mut [u8], at: u64) -> io::Result<usize> {
+    std::os::windows::fs::FileExt::seek_read(file, bytes, at)
+}
+
+#[cfg(not(unix))]
+fn write_at(file: &File, bytes: &[u8], at: u64) -> io::Result<usize> {
+    std::os::windows::fs::FileExt::seek_write(file, bytes, at)
+}
