@@ -11,6 +11,7 @@ mod edges;
 mod figures;
 mod golden;
 mod graph;
+mod grid_borders;
 mod grids;
 mod house;
 mod interrupted;
