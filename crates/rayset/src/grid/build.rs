@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use super::read::{ReadError, VolumeSource};
 use super::slices::{Held, PIECE_BYTES, SliceError, Slices, Window};
+use crate::geometry::DAffine3;
 use crate::octree::format::{BLOCK_BYTES, Footer, PAGE_HEAD_BYTES, PageHead, PageKind, stored_page_checksum};
 use crate::spill::{Spill, partial_path, publish, remove_leftovers};
 
@@ -154,13 +155,24 @@ fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
         format!("a grid of {:?} voxels: 2 to 16777216 are needed along each axis", source.size)
     } else if header.pages() > u64::from(u32::MAX) {
         "the grid has more than 4294967295 bricks".into()
-    } else if !(source.space_from_voxel.matrix3.determinant().abs() > 0.0) {
-        "the axes of the grid are not independent, or a spacing is 0".into()
+    } else if !invertible(&source.space_from_voxel) {
+        "the axes of the grid are not independent, a spacing is 0, or a number is not finite".into()
+    } else if !source.scale.is_finite() || !source.offset.is_finite() {
+        "the scale or the offset of the values is not a finite number".into()
     } else {
         header.file_bytes = header.expected_file_bytes();
         return Ok(header);
     };
     Err(GridBuildError::Grid { what })
+}
+
+/// Whether voxels and space can be told from each other either way.
+fn invertible(space_from_voxel: &DAffine3) -> bool {
+    let determinant = space_from_voxel.matrix3.determinant();
+    space_from_voxel.is_finite()
+        && space_from_voxel.inverse().is_finite()
+        && determinant.is_finite()
+        && determinant != 0.0
 }
 
 enum Failure {
