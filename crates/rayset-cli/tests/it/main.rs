@@ -22,5 +22,8 @@ mod readers;
 mod right_picture;
 mod same_picture;
 mod schema;
+mod volumes;
+mod vti;
+mod vti_text;
 mod working_set;
 mod wrong_scenes;
