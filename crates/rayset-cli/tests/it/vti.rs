@@ -162,7 +162,7 @@ fn a_vti_that_contradicts_itself_is_an_error_that_says_where() {
         ("format=\"ascii\"", "format=\"octal\"", "format: expected ascii"),
         ("format=\"ascii\"", "format=\"appended\" offset=\"0\"", "no AppendedData"),
         ("Name=\"v\"", "Name=\"v\" NumberOfComponents=\"3\"", "NumberOfComponents"),
-        ("Name=\"v\"", "Name=v", "attribute"),
+        ("Name=\"v\"", "Name=v", "well-formed"),
         ("</PointData>", "", "well-formed"),
         ("</VTKFile>", "", "ends within VTKFile"),
         ("</DataArray>", "", "well-formed"),

@@ -54,7 +54,7 @@ impl Tag {
         let mut attributes: Vec<(String, String)> = Vec::new();
         // The parser's own search for attributes that come twice takes time by their number squared.
         for attribute in start.attributes().with_checks(false) {
-            let attribute = attribute.map_err(|error| error.to_string())?;
+            let attribute = attribute.map_err(|error| format!("this is not well-formed XML: {error}"))?;
             let key = attribute.key.as_ref();
             if attributes.len() == MOST_ATTRIBUTES {
                 return Err(format!("more than {MOST_ATTRIBUTES} attributes"));
