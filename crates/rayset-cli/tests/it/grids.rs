@@ -232,7 +232,7 @@ fn the_same_voxels_come_out_of_every_format() {
         format!(
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"ImageData\" byte_order=\"LittleEndian\" header_type=\"UInt32\"{file}>\n\
              <ImageData WholeExtent=\"0 44 0 36 0 51\" Origin=\"1 2 3\" Spacing=\"2 3 4\">\n<Piece Extent=\"0 44 0 36 0 51\">\n\
-             <PointData Scalars=\"v\">\n<DataArray type=\"Int16\" Name=\"v\" {array}</PointData></Piece></ImageData>{tail}"
+             <PointData Scalars=\"v\">\n<DataArray type=\"Int16\" Name=\"v\" {array}</PointData></Piece></ImageData>{tail}</VTKFile>"
         )
     };
     let length = (short.len() as u32).to_le_bytes();
@@ -244,6 +244,7 @@ fn the_same_voxels_come_out_of_every_format() {
     let head: Vec<u8> = head.iter().flat_map(|n| n.to_le_bytes()).collect();
     let compressed = format!("{}{}", base64(&head), base64(&blocks.concat()));
     let appended = vti("", "format=\"appended\" offset=\"0\"/>", "<AppendedData encoding=\"raw\">_");
+    let appended = appended.trim_end_matches("</VTKFile>");
     written(f, "beside.raw", &[&short]);
     let paths = [
         written(f, "a.nrrd", &[nrrd("raw", "little").as_bytes(), &short]),
@@ -304,12 +305,16 @@ fn malformed_volumes_are_errors_that_say_where() {
     for (name, text, expected) in [
         ("a.nrrd", "NRRD0004\ntype: short\nsizes: 4 4\n\n", "line 3, sizes"),
         ("b.nrrd", "P6\n", "line 1"),
-        ("c.nrrd", "NRRD0004\ntype: short\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\n", "ends before"),
+        ("c.nrrd", "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 4 4 4\nencoding: raw\n\n", "ends before"),
         ("d.mha", "ObjectType = Image\nDimSize = 4 4 4\nElementType = MET_FLOUR\n", "line 3, ElementType"),
         ("e.mhd", "DimSize = 4 4 4\n", "ElementDataFile"),
         ("f.nii", "short", "348"),
-        ("g.vti", "<VTKFile><ImageData WholeExtent=\"0 1\">", "six numbers"),
-        ("h.nrrd", "NRRD0004\ntype: short\ndimension: 3\nsizes: 1 4 4\nencoding: raw\n\n", "2 to"),
+        (
+            "g.vti",
+            "<VTKFile><ImageData WholeExtent=\"0 1\"><Piece/></ImageData></VTKFile>",
+            "six whole numbers",
+        ),
+        ("h.nrrd", "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 4 4\nencoding: raw\n\n", "2 to"),
     ] {
         let path = written(f, name, &[text.as_bytes()]);
         let outcome = VolumeSource::open(&path).map_err(|e| e.to_string()).and_then(|source| {

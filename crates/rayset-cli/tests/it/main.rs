@@ -15,6 +15,7 @@ mod figures;
 mod format;
 mod golden;
 mod graph;
+mod grid_borders;
 mod grids;
 mod house;
 mod interrupted;
@@ -28,6 +29,9 @@ mod same_picture;
 mod schema;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
+mod volumes;
+mod vti;
+mod vti_text;
 mod words;
 mod working_set;
 mod wrong_scenes;

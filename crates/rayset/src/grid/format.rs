@@ -230,7 +230,10 @@ impl GridHeader {
     /// Whether the numbers that place the voxels and their values can be used.
     pub(crate) fn check_numbers(&self) -> Result<(), &'static str> {
         let determinant = self.space_from_voxel.matrix3.determinant();
-        let finite = self.space_from_voxel.is_finite() && self.scale.is_finite() && self.offset.is_finite();
+        let finite = self.space_from_voxel.is_finite()
+            && self.space_from_voxel.inverse().is_finite()
+            && self.scale.is_finite()
+            && self.offset.is_finite();
         if !finite || determinant == 0.0 || !determinant.is_finite() {
             return Err("a number of the grid is not finite, or its axes are not independent");
         }

@@ -9,7 +9,7 @@ use super::transfer::ColorTable;
 use crate::container::PAGE_HEAD_BYTES;
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
-use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
+use crate::grid::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, MAX_OPACITY, largest_stretch};
 use crate::working_set::{Object, PageGuard, PagedFiles};
 
@@ -255,10 +255,7 @@ impl GridVolume {
     ) {
         let header = self.object.grid.header();
         let brick = Brick { bytes: &page[PAGE_HEAD_BYTES..PAGE_BYTES], kind: header.kind };
-        let local = place - DVec3::new(first[0] as f64, first[1] as f64, first[2] as f64);
-        let last = local.floor().min((header.last_voxel() - 1.0) - (place - local));
-        let cell = [last.x as usize, last.y as usize, last.z as usize];
-        let within = local - last;
+        let (cell, within) = cell_in_brick(header, place, first);
         let value = header.value(brick.trilinear(cell, within));
         let opacity = self.object.transfer.opacity.opacity_of_value(value, self.unit_distance) as f32;
         if !(opacity > 0.0) && !wants.outside {
@@ -305,6 +302,17 @@ impl GridVolume {
     }
 }
 
+/// The cell of a place, by its first voxel, counted from the first of a brick's; and how far into it the place is, 0 to 1
+/// on each axis. On the last voxel of an axis that is 1 in the last cell.
+///
+/// All differences are of numbers within a cell of each other, or of whole numbers: none is rounded. A place less a
+/// brick's corner would be, and fall into another cell.
+fn cell_in_brick(header: &GridHeader, place: DVec3, first: [i64; 3]) -> ([usize; 3], DVec3) {
+    let cell = place.floor().min(header.last_voxel() - 1.0);
+    let in_brick = std::array::from_fn(|axis| (cell[axis] as i64 - first[axis]) as usize);
+    (in_brick, place - cell)
+}
+
 /// The voxels of a brick.
 struct Brick<'a> {
     bytes: &'a [u8],
@@ -341,5 +349,48 @@ impl Brick<'_> {
             0.5 * (self.trilinear(behind, f) - self.trilinear(before, f))
         };
         DVec3::new(difference(0), difference(1), difference(2))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(size: [u64; 3], kind: VoxelKind) -> GridHeader {
+        GridHeader {
+            size,
+            kind,
+            range: (0.0, 1.0),
+            scale: 1.0,
+            offset: 0.0,
+            space_from_voxel: DAffine3::IDENTITY,
+            file_bytes: 0,
+        }
+    }
+
+    #[test]
+    fn a_place_is_in_its_own_cell_and_in_one_that_its_brick_has() {
+        for kind in VoxelKind::ALL {
+            let cells = kind.brick_cells();
+            for n in 2..=130_u64 {
+                let header = header([n, n, 2], kind);
+                let last = (n - 1) as f64;
+                // Every voxel and its neighbours among the numbers, and places in between.
+                let places = (0..n).flat_map(|i| {
+                    let i = i as f64;
+                    [i, i.next_down(), i.next_up(), i + 1e-17, i + 1e-3, i + 0.5, (i + 1.0).next_down()]
+                });
+                for x in places.filter(|x| (0.0..=last).contains(x)) {
+                    let cell = (x as u64).min(n - 2);
+                    let corner = ((cell / cells) * cells) as i64 - 1;
+                    let ([found, ..], within) =
+                        cell_in_brick(&header, DVec3::new(x, 0.0, 0.0), [corner, -1, -1]);
+                    assert_eq!(found as i64 + corner, cell as i64, "{n} voxels, at {x:e}");
+                    assert!((1..=cells as usize).contains(&found), "{n} voxels, at {x:e}: cell {found}");
+                    assert_eq!(within.x + cell as f64, x, "{n} voxels, at {x:e}");
+                    assert!((0.0..=1.0).contains(&within.x), "{n} voxels, at {x:e}: {}", within.x);
+                }
+            }
+        }
     }
 }

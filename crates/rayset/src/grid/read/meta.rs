@@ -1,89 +1,152 @@
 //! MetaImage (ITK): `.mha` with its voxels, `.mhd` beside them; plain or zlib.
+//!
+//! As in ITK's own library, `HeaderSize` counts from the start of the file that holds the voxels, whichever that is, and
+//! −1 says that they are its last bytes; `CompressedDataSize` ends compressed data, else the file does. Voxels behind
+//! the header, and compressed data, hold nothing else; a file of plain data beside the header may go on.
 
-use std::io::BufRead;
 use std::path::Path;
 
-use super::{Described, ReadError, Stored, VolumeSource, counts, data_at, numbers, zlib};
+use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes};
+use super::fields::{Lines, counts, numbers};
+use super::{Described, ReadError, Stored, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 
+#[derive(Default)]
+struct Header {
+    size: Option<([u64; 3], String)>,
+    stored: Option<Stored>,
+    /// `ElementSpacing`, which wins, and `ElementSize`.
+    spacing: Option<[f64; 3]>,
+    element_size: Option<[f64; 3]>,
+    offset: DVec3,
+    matrix: DMat3,
+    /// Where spacing or directions were said last.
+    axes_place: String,
+    big_endian: bool,
+    compressed: bool,
+    compressed_bytes: Option<u64>,
+    /// `HeaderSize` and its place.
+    skip: Option<(i64, String)>,
+}
+
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let wrong = |place: &str, what: &str| ReadError::Header {
-        path: path.to_owned(),
-        place: place.to_owned(),
-        what: what.to_owned(),
-    };
-    let mut file = data_at(path, 0)?;
-    let (mut size, mut stored, mut data_file) = (None, None, None);
-    let (mut spacing, mut offset, mut matrix) = ([1.0; 3], [0.0; 3], DMat3::IDENTITY);
-    let (mut big_endian, mut compressed, mut skip) = (false, false, 0_i64);
-    let (mut line, mut header_bytes) = (String::new(), 0_u64);
-    for number in 1.. {
-        line.clear();
-        let mut limited = std::io::Read::take(&mut file, 1 << 16);
-        let read = limited.read_line(&mut line).map_err(io)?;
-        header_bytes += read as u64;
-        if read == 0 {
-            return Err(wrong(&format!("line {number}"), "the header ends without ElementDataFile"));
-        }
-        let Some((key, value)) = line.split_once('=').map(|(k, v)| (k.trim(), v.trim())) else {
-            return Err(wrong(&format!("line {number}"), "expected `Key = value`"));
+    let mut lines = Lines::open(path)?;
+    let mut header = Header { axes_place: "ElementSpacing".into(), ..Header::default() };
+    let name = loop {
+        let Some(line) = lines.next()? else {
+            let what = "the header ends without ElementDataFile; is this a MetaImage?";
+            return Err(ReadError::header(path, &lines.place(""), what));
         };
-        let bad = |what: &str| wrong(&format!("line {number}, {key}"), what);
-        let truth = || value.eq_ignore_ascii_case("true");
+        let Some((key, value)) = line.split_once('=').map(|(key, value)| (key.trim(), value.trim())) else {
+            return Err(ReadError::header(path, &lines.place(""), "expected `Key = value`"));
+        };
+        if key == "ElementDataFile" {
+            break value.to_owned();
+        }
+        let place = lines.place(key);
+        header.take(key, value, &place).map_err(|what| ReadError::header(path, &place, what))?;
+    };
+    if name.is_empty() || name.starts_with("LIST") || name.contains('%') {
+        let what = "expected LOCAL or the name of one file; volumes in several files are not read";
+        return Err(ReadError::header(path, &lines.place("ElementDataFile"), what));
+    }
+    let described = header.described(path)?;
+    let bytes = described.check(path)?;
+    let voxels = if name.eq_ignore_ascii_case("local") {
+        header.voxels(path, lines.bytes, bytes, Some(0))?
+    } else {
+        header.voxels(&path.with_file_name(&name), 0, bytes, None)?
+    };
+    Ok(VolumeSource::new(&described, bytes, voxels))
+}
+
+impl Header {
+    fn take(&mut self, key: &str, value: &str, place: &str) -> Result<(), &'static str> {
+        let three = || numbers(value).ok_or("expected three finite numbers");
         match key {
-            "NDims" if value != "3" => return Err(bad("only volumes of three dimensions are read")),
-            "DimSize" => size = Some(counts(value).ok_or_else(|| bad("expected three numbers of voxels"))?),
-            "ElementSpacing" | "ElementSize" => {
-                spacing = numbers(value).ok_or_else(|| bad("expected three numbers"))?;
+            "NDims" if value != "3" => return Err("only volumes of three dimensions are read"),
+            "DimSize" => {
+                self.size =
+                    Some((counts(value).ok_or("expected three numbers of voxels")?, place.to_owned()));
             }
-            "Offset" | "Position" | "Origin" => {
-                offset = numbers(value).ok_or_else(|| bad("expected three numbers"))?;
-            }
+            "ElementSpacing" => self.spacing = Some(three()?),
+            "ElementSize" => self.element_size = Some(three()?),
+            "Offset" | "Position" | "Origin" => self.offset = DVec3::from_array(three()?),
             "TransformMatrix" | "Rotation" | "Orientation" => {
-                let all: [f64; 9] = numbers(value).ok_or_else(|| bad("expected nine numbers"))?;
-                matrix = DMat3::from_cols_array(&all);
+                let all: [f64; 9] = numbers(value).ok_or("expected nine finite numbers")?;
+                self.matrix = DMat3::from_cols_array(&all);
             }
-            "ElementNumberOfChannels" if value != "1" => return Err(bad("only one number a voxel is read")),
-            "BinaryData" if !truth() => return Err(bad("only binary voxels are read")),
-            "BinaryDataByteOrderMSB" | "ElementByteOrderMSB" => big_endian = truth(),
-            "CompressedData" => compressed = truth(),
-            "HeaderSize" => skip = value.parse().map_err(|_| bad("expected a number of bytes"))?,
+            "ElementNumberOfChannels" if value != "1" => return Err("only one number a voxel is read"),
+            "BinaryData" if !truth(value)? => return Err("only binary voxels are read"),
+            "BinaryDataByteOrderMSB" | "ElementByteOrderMSB" => self.big_endian = truth(value)?,
+            "CompressedData" => self.compressed = truth(value)?,
+            "CompressedDataSize" => {
+                self.compressed_bytes = Some(value.parse().map_err(|_| "expected a number of bytes")?);
+            }
+            "HeaderSize" => {
+                let skip: i64 = value.parse().map_err(|_| "expected a number of bytes, or -1")?;
+                if skip < -1 {
+                    return Err("expected a number of bytes, or -1");
+                }
+                self.skip = Some((skip, place.to_owned()));
+            }
             "ElementType" => {
-                stored = Some(element(value).ok_or_else(|| bad("expected a type like MET_USHORT"))?);
-            }
-            "ElementDataFile" => {
-                data_file = Some(value.to_owned());
-                break;
+                self.stored = Some(element(value).ok_or("expected a type like MET_USHORT")?);
             }
             _ => {}
         }
+        if matches!(key, "ElementSpacing" | "ElementSize" | "TransformMatrix" | "Rotation" | "Orientation") {
+            place.clone_into(&mut self.axes_place);
+        }
+        Ok(())
     }
-    let size = size.ok_or_else(|| wrong("DimSize", "missing"))?;
-    let stored = stored.ok_or_else(|| wrong("ElementType", "missing"))?;
-    let name = data_file.unwrap_or_default();
-    if name == "LIST" || name.contains('%') {
-        return Err(wrong("ElementDataFile", "volumes in several files are not read"));
+
+    fn described(&self, path: &Path) -> Result<Described, ReadError> {
+        let missing = |key: &str| ReadError::header(path, key, "missing");
+        let (size, size_place) = self.size.clone().ok_or_else(|| missing("DimSize"))?;
+        let spacing = DVec3::from_array(self.spacing.or(self.element_size).unwrap_or([1.0; 3]));
+        let linear = self.matrix * DMat3::from_diagonal(spacing);
+        Ok(Described {
+            size,
+            stored: self.stored.ok_or_else(|| missing("ElementType"))?,
+            big_endian: self.big_endian,
+            scale: 1.0,
+            offset: 0.0,
+            space_from_voxel: DAffine3::from_mat3_translation(linear, self.offset),
+            size_place,
+            axes_place: self.axes_place.clone(),
+        })
     }
-    let local = name.eq_ignore_ascii_case("local");
-    let data_path = if local { path.to_owned() } else { path.with_file_name(&name) };
-    let bytes = size.iter().product::<u64>().saturating_mul(stored.bytes() as u64);
-    let start = match (local, skip) {
-        (true, _) => header_bytes,
-        (false, skip) if skip >= 0 => skip as u64,
-        (false, _) => std::fs::metadata(&data_path).map_err(io)?.len().saturating_sub(bytes),
-    };
-    let data = data_at(&data_path, start)?;
-    let linear = matrix * DMat3::from_diagonal(DVec3::from_array(spacing));
-    let described = Described {
-        size,
-        stored,
-        big_endian,
-        scale: 1.0,
-        offset: 0.0,
-        space_from_voxel: DAffine3::from_mat3_translation(linear, DVec3::from_array(offset)),
-    };
-    Ok(VolumeSource::new(&data_path, described, if compressed { zlib(data) } else { Box::new(data) }))
+
+    /// The voxels in a file whose first `least` bytes are the header.
+    fn voxels(&self, path: &Path, least: u64, bytes: u64, rest: Option<u64>) -> Result<Voxels, ReadError> {
+        let (skip, place) = self.skip.clone().unwrap_or_default();
+        let start = match u64::try_from(skip) {
+            Ok(0) => least,
+            Ok(skip) if skip >= least => skip,
+            Ok(_) => return Err(ReadError::header(path, &place, "the voxels begin in the header")),
+            Err(_) if self.compressed => {
+                return Err(ReadError::header(path, &place, "-1 is for voxels that are not compressed"));
+            }
+            // In a file that is too short they are missed where they would be at the earliest.
+            Err(_) => regular_file_bytes(path)?.saturating_sub(bytes).max(least),
+        };
+        let place = Place { path, start, bytes, rest };
+        if self.compressed {
+            let limit = self.compressed_bytes.filter(|bytes| *bytes > 0);
+            return Place { rest: Some(0), ..place }.compressed(Compression::Zlib, limit, Begin::After(0));
+        }
+        place.plain()
+    }
+}
+
+/// As ITK's library reads it: by the first letter.
+fn truth(value: &str) -> Result<bool, &'static str> {
+    match value.as_bytes().first() {
+        Some(b'T' | b't' | b'1') => Ok(true),
+        Some(b'F' | b'f' | b'0') => Ok(false),
+        _ => Err("expected True or False"),
+    }
 }
 
 fn element(name: &str) -> Option<Stored> {

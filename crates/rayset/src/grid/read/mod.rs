@@ -1,21 +1,29 @@
 //! Volumes as they come: NRRD, MetaImage, NIfTI, VTI, and raw files with a described layout. Voxels are read once, in
 //! order, x fastest; only slices that are being worked on are held.
+//!
+//! Whether a file can hold the voxels that its header promises is asked before any is read. Compressed data are read to
+//! their end, so that their checksums are seen, and hold nothing behind the voxels but what the header says.
 
+mod data;
+mod fields;
 mod meta;
 mod nifti;
 mod nrrd;
 mod raw;
+mod stored;
 mod vti;
 
-use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use flate2::read::{MultiGzDecoder, ZlibDecoder};
-
+use self::data::{Voxels, what_of};
 pub use self::raw::{RawLayout, UnknownLayout};
+use self::stored::Stored;
 use super::VoxelKind;
-use crate::geometry::DAffine3;
+use crate::geometry::{DAffine3, DVec3};
+
+/// The most voxels along an axis.
+const MOST_VOXELS: u64 = 1 << 24;
 
 /// Why a volume cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +36,12 @@ pub enum ReadError {
         path: PathBuf,
         /// The system's reason.
         r#source: io::Error,
+    },
+    /// A pipe, a device or a folder.
+    #[error("{}: this is not a regular file; volumes are read from files alone", path.display())]
+    NotRegular {
+        /// The file.
+        path: PathBuf,
     },
     /// The file ends early, or is damaged.
     #[error("{}, byte {offset} of the voxels: {what}", path.display())]
@@ -57,9 +71,15 @@ pub enum ReadError {
     },
 }
 
+impl ReadError {
+    /// Something of a header.
+    fn header(path: &Path, place: &str, what: &str) -> Self {
+        Self::Header { path: path.to_owned(), place: place.to_owned(), what: what.to_owned() }
+    }
+}
+
 /// A volume that is being read.
 pub struct VolumeSource {
-    path: PathBuf,
     /// Voxels along each axis.
     pub size: [u64; 3],
     /// How they are stored, after reading.
@@ -72,47 +92,15 @@ pub struct VolumeSource {
     pub space_from_voxel: DAffine3,
     stored: Stored,
     big_endian: bool,
-    data: Box<dyn Read + Send>,
+    voxels: Voxels,
+    /// Bytes of all voxels in the file, and of those read so far.
+    bytes: u64,
     position: u64,
     scratch: Vec<u8>,
 }
 
-/// How numbers stand in the file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stored {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Stored {
-    fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// What it is kept as. Whole numbers of 32 bits and double precision lose digits.
-    fn kind(self) -> VoxelKind {
-        match self {
-            Self::U8 => VoxelKind::U8,
-            Self::I8 | Self::I16 => VoxelKind::I16,
-            Self::U16 => VoxelKind::U16,
-            Self::I32 | Self::U32 | Self::F32 | Self::F64 => VoxelKind::F32,
-        }
-    }
-}
-
 /// What a header says of the voxels.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 struct Described {
     size: [u64; 3],
     stored: Stored,
@@ -120,13 +108,44 @@ struct Described {
     scale: f64,
     offset: f64,
     space_from_voxel: DAffine3,
+    /// Where in the header the size is said, and where the axes are.
+    size_place: String,
+    axes_place: String,
+}
+
+impl Described {
+    /// Checks that this is a grid that can be built. Returns the bytes of its voxels.
+    fn check(&self, path: &Path) -> Result<u64, ReadError> {
+        let bytes = self.size.iter().try_fold(self.stored.bytes() as u64, |all, n| all.checked_mul(*n));
+        if self.size.iter().any(|n| !(2..=MOST_VOXELS).contains(n)) {
+            let what = format!("{:?} voxels: 2 to {MOST_VOXELS} are needed along each axis", self.size);
+            return Err(ReadError::header(path, &self.size_place, &what));
+        }
+        let last = DVec3::from_array(self.size.map(|n| (n - 1) as f64));
+        let voxel_from_space = self.space_from_voxel.inverse();
+        let determinant = self.space_from_voxel.matrix3.determinant();
+        let usable = self.space_from_voxel.is_finite()
+            && voxel_from_space.is_finite()
+            && determinant.is_finite()
+            && determinant != 0.0
+            && self.space_from_voxel.transform_point3(last).is_finite();
+        if !usable {
+            let what = "the axes are not independent, a spacing is 0, or a number is not finite or far too large \
+                        or small";
+            return Err(ReadError::header(path, &self.axes_place, what));
+        }
+        bytes.ok_or_else(|| {
+            ReadError::header(path, &self.size_place, "the voxels have more bytes than any file holds")
+        })
+    }
 }
 
 impl VolumeSource {
     /// Opens a volume by its name.
     ///
     /// # Errors
-    /// [`ReadError`] where it cannot be opened or its header is wrong.
+    /// [`ReadError`] where it cannot be opened, its header is wrong, or it cannot hold the voxels that its header
+    /// promises.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
         let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
@@ -146,7 +165,7 @@ impl VolumeSource {
     /// Opens a file of nothing but voxels.
     ///
     /// # Errors
-    /// [`ReadError`] where it cannot be opened.
+    /// [`ReadError`] where it cannot be opened, or is shorter than its layout.
     pub fn open_raw(path: &Path, layout: &RawLayout) -> Result<Self, ReadError> {
         raw::open(path, layout)
     }
@@ -161,12 +180,12 @@ impl VolumeSource {
     /// The file that voxels are read from; headers may stand in another.
     #[must_use]
     pub fn data_path(&self) -> &Path {
-        &self.path
+        &self.voxels.path
     }
 
-    fn new(path: &Path, described: Described, data: Box<dyn Read + Send>) -> Self {
+    /// `bytes` are those that [`Described::check`] returned.
+    fn new(described: &Described, bytes: u64, voxels: Voxels) -> Self {
         Self {
-            path: path.to_owned(),
             size: described.size,
             kind: described.stored.kind(),
             scale: described.scale,
@@ -174,79 +193,61 @@ impl VolumeSource {
             space_from_voxel: described.space_from_voxel,
             stored: described.stored,
             big_endian: described.big_endian,
-            data,
+            voxels,
+            bytes,
             position: 0,
             scratch: Vec::new(),
         }
     }
 
-    /// Fills a buffer with the next voxels, little-endian, as [`VoxelKind`] has them. What is not a number becomes 0.
+    /// Fills a buffer with the next voxels, little-endian, as [`VoxelKind`] has them. What is infinite or not a number
+    /// becomes 0. With the last voxel the end of the file is checked, and the checksums of compressed data.
     ///
     /// # Errors
-    /// [`ReadError::Data`] where the file ends early or is damaged.
+    /// [`ReadError::Data`] where the file ends early or late, is damaged, or holds what single precision does not.
     pub fn read(&mut self, voxels: &mut [u8]) -> Result<(), ReadError> {
         let (width, out_width) = (self.stored.bytes(), self.kind.bytes());
         let bytes = voxels.len() / out_width * width;
         self.scratch.resize(bytes, 0);
-        let read = self.data.read_exact(&mut self.scratch);
-        read.map_err(|e| {
-            let early = e.kind() == io::ErrorKind::UnexpectedEof;
-            let what = if early { "the file ends before all voxels are there".into() } else { e.to_string() };
-            ReadError::Data { path: self.path.clone(), offset: self.position, what }
-        })?;
-        self.position += bytes as u64;
-        for (from, to) in self.scratch.chunks_exact_mut(width).zip(voxels.chunks_exact_mut(out_width)) {
+        let read = self.voxels.data.read_exact(&mut self.scratch);
+        read.map_err(|error| self.wrong(self.position, what_of(&error)))?;
+        for (number, (from, to)) in
+            self.scratch.chunks_exact_mut(width).zip(voxels.chunks_exact_mut(out_width)).enumerate()
+        {
             if self.big_endian {
                 from.reverse();
             }
-            convert(self.stored, from, to);
+            if !self.stored.convert(from, to) {
+                let offset = self.position + (number * width) as u64;
+                return Err(self.wrong(offset, "a number is larger than single precision holds".into()));
+            }
         }
-        Ok(())
+        self.position += bytes as u64;
+        if self.position == self.bytes { self.check_end() } else { Ok(()) }
     }
-}
 
-/// One number, little-endian.
-fn convert(stored: Stored, from: &[u8], to: &mut [u8]) {
-    let four = || [from[0], from[1], from[2], from[3]];
-    let number = |v: f32| if v.is_finite() { v } else { 0.0 };
-    match stored {
-        Stored::U8 | Stored::I16 | Stored::U16 => to.copy_from_slice(from),
-        Stored::I8 => to.copy_from_slice(&i16::from(from[0] as i8).to_le_bytes()),
-        Stored::I32 => to.copy_from_slice(&(i32::from_le_bytes(four()) as f32).to_le_bytes()),
-        Stored::U32 => to.copy_from_slice(&(u32::from_le_bytes(four()) as f32).to_le_bytes()),
-        Stored::F32 => to.copy_from_slice(&number(f32::from_le_bytes(four())).to_le_bytes()),
-        Stored::F64 => {
-            let mut eight = [0; 8];
-            eight.copy_from_slice(from);
-            to.copy_from_slice(&number(f64::from_le_bytes(eight) as f32).to_le_bytes());
+    /// Whether what follows the voxels is what should. Checksums of compressed data are compared where they end.
+    fn check_end(&mut self) -> Result<(), ReadError> {
+        let Some(rest) = self.voxels.rest else { return Ok(()) };
+        let found = io::copy(&mut (&mut self.voxels.data).take(rest.saturating_add(1)), &mut io::sink());
+        match found {
+            Ok(found) if found == rest => Ok(()),
+            Ok(found) if found < rest => {
+                let what = format!("{rest} bytes of data should follow the voxels, and {found} do");
+                Err(self.wrong(self.bytes, what))
+            }
+            Ok(_) => {
+                let what = "the data go on behind the voxels: they are not of the size that the header says";
+                Err(self.wrong(self.bytes, what.into()))
+            }
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                Err(self.wrong(self.bytes, "the file ends before its data do; it is cut off".into()))
+            }
+            Err(error) => Err(self.wrong(self.bytes, error.to_string())),
         }
     }
-}
 
-/// A reader from some byte of a file on.
-fn data_at(path: &Path, offset: u64) -> Result<BufReader<File>, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let mut file = File::open(path).map_err(io)?;
-    file.seek(SeekFrom::Start(offset)).map_err(io)?;
-    Ok(BufReader::with_capacity(1 << 16, file))
-}
-
-fn gzip(data: BufReader<File>) -> Box<dyn Read + Send> {
-    Box::new(MultiGzDecoder::new(data))
-}
-
-fn zlib(data: BufReader<File>) -> Box<dyn Read + Send> {
-    Box::new(ZlibDecoder::new(data))
-}
-
-/// Whitespace-separated numbers, exactly so many.
-fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
-    let all: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-    all.and_then(|all| all.try_into().ok())
-}
-
-/// Three counts of voxels.
-fn counts(text: &str) -> Option<[u64; 3]> {
-    let all: Option<Vec<u64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-    all.and_then(|all| all.try_into().ok())
+    fn wrong(&self, offset: u64, what: String) -> ReadError {
+        ReadError::Data { path: self.voxels.path.clone(), offset, what }
+    }
 }

@@ -1,20 +1,41 @@
 //! NIfTI-1 (`n+1`), plain or gzip: the first volume of the file, with its sform, else its qform, else its spacing.
+//!
+//! As in the format's own library, a spacing that is not above 0 counts as 1. Voxels are scaled where `scl_slope` is
+//! finite and not 0. Behind the volume, the others of its series follow, and nothing else.
 
-use std::io::{BufReader, Read};
+use std::io::Read;
 use std::path::Path;
 
-use super::{Described, ReadError, Stored, VolumeSource, data_at, gzip};
+use flate2::bufread::MultiGzDecoder;
+
+use super::data::{Begin, Compression, Place, data_at};
+use super::{Described, ReadError, Stored, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 
 const HEADER_BYTES: usize = 348;
 
+/// Where fields are.
+const DIM: usize = 40;
+const DATATYPE: usize = 70;
+const PIXDIM: usize = 76;
+const VOX_OFFSET: usize = 108;
+const SCL_SLOPE: usize = 112;
+const SCL_INTER: usize = 116;
+const QFORM_CODE: usize = 252;
+const SFORM_CODE: usize = 254;
+const QUATERN: usize = 256;
+const QOFFSET: usize = 268;
+const SROW: usize = 280;
+const MAGIC: usize = 344;
+
 /// Numbers of a header, in the byte order of the file.
-struct Fields {
+struct Fields<'a> {
+    path: &'a Path,
     bytes: [u8; HEADER_BYTES],
     big_endian: bool,
 }
 
-impl Fields {
+impl Fields<'_> {
     fn array<const N: usize>(&self, at: usize) -> [u8; N] {
         let mut out = [0; N];
         out.copy_from_slice(&self.bytes[at..at + N]);
@@ -31,34 +52,27 @@ impl Fields {
     fn f32(&self, at: usize) -> f64 {
         f64::from(f32::from_le_bytes(self.array(at)))
     }
+
+    /// Numbers, one after another, all finite.
+    fn finite<const N: usize>(&self, at: usize, name: &str) -> Result<[f64; N], ReadError> {
+        let all = std::array::from_fn(|i| self.f32(at + 4 * i));
+        match all.iter().position(|v| !v.is_finite()) {
+            None => Ok(all),
+            Some(i) => Err(self.wrong(at + 4 * i, name, "expected a finite number")),
+        }
+    }
+
+    fn wrong(&self, byte: usize, name: &str, what: &str) -> ReadError {
+        let place = if name.is_empty() { format!("byte {byte}") } else { format!("byte {byte}, {name}") };
+        ReadError::header(self.path, &place, what)
+    }
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    let wrong = |byte: usize, what: &str| ReadError::Header {
-        path: path.to_owned(),
-        place: format!("byte {byte}"),
-        what: what.to_owned(),
-    };
-    let file = data_at(path, 0)?;
     let zipped = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
-    let mut data: Box<dyn Read + Send> = if zipped { gzip(file) } else { Box::new(file) };
-    let mut bytes = [0; HEADER_BYTES];
-    let read = data.read_exact(&mut bytes);
-    read.map_err(|_| wrong(0, "the file ends within the header of 348 bytes"))?;
-    let little = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) == HEADER_BYTES as i32;
-    let fields = Fields { bytes, big_endian: !little };
-    if i32::from_le_bytes(fields.array(0)) != HEADER_BYTES as i32 || &bytes[344..347] != b"n+1" {
-        return Err(wrong(344, "this is not a NIfTI-1 file of one part (`n+1`)"));
-    }
-    let dimensions = fields.i16(40);
-    let mut size = [0; 3];
-    for (axis, n) in size.iter_mut().enumerate() {
-        *n = u64::try_from(fields.i16(42 + 2 * axis)).map_err(|_| wrong(42, "a size is negative"))?;
-    }
-    if !(3..=7).contains(&dimensions) {
-        return Err(wrong(40, "only volumes of three dimensions, or series of them, are read"));
-    }
-    let stored = match fields.i16(70) {
+    let fields = fields(path, zipped)?;
+    let (size, volumes) = size(&fields)?;
+    let stored = match fields.i16(DATATYPE) {
         2 => Stored::U8,
         4 => Stored::I16,
         8 => Stored::I32,
@@ -68,50 +82,105 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
         512 => Stored::U16,
         768 => Stored::U32,
         _ => {
-            return Err(wrong(
-                70,
-                "expected voxels of one real number (datatype 2, 4, 8, 16, 64, 256, 512 or 768)",
-            ));
+            let what = "expected voxels of one real number (2, 4, 8, 16, 64, 256, 512 or 768)";
+            return Err(fields.wrong(DATATYPE, "datatype", what));
         }
     };
-    let (slope, intercept) = (fields.f32(112), fields.f32(116));
-    let scaled = slope != 0.0 && slope.is_finite() && intercept.is_finite();
-    let start = fields.f32(108) as u64;
-    let gap =
-        start.checked_sub(HEADER_BYTES as u64).ok_or_else(|| wrong(108, "the voxels begin in the header"))?;
-    let mut data = BufReader::new(data);
-    let skipped = std::io::copy(&mut Read::by_ref(&mut data).take(gap), &mut std::io::sink());
-    skipped.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    let slope = fields.f32(SCL_SLOPE);
+    let (scale, offset) = if slope != 0.0 && slope.is_finite() {
+        let [intercept] = fields.finite(SCL_INTER, "scl_inter")?;
+        (slope, intercept)
+    } else {
+        (1.0, 0.0)
+    };
+    let (space_from_voxel, axes) = place(&fields)?;
     let described = Described {
         size,
         stored,
         big_endian: fields.big_endian,
-        scale: if scaled { slope } else { 1.0 },
-        offset: if scaled { intercept } else { 0.0 },
-        space_from_voxel: place(&fields),
+        scale,
+        offset,
+        space_from_voxel,
+        size_place: format!("byte {}, dim", DIM + 2),
+        axes_place: axes.into(),
     };
-    Ok(VolumeSource::new(path, described, Box::new(data)))
+    let bytes = described.check(path)?;
+    let [start] = fields.finite(VOX_OFFSET, "vox_offset")?;
+    if start < HEADER_BYTES as f64 || start.fract() != 0.0 {
+        let what = "expected a whole number of bytes; voxels begin at 348 or later";
+        return Err(fields.wrong(VOX_OFFSET, "vox_offset", what));
+    }
+    let rest =
+        bytes.checked_mul(volumes - 1).ok_or_else(|| fields.wrong(DIM, "dim", "the series is too long"))?;
+    let start = start as u64;
+    let place = Place { path, start: if zipped { 0 } else { start }, bytes, rest: Some(rest) };
+    let voxels = if zipped {
+        place.compressed(Compression::Gzip, None, Begin::After(start))?
+    } else {
+        place.plain()?
+    };
+    Ok(VolumeSource::new(&described, bytes, voxels))
 }
 
-/// Where the voxels are.
-fn place(fields: &Fields) -> DAffine3 {
-    let spacing =
-        DVec3::new(fields.f32(80), fields.f32(84), fields.f32(88)).map(|v| if v > 0.0 { v } else { 1.0 });
-    if fields.i16(254) > 0 {
-        let row = |at: usize| [fields.f32(at), fields.f32(at + 4), fields.f32(at + 8), fields.f32(at + 12)];
-        let rows = [row(280), row(296), row(312)];
-        let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
-        return DAffine3::from_mat3_translation(DMat3::from_cols(column(0), column(1), column(2)), column(3));
+fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {
+    let file = data_at(path, 0)?;
+    let mut data: Box<dyn Read> = if zipped { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) };
+    let mut bytes = [0; HEADER_BYTES];
+    let read = data.read_exact(&mut bytes);
+    read.map_err(|error| {
+        let what = if error.kind() == std::io::ErrorKind::UnexpectedEof {
+            "the file ends within the header of 348 bytes".into()
+        } else {
+            format!("the header of 348 bytes cannot be read: {error}")
+        };
+        ReadError::header(path, "byte 0", &what)
+    })?;
+    let little = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) == HEADER_BYTES as i32;
+    let fields = Fields { path, bytes, big_endian: !little };
+    if i32::from_le_bytes(fields.array(0)) != HEADER_BYTES as i32 || &bytes[MAGIC..MAGIC + 3] != b"n+1" {
+        return Err(fields.wrong(MAGIC, "magic", "this is not a NIfTI-1 file of one part (`n+1`)"));
     }
-    if fields.i16(252) > 0 {
-        let (b, c, d) = (fields.f32(256), fields.f32(260), fields.f32(264));
+    Ok(fields)
+}
+
+/// Voxels along each axis, and how many volumes there are.
+fn size(fields: &Fields<'_>) -> Result<([u64; 3], u64), ReadError> {
+    let dimensions = fields.i16(DIM);
+    if !(3..=7).contains(&dimensions) {
+        let what = "only volumes of three dimensions, or series of them, are read";
+        return Err(fields.wrong(DIM, "dim", what));
+    }
+    let mut size = [0; 3];
+    for (axis, n) in size.iter_mut().enumerate() {
+        let at = DIM + 2 + 2 * axis;
+        *n = u64::try_from(fields.i16(at)).map_err(|_| fields.wrong(at, "dim", "a size is negative"))?;
+    }
+    // Four numbers of 16 bits: their product needs no more than 64.
+    let volumes = (4..=dimensions as usize).map(|axis| fields.i16(DIM + 2 * axis).max(1) as u64).product();
+    Ok((size, volumes))
+}
+
+/// Where the voxels are, and where the header says so.
+fn place(fields: &Fields<'_>) -> Result<(DAffine3, &'static str), ReadError> {
+    if fields.i16(SFORM_CODE) > 0 {
+        let all: [f64; 12] = fields.finite(SROW, "srow")?;
+        let column = |c: usize| DVec3::new(all[c], all[4 + c], all[8 + c]);
+        let linear = DMat3::from_cols(column(0), column(1), column(2));
+        return Ok((DAffine3::from_mat3_translation(linear, column(3)), "byte 280, srow"));
+    }
+    let spacing: [f64; 3] = fields.finite(PIXDIM + 4, "pixdim")?;
+    let spacing = DVec3::from_array(spacing.map(|v| if v > 0.0 { v } else { 1.0 }));
+    if fields.i16(QFORM_CODE) > 0 {
+        let [b, c, d] = fields.finite(QUATERN, "quatern")?;
+        let origin: [f64; 3] = fields.finite(QOFFSET, "qoffset")?;
+        let [handed] = fields.finite(PIXDIM, "pixdim")?;
         let a = (1.0 - b * b - c * c - d * d).max(0.0).sqrt();
         // The third axis is turned round where qfac, pixdim[0], is −1.
-        let handed = if fields.f32(76) < 0.0 { -1.0 } else { 1.0 };
+        let handed = if handed < 0.0 { -1.0 } else { 1.0 };
         let linear = DMat3::from_quat(DQuat::from_xyzw(b, c, d, a).normalize())
             * DMat3::from_diagonal(spacing * DVec3::new(1.0, 1.0, handed));
-        let origin = DVec3::new(fields.f32(268), fields.f32(272), fields.f32(276));
-        return DAffine3::from_mat3_translation(linear, origin);
+        let affine = DAffine3::from_mat3_translation(linear, DVec3::from_array(origin));
+        return Ok((affine, "byte 256, quatern"));
     }
-    DAffine3::from_scale(spacing)
+    Ok((DAffine3::from_scale(spacing), "byte 80, pixdim"))
 }

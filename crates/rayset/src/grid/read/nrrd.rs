@@ -1,16 +1,24 @@
 //! NRRD (teem), attached or detached: raw and gzip encodings, three axes.
+//!
+//! Skips are those of the format's own library (teem, `formatNRRD.c` and `encodingGzip.c`): first `line skip` lines of the
+//! file as it is, then `byte skip` bytes, which are counted in the decompressed data where data are compressed. A
+//! `byte skip` of −1 says that the voxels are the last of the data, one of −n − 1 that n bytes follow them. Data behind
+//! the header, and compressed data, hold nothing else than this; a file of plain data beside the header may go on.
 
-use std::io::BufRead;
 use std::path::Path;
 
-use super::{Described, ReadError, Stored, VolumeSource, counts, data_at, gzip, numbers};
+use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes, skip_lines};
+use super::fields::{Lines, counts, numbers};
+use super::{Described, ReadError, Stored, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 
 #[derive(Default)]
 struct Header {
+    /// The keys that were there, so that none comes twice, and where.
+    keys: Vec<(&'static str, String)>,
     size: Option<[u64; 3]>,
     stored: Option<Stored>,
-    big_endian: bool,
+    big_endian: Option<bool>,
     encoding: String,
     spacings: Option<[f64; 3]>,
     directions: Option<DMat3>,
@@ -21,100 +29,154 @@ struct Header {
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let wrong = |place: &str, what: &str| ReadError::Header {
-        path: path.to_owned(),
-        place: place.to_owned(),
-        what: what.to_owned(),
-    };
-    let mut file = data_at(path, 0)?;
-    let (mut header, mut offset, mut line) = (Header::default(), 0_u64, String::new());
-    for number in 1.. {
-        line.clear();
-        // A header line is short; this bounds what a file without any line ends costs.
-        let mut limited = std::io::Read::take(&mut file, 1 << 16);
-        let read = limited.read_line(&mut line).map_err(io)?;
-        offset += read as u64;
-        let text = line.trim_end();
-        let place = format!("line {number}");
-        if number == 1 {
-            if !text.starts_with("NRRD000") {
-                return Err(wrong(&place, "this is not NRRD: a file begins with NRRD000 and its version"));
-            }
-        } else if text.is_empty() {
+    let mut lines = Lines::open(path)?;
+    let mut header = Header::default();
+    if !lines.next()?.is_some_and(|first| first.starts_with("NRRD000")) {
+        let what = "this is not NRRD: a file begins with NRRD000 and its version";
+        return Err(ReadError::header(path, "line 1", what));
+    }
+    while let Some(text) = lines.next()? {
+        let text = text.trim_end();
+        if text.is_empty() {
             break;
-        } else if !text.starts_with('#') && !text.contains(":=") {
-            let (key, value) = text.split_once(':').ok_or_else(|| wrong(&place, "expected `key: value`"))?;
-            let place = format!("line {number}, {}", key.trim());
-            header.take(key.trim(), value.trim()).map_err(|what| wrong(&place, what))?;
         }
+        if text.starts_with('#') || text.contains(":=") {
+            continue;
+        }
+        let (key, value) = text
+            .split_once(':')
+            .ok_or_else(|| ReadError::header(path, &lines.place(""), "expected `key: value`"))?;
+        let place = lines.place(key.trim());
+        header
+            .take(key.trim(), value.trim(), &place)
+            .map_err(|what| ReadError::header(path, &place, what))?;
     }
-    let size = header.size.ok_or_else(|| wrong("sizes", "missing; expected three numbers of voxels"))?;
-    let stored = header.stored.ok_or_else(|| wrong("type", "missing"))?;
-    let linear = match (header.directions, header.spacings) {
-        (Some(directions), _) => directions,
-        (None, Some(spacings)) => DMat3::from_diagonal(DVec3::from_array(spacings)),
-        (None, None) => DMat3::IDENTITY,
-    };
-    let space_from_voxel = DAffine3::from_mat3_translation(linear, header.origin.unwrap_or(DVec3::ZERO));
-    let (data_path, mut start) = match &header.data_file {
-        Some(name) => (path.with_file_name(name), 0),
-        None => (path.to_owned(), offset),
-    };
-    if header.line_skip > 0 {
-        return Err(wrong("line skip", "only 0 is read"));
-    }
-    let bytes = size.iter().product::<u64>().saturating_mul(stored.bytes() as u64);
-    if header.byte_skip < 0 {
-        let length = std::fs::metadata(&data_path).map_err(io)?.len();
-        start = length.saturating_sub(bytes);
-    } else if header.encoding == "raw" {
-        start += header.byte_skip as u64;
-    }
-    let data = data_at(&data_path, start)?;
-    let data = match header.encoding.as_str() {
-        "raw" => Box::new(data),
-        "gzip" | "gz" => gzip(data),
-        _ => return Err(wrong("encoding", "expected raw or gzip")),
-    };
-    let big_endian = header.big_endian;
-    let described = Described { size, stored, big_endian, scale: 1.0, offset: 0.0, space_from_voxel };
-    Ok(VolumeSource::new(&data_path, described, data))
+    let described = header.described(path)?;
+    let bytes = described.check(path)?;
+    let voxels = header.voxels(path, lines.bytes, bytes)?;
+    Ok(VolumeSource::new(&described, bytes, voxels))
 }
 
 impl Header {
-    fn take(&mut self, key: &str, value: &str) -> Result<(), &'static str> {
+    /// Where a key was said; the key itself if it was not.
+    fn place(&self, wanted: &'static str) -> String {
+        self.keys.iter().find(|(key, _)| *key == wanted).map_or_else(|| wanted.into(), |(_, at)| at.clone())
+    }
+
+    fn described(&self, path: &Path) -> Result<Described, ReadError> {
+        let missing =
+            |key: &str, what: &str| ReadError::header(path, key, &format!("missing; expected {what}"));
+        let size = self.size.ok_or_else(|| missing("sizes", "three numbers of voxels"))?;
+        let stored = self.stored.ok_or_else(|| missing("type", "a type of numbers, as in unsigned char"))?;
+        if self.big_endian.is_none() && stored.bytes() > 1 {
+            return Err(missing("endian", "little or big, as numbers have several bytes"));
+        }
+        let (linear, axes) = match (self.directions, self.spacings) {
+            (Some(directions), _) => (directions, "space directions"),
+            (None, Some(spacings)) => (DMat3::from_diagonal(DVec3::from_array(spacings)), "spacings"),
+            (None, None) => (DMat3::IDENTITY, "space origin"),
+        };
+        Ok(Described {
+            size,
+            stored,
+            big_endian: self.big_endian.unwrap_or(false),
+            scale: 1.0,
+            offset: 0.0,
+            space_from_voxel: DAffine3::from_mat3_translation(linear, self.origin.unwrap_or(DVec3::ZERO)),
+            size_place: self.place("sizes"),
+            axes_place: self.place(axes),
+        })
+    }
+
+    fn voxels(&self, path: &Path, header_bytes: u64, bytes: u64) -> Result<Voxels, ReadError> {
+        let wrong = |key: &'static str, what: &str| ReadError::header(path, &self.place(key), what);
+        let compressed = match self.encoding.as_str() {
+            "raw" => false,
+            "gzip" | "gz" => true,
+            _ => return Err(wrong("encoding", "expected raw or gzip")),
+        };
+        let beside = self.data_file.as_ref().map(|name| path.with_file_name(name));
+        let (path, behind) = match &beside {
+            Some(beside) => (beside.as_path(), 0),
+            None => (path, header_bytes),
+        };
+        let lines = skip_lines(path, behind, self.line_skip)?
+            .ok_or_else(|| wrong("line skip", "the file has fewer lines"))?;
+        let start = behind + lines;
+        if compressed {
+            let begin = match u64::try_from(self.byte_skip) {
+                Ok(before) => Begin::After(before),
+                Err(_) => Begin::BeforeLast((-1 - self.byte_skip) as u64),
+            };
+            return Place { path, start, bytes, rest: Some(0) }.compressed(Compression::Gzip, None, begin);
+        }
+        if self.byte_skip < 0 {
+            let behind = (-1 - self.byte_skip) as u64;
+            let first = regular_file_bytes(path)?.checked_sub(bytes.saturating_add(behind));
+            let start = first.filter(|first| *first >= start).unwrap_or(start);
+            return Place { path, start, bytes, rest: Some(behind) }.plain();
+        }
+        let start = start.saturating_add(self.byte_skip as u64);
+        Place { path, start, bytes, rest: beside.is_none().then_some(0) }.plain()
+    }
+
+    fn take(&mut self, key: &str, value: &str, place: &str) -> Result<(), &'static str> {
+        let Some(known) = KEYS.iter().find(|names| names.contains(&key)) else { return Ok(()) };
+        let key = known[0];
+        if self.keys.iter().any(|(seen, _)| *seen == key) {
+            return Err("this was said before; every key stands in a header once");
+        }
+        self.keys.push((key, place.to_owned()));
         match key {
             "dimension" if value != "3" => return Err("only volumes of three dimensions are read"),
             "sizes" => self.size = Some(counts(value).ok_or("expected three numbers of voxels")?),
             "type" => {
                 self.stored = Some(stored(value).ok_or("expected a type of numbers, as in unsigned char")?);
             }
-            "endian" => self.big_endian = value == "big",
+            "endian" => {
+                self.big_endian = match value.to_ascii_lowercase().as_str() {
+                    "big" => Some(true),
+                    "little" => Some(false),
+                    _ => return Err("expected little or big"),
+                };
+            }
             "encoding" => self.encoding = value.to_lowercase(),
-            "spacings" => self.spacings = Some(numbers(value).ok_or("expected three numbers")?),
+            "spacings" => self.spacings = Some(numbers(value).ok_or("expected three finite numbers")?),
             "space directions" => {
                 let columns = vectors(value).and_then(|v| <[DVec3; 3]>::try_from(v).ok());
-                let [x, y, z] = columns.ok_or("expected three vectors like (1,0,0)")?;
+                let [x, y, z] = columns.ok_or("expected three vectors of finite numbers like (1,0,0)")?;
                 self.directions = Some(DMat3::from_cols(x, y, z));
             }
             "space origin" => {
-                let origin =
-                    vectors(value).filter(|v| v.len() == 1).ok_or("expected a vector like (0,0,0)")?;
-                self.origin = Some(origin[0]);
+                let origin = vectors(value).filter(|v| v.len() == 1);
+                self.origin = Some(origin.ok_or("expected a vector of finite numbers like (0,0,0)")?[0]);
             }
-            "data file" | "datafile" => self.data_file = Some(value.to_owned()),
-            "byte skip" | "byteskip" => {
-                self.byte_skip = value.parse().map_err(|_| "expected a number of bytes")?;
+            "data file" if value == "LIST" || value.starts_with("LIST ") || value.contains('%') => {
+                return Err("volumes in several files are not read");
             }
-            "line skip" | "lineskip" => {
-                self.line_skip = value.parse().map_err(|_| "expected a number of lines")?;
-            }
+            "data file" => self.data_file = Some(value.to_owned()),
+            "byte skip" => self.byte_skip = value.parse().map_err(|_| "expected a number of bytes")?,
+            "line skip" => self.line_skip = value.parse().map_err(|_| "expected a number of lines")?,
             _ => {}
         }
         Ok(())
     }
 }
+
+/// The keys that matter, each with its other spellings.
+const KEYS: [&[&str]; 11] = [
+    &["dimension"],
+    &["sizes"],
+    &["type"],
+    &["endian"],
+    &["encoding"],
+    &["spacings"],
+    &["space directions"],
+    &["space origin"],
+    &["data file", "datafile"],
+    &["byte skip", "byteskip"],
+    &["line skip", "lineskip"],
+];
 
 /// Vectors like `(1,0,0) (0,1,0)`; `none` is left out.
 fn vectors(text: &str) -> Option<Vec<DVec3>> {
@@ -123,7 +185,8 @@ fn vectors(text: &str) -> Option<Vec<DVec3>> {
         .map(|word| {
             let inside = word.trim_start_matches("none").trim().strip_prefix('(')?.strip_suffix(')')?;
             let all: Option<Vec<f64>> = inside.split(',').map(|n| n.trim().parse().ok()).collect();
-            all.and_then(|all| <[f64; 3]>::try_from(all).ok()).map(DVec3::from_array)
+            let vector = all.and_then(|all| <[f64; 3]>::try_from(all).ok()).map(DVec3::from_array);
+            vector.filter(|vector| vector.is_finite())
         })
         .collect()
 }

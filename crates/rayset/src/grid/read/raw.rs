@@ -3,10 +3,12 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::{Described, ReadError, Stored, VolumeSource, data_at};
+use super::data::Place;
+use super::{Described, ReadError, Stored, VolumeSource};
 use crate::geometry::{DAffine3, DVec3};
 
-/// How a raw file is laid out: `256x256x128,u16`, then optionally `be` or `le`, `skip=512`, `spacing=1x1x2.5`.
+/// How a raw file is laid out: `256x256x128,u16`, then optionally `be` or `le`, `skip=512`, `spacing=1x1x2.5`. The file
+/// may go on behind the voxels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawLayout {
     size: [u64; 3],
@@ -68,6 +70,10 @@ pub(super) fn open(path: &Path, layout: &RawLayout) -> Result<VolumeSource, Read
         scale: 1.0,
         offset: 0.0,
         space_from_voxel: DAffine3::from_scale(DVec3::from_array(layout.spacing)),
+        size_place: "its layout".into(),
+        axes_place: "its layout, spacing".into(),
     };
-    Ok(VolumeSource::new(path, described, Box::new(data_at(path, layout.skip)?)))
+    let bytes = described.check(path)?;
+    let voxels = Place { path, start: layout.skip, bytes, rest: None }.plain()?;
+    Ok(VolumeSource::new(&described, bytes, voxels))
 }

@@ -1,0 +1,174 @@
+//! Where the voxels of a volume lie in a file, plain or compressed, and whether they can all be there.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
+
+use super::ReadError;
+
+/// Deflate says 258 bytes with no fewer than 2 bits: nothing that is compressed is longer by a larger factor.
+pub(super) const MOST_DEFLATED: u64 = 1032;
+
+/// The bytes of all voxels, as they stand in a file.
+pub(super) struct Voxels {
+    pub(super) path: PathBuf,
+    pub(super) data: Box<dyn Read + Send>,
+    /// Bytes that must follow the voxels before `data` ends: 0 where the voxels are the last. `None` if `data` may go on.
+    pub(super) rest: Option<u64>,
+}
+
+/// How data are compressed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Compression {
+    /// One or several members, one after another.
+    Gzip,
+    Zlib,
+}
+
+/// Where voxels begin in data that have been decompressed.
+#[derive(Clone, Copy)]
+pub(super) enum Begin {
+    /// Behind so many bytes.
+    After(u64),
+    /// So that so many bytes follow the last of them.
+    BeforeLast(u64),
+}
+
+/// What the voxels of a volume are looked for in.
+pub(super) struct Place<'a> {
+    pub(super) path: &'a Path,
+    /// The first byte in the file.
+    pub(super) start: u64,
+    /// Bytes of all voxels of the volume.
+    pub(super) bytes: u64,
+    /// See [`Voxels::rest`].
+    pub(super) rest: Option<u64>,
+}
+
+impl Place<'_> {
+    fn wrong(&self, offset: u64, what: String) -> ReadError {
+        ReadError::Data { path: self.path.to_owned(), offset, what }
+    }
+
+    /// Voxels as they are.
+    pub(super) fn plain(self) -> Result<Voxels, ReadError> {
+        let length = regular_file_bytes(self.path)?;
+        let Self { start, bytes, .. } = self;
+        let end = start.saturating_add(bytes).saturating_add(self.rest.unwrap_or(0));
+        if length < end {
+            let what = format!(
+                "the file ends before all voxels are there: its header asks for bytes {start} to {end}, and it has \
+                 {length}"
+            );
+            return Err(self.wrong(length.saturating_sub(start).min(bytes), what));
+        }
+        if self.rest.is_some() && length > end {
+            let what = format!(
+                "the file goes on behind the voxels: its header asks for bytes {start} to {end}, and it has {length}"
+            );
+            return Err(self.wrong(bytes, what));
+        }
+        let data = Box::new(data_at(self.path, start)?.take(bytes));
+        Ok(Voxels { path: self.path.to_owned(), data, rest: None })
+    }
+
+    /// Voxels in compressed data of at most `limit` bytes, to the end of which they are read, so that its checksum is
+    /// seen.
+    pub(super) fn compressed(
+        self,
+        compression: Compression,
+        limit: Option<u64>,
+        begin: Begin,
+    ) -> Result<Voxels, ReadError> {
+        let length = regular_file_bytes(self.path)?.saturating_sub(self.start);
+        let limit = limit.unwrap_or(u64::MAX);
+        let open = || -> Result<Box<dyn Read + Send>, ReadError> {
+            let file = data_at(self.path, self.start)?.take(limit);
+            Ok(match compression {
+                Compression::Gzip => Box::new(MultiGzDecoder::new(file)),
+                Compression::Zlib => Box::new(ZlibDecoder::new(file)),
+            })
+        };
+        let wrong = |error: io::Error| self.wrong(0, what_of(&error));
+        let (Begin::After(around) | Begin::BeforeLast(around)) = begin;
+        let needed = around.saturating_add(self.bytes).saturating_add(self.rest.unwrap_or(0));
+        if needed / MOST_DEFLATED > length.min(limit) {
+            let what = format!(
+                "the file ends before all voxels are there: {} compressed bytes cannot hold the {needed} bytes that \
+                 its header asks for",
+                length.min(limit)
+            );
+            return Err(self.wrong(0, what));
+        }
+        let (before, rest) = match begin {
+            Begin::After(before) => (before, self.rest),
+            Begin::BeforeLast(behind) => {
+                // Only reading all of it says how long it is.
+                let all = io::copy(&mut open()?, &mut io::sink()).map_err(wrong)?;
+                let before = all.checked_sub(behind.saturating_add(self.bytes));
+                let short = || {
+                    let what =
+                        format!("the file ends before all voxels are there: it holds {all} bytes of data");
+                    self.wrong(0, what)
+                };
+                (before.ok_or_else(short)?, Some(behind))
+            }
+        };
+        let mut data = open()?;
+        let skipped = io::copy(&mut Read::by_ref(&mut data).take(before), &mut io::sink()).map_err(wrong)?;
+        if skipped < before {
+            let what =
+                format!("the data end after {skipped} bytes, before the {before} that are to be skipped");
+            return Err(self.wrong(0, what));
+        }
+        Ok(Voxels { path: self.path.to_owned(), data, rest })
+    }
+}
+
+/// What went wrong, in words that say more than the system's.
+pub(super) fn what_of(error: &io::Error) -> String {
+    if error.kind() == io::ErrorKind::UnexpectedEof {
+        "the file ends before all voxels are there".into()
+    } else {
+        error.to_string()
+    }
+}
+
+pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> ReadError {
+    move |source| ReadError::Io { path: path.to_owned(), source }
+}
+
+/// Bytes of a file that can be read from any place: no pipe, device or folder.
+pub(super) fn regular_file_bytes(path: &Path) -> Result<u64, ReadError> {
+    let about = std::fs::metadata(path).map_err(io_error(path))?;
+    if about.is_file() { Ok(about.len()) } else { Err(ReadError::NotRegular { path: path.to_owned() }) }
+}
+
+/// A reader from some byte of a file on.
+pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<File>, ReadError> {
+    // Asked before it is opened: opening a pipe waits for its other end.
+    regular_file_bytes(path)?;
+    let mut file = File::open(path).map_err(io_error(path))?;
+    file.seek(SeekFrom::Start(offset)).map_err(io_error(path))?;
+    Ok(BufReader::with_capacity(1 << 16, file))
+}
+
+/// Bytes from the one at `start` up to behind the end of the `lines`th line from there on. `None` if there are fewer.
+pub(super) fn skip_lines(path: &Path, start: u64, lines: u64) -> Result<Option<u64>, ReadError> {
+    let mut file = data_at(path, start)?;
+    let (mut left, mut bytes) = (lines, 0);
+    while left > 0 {
+        let held = file.fill_buf().map_err(io_error(path))?;
+        if held.is_empty() {
+            return Ok(None);
+        }
+        let end = held.iter().position(|&byte| byte == b'\n');
+        left -= u64::from(end.is_some());
+        let used = end.map_or(held.len(), |end| end + 1);
+        file.consume(used);
+        bytes += used as u64;
+    }
+    Ok(Some(bytes))
+}

@@ -1,0 +1,68 @@
+//! Text headers: lines, and the numbers in them.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::ReadError;
+use super::data::{data_at, io_error};
+
+/// No header is longer. This bounds what a file without line ends costs.
+const MOST_HEADER_BYTES: u64 = 1 << 20;
+
+/// The lines of a text header, counted.
+pub(super) struct Lines {
+    file: BufReader<File>,
+    path: PathBuf,
+    /// The number of the last line that was read; the first is 1.
+    pub(super) number: u64,
+    /// Bytes read so far: behind the last line.
+    pub(super) bytes: u64,
+}
+
+impl Lines {
+    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        Ok(Self { file: data_at(path, 0)?, path: path.to_owned(), number: 0, bytes: 0 })
+    }
+
+    /// The next line without its end, which may be that of Unix or of Windows. `None` at the end of the file.
+    pub(super) fn next(&mut self) -> Result<Option<String>, ReadError> {
+        self.number += 1;
+        let room = MOST_HEADER_BYTES - self.bytes;
+        let mut line = Vec::new();
+        let read = Read::by_ref(&mut self.file).take(room).read_until(b'\n', &mut line);
+        let read = read.map_err(io_error(&self.path))? as u64;
+        self.bytes += read;
+        if read == room {
+            let place = format!("line {}", self.number);
+            let what = format!("the header goes on beyond {MOST_HEADER_BYTES} bytes; is this such a file?");
+            return Err(ReadError::Header { path: self.path.clone(), place, what });
+        }
+        // Comments and names may be in any encoding; keys and numbers are ASCII.
+        let text = String::from_utf8_lossy(&line);
+        Ok((read > 0).then(|| text.trim_end_matches('\n').trim_end_matches('\r').to_owned()))
+    }
+
+    /// "line 7", or "line 7, key".
+    pub(super) fn place(&self, key: &str) -> String {
+        if key.is_empty() { format!("line {}", self.number) } else { format!("line {}, {key}", self.number) }
+    }
+}
+
+/// Whitespace-separated finite numbers, exactly so many.
+pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    parsed(text).filter(|all: &[f64; N]| all.iter().all(|v| v.is_finite()))
+}
+
+/// Three counts of voxels.
+pub(super) fn counts(text: &str) -> Option<[u64; 3]> {
+    parsed(text)
+}
+
+/// Whitespace-separated words, exactly so many, as what they stand for.
+pub(super) fn parsed<T: std::str::FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
+    // One more than wanted shows that there are too many; however many there are, no more are kept.
+    let all: Option<Vec<T>> =
+        text.split_ascii_whitespace().take(N + 1).map(|word| word.parse().ok()).collect();
+    all.and_then(|all| all.try_into().ok())
+}
