@@ -60,7 +60,13 @@ impl LasFile {
                 let at = 12 + (usize::from(byte()) << 8 | usize::from(byte())) % (length - 12);
                 point[at] = byte();
             }
-            let time = if format >= 6 { Some(22) } else if matches!(format, 0 | 2) { None } else { Some(20) };
+            let time = if format >= 6 {
+                Some(22)
+            } else if matches!(format, 0 | 2) {
+                None
+            } else {
+                Some(20)
+            };
             if let Some(at) = time {
                 let seconds = 1e5 + i as f64 * 0.01 + f64::from(byte());
                 point[at..at + 8].copy_from_slice(&seconds.to_le_bytes());
@@ -161,7 +167,8 @@ impl LasFile {
     /// The file, compressed.
     pub(crate) fn laz(&self, chunks: Chunks) -> Vec<u8> {
         let extra = self.record_bytes() - RECORD_BYTES[usize::from(self.format)];
-        let builder = LazVlrBuilder::default().with_point_format(self.format, extra as u16).expect("a format");
+        let builder =
+            LazVlrBuilder::default().with_point_format(self.format, extra as u16).expect("a format");
         let vlr = match chunks {
             Chunks::Fixed(n) | Chunks::NoTable(n) | Chunks::Streamed(n) => builder.with_fixed_chunk_size(n),
             Chunks::Variable(_) => builder.with_variable_chunk_size(),

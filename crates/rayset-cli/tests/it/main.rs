@@ -14,6 +14,8 @@ mod graph;
 mod grids;
 mod house;
 mod interrupted;
+mod las_files;
+mod las_writer;
 mod layers;
 mod memory;
 mod program;
