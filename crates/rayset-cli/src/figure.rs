@@ -391,6 +391,10 @@ impl PointSource for Moved {
         self.source.select(columns);
     }
 
+    fn memory_needed(&self) -> u64 {
+        self.source.memory_needed()
+    }
+
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
         self.source.fill(batch, limit)?;
         for p in &mut batch.position {

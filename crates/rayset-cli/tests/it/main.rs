@@ -19,6 +19,8 @@ mod grid_borders;
 mod grids;
 mod house;
 mod interrupted;
+mod las_files;
+mod las_writer;
 mod layers;
 mod memory;
 mod outputs;

@@ -123,6 +123,10 @@ pub trait PointSource {
     }
     /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema. Initially none.
     fn select(&mut self, columns: &[usize]);
+    /// Bytes that reading holds at once besides the batch, at most. Sources that hold next to nothing say 0.
+    fn memory_needed(&self) -> u64 {
+        0
+    }
     /// Replaces the contents of `batch` by up to `limit` further points; leaves it empty at the end.
     ///
     /// # Errors
@@ -170,23 +174,19 @@ pub enum ReadError {
         /// What was found and what was expected.
         what: String,
     },
-    /// The LAS or LAZ decoder refused.
-    #[error("{}, point {point}: {source}", path.display())]
+    /// Points of a LAS or LAZ file could not be decoded.
+    #[error("{}, byte {byte}: {what}; {read} of {count} points could be read", path.display())]
     Las {
         /// The file.
         path: PathBuf,
-        /// Index of the first point of the batch that failed.
-        point: u64,
-        /// The decoder's reason.
-        r#source: Box<::las::Error>,
-    },
-    /// The LAS or LAZ decoder gave up on damaged data.
-    #[error("{}, point {point}: the compressed data is damaged", path.display())]
-    LasDamaged {
-        /// The file.
-        path: PathBuf,
-        /// Index of the first point of the batch that failed.
-        point: u64,
+        /// Byte of the file, near where the damage is.
+        byte: u64,
+        /// What was found.
+        what: String,
+        /// Number of points before the damage.
+        read: u64,
+        /// Number of points that the header claims.
+        count: u64,
     },
     /// The extension names no format that can be read.
     #[error(

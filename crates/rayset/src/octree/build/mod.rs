@@ -171,6 +171,9 @@ impl Default for BuildOptions {
     }
 }
 
+/// What the first pass takes besides the source that it reads: a batch of points and a buffer of records.
+const READING_BYTES: u64 = 6 << 20;
+
 /// Smallest `memory_bytes` a build with `threads` threads runs in.
 #[must_use]
 pub fn minimum_memory(threads: usize) -> u64 {
@@ -395,7 +398,9 @@ fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Re
     if sources.is_empty() {
         return Err(BuildError::NoInput);
     }
-    let needed = minimum_memory(options.threads.max(1));
+    // Sources are read one after another, before anything else takes much.
+    let reading = sources.iter().map(|s| s.memory_needed()).max().unwrap_or(0);
+    let needed = minimum_memory(options.threads.max(1)).max(READING_BYTES + reading);
     if options.memory_bytes < needed {
         return Err(BuildError::Memory { given: options.memory_bytes, needed });
     }

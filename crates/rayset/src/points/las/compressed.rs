@@ -1,0 +1,315 @@
+//! Compressed points: chunk after chunk, each within its own bytes.
+//!
+//! The decompressor of the `laz` crate decodes records and knows nothing of the file: what it is given ends where the
+//! chunk ends, and the sizes that it allocates by are checked before. The table of chunks is decoded along with them,
+//! entry by entry, so that no number in it is ever a number of bytes of memory.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::sync::Arc;
+
+use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
+use laz::{DecompressionSelection, LazItem};
+
+use super::chunk_table::ChunkTable;
+use super::header::Header;
+use super::method::{Chunking, Method};
+use super::stretch::{BUFFER_BYTES, Input, Stretch};
+
+/// Memory of the models of a point without extra bytes: 2.7 MB were counted where points are compressed one by one
+/// (format 5), and 3.4 MB in layers (format 10, all four scanner channels).
+const MODELS_BYTES: u64 = 3 << 20;
+const LAYERED_MODELS_BYTES: u64 = 5 << 20;
+/// Memory of the model of an extra byte: 256 frequencies, their sums, a table and its bookkeeping.
+const EXTRA_BYTE_BYTES: u64 = 2816;
+
+/// Why compressed points could not be read.
+#[derive(Debug)]
+pub(super) enum Trouble {
+    Io(io::Error),
+    /// They are not what they should be, near a byte of the file.
+    Damaged {
+        byte: u64,
+        what: String,
+    },
+}
+
+impl Trouble {
+    pub(super) fn at(byte: u64, what: impl Into<String>) -> Self {
+        Self::Damaged { byte, what: what.into() }
+    }
+
+    /// Tells what the system refused from what the data refused.
+    pub(super) fn from_io(error: io::Error, byte: u64, what: &str) -> Self {
+        if error.raw_os_error().is_some() { Self::Io(error) } else { Self::at(byte, what) }
+    }
+}
+
+enum Decoder {
+    Sequential(SequentialPointRecordDecompressor<'static, Input>),
+    Layered(LayeredPointRecordDecompressor<'static, Input>),
+}
+
+impl Decoder {
+    fn input(&mut self) -> &mut Input {
+        match self {
+            Self::Sequential(decoder) => decoder.get_mut(),
+            Self::Layered(decoder) => decoder.get_mut(),
+        }
+    }
+
+    /// Starts a chunk at the place of the input.
+    fn start(&mut self, items: &Vec<LazItem>, layers: u32) -> Result<(), laz::LasZipError> {
+        match self {
+            Self::Sequential(decoder) => {
+                decoder.reset();
+                decoder.set_fields_from(items)
+            }
+            Self::Layered(decoder) => {
+                decoder.reset();
+                decoder.set_fields_from(items)?;
+                decoder.set_selection(DecompressionSelection(layers));
+                Ok(())
+            }
+        }
+    }
+
+    fn next(&mut self, record: &mut [u8]) -> io::Result<()> {
+        match self {
+            Self::Sequential(decoder) => decoder.decompress_next(record),
+            Self::Layered(decoder) => decoder.decompress_next(record),
+        }
+    }
+}
+
+/// A part of the compressed points that is decoded from its start.
+#[derive(Clone, Copy)]
+struct Chunk {
+    start: u64,
+    end: u64,
+    points: u64,
+}
+
+/// The compressed points of a file, in their order.
+pub(super) struct CompressedPoints {
+    file: Arc<File>,
+    method: Method,
+    record_bytes: usize,
+    decoder: Decoder,
+    /// `None` if the file has none, and its points can be decoded without.
+    table: Option<ChunkTable>,
+    /// The chunk that is being read.
+    chunk: Chunk,
+    /// Points of the chunk that are still to come.
+    left: u64,
+    /// Byte behind the last chunk.
+    end: u64,
+    /// Layers that are asked for, and those that the chunk was started with.
+    layers: u32,
+    started_layers: u32,
+    /// Room for a point that nobody wants.
+    spare: Vec<u8>,
+    memory: u64,
+}
+
+impl CompressedPoints {
+    /// Checks what the file says of its chunks.
+    pub(super) fn open(file: &Arc<File>, header: &Header, method: Method) -> Result<Self, Trouble> {
+        let (mut start, mut end) = (header.points_start, header.points_end());
+        let mut table = None;
+        let mut largest = 0;
+        if method.chunking != Chunking::One {
+            // The place of the table comes before the first chunk.
+            start += 8;
+            let variable = method.chunking == Chunking::Variable;
+            if let Some(place) = ChunkTable::find(file, header)? {
+                let survey = ChunkTable::survey(file, header, place, &method)?;
+                (largest, end) = (survey.largest, place);
+                table = Some(ChunkTable::open(file, place, header.file_bytes, variable)?);
+            } else if variable && !method.is_layered {
+                let what = "chunks of different numbers of points, and no table of chunks that says how many; the \
+                            file is cut off, or its writer did not finish it";
+                return Err(Trouble::at(header.points_start, what));
+            }
+        }
+        let input = Stretch::new(file, start, end).buffered();
+        let decoder = if method.is_layered {
+            Decoder::Layered(LayeredPointRecordDecompressor::new(input))
+        } else {
+            Decoder::Sequential(SequentialPointRecordDecompressor::new(input))
+        };
+        let mut points = Self {
+            file: file.clone(),
+            record_bytes: header.record_bytes,
+            decoder,
+            table,
+            chunk: Chunk { start, end: start, points: 0 },
+            left: 0,
+            end,
+            layers: DecompressionSelection::Z,
+            started_layers: 0,
+            spare: vec![0; header.record_bytes],
+            memory: 0,
+            method,
+        };
+        if points.method.is_layered && points.table.is_none() {
+            largest = points.largest_without_table(header.count)?;
+        }
+        let buffers = 2 * BUFFER_BYTES as u64;
+        let extra = points.method.extra_bytes as u64 * EXTRA_BYTE_BYTES;
+        points.memory = buffers
+            + if points.method.is_layered {
+                LAYERED_MODELS_BYTES + 4 * extra + largest + points.method.preamble_bytes() as u64
+            } else {
+                MODELS_BYTES + extra
+            };
+        Ok(points)
+    }
+
+    /// Bytes that are held at once, at most. A chunk in layers is held whole.
+    pub(super) fn memory_needed(&self) -> u64 {
+        self.memory
+    }
+
+    /// Chooses the layers that are decoded; the bytes of others are not meaningful.
+    pub(super) fn select(&mut self, layers: u32) {
+        self.layers = layers;
+    }
+
+    /// Byte of the file where the chunk begins that is being read.
+    pub(super) fn chunk_start(&self) -> u64 {
+        self.chunk.start
+    }
+
+    /// Fills `records` with the next points. `done` counts those that were decoded, also where an error follows.
+    pub(super) fn read(&mut self, records: &mut [u8], done: &mut usize) -> Result<(), Trouble> {
+        if self.left > 0 && self.layers & !self.started_layers != 0 {
+            self.restart()?;
+        }
+        for record in records.chunks_exact_mut(self.record_bytes) {
+            while self.left == 0 {
+                self.chunk = self.next_chunk()?;
+                self.start()?;
+            }
+            let decoded = self.decoder.next(record);
+            decoded.map_err(|e| self.cut(e))?;
+            self.left -= 1;
+            *done += 1;
+        }
+        Ok(())
+    }
+
+    fn cut(&self, error: io::Error) -> Trouble {
+        let what = format!(
+            "the compressed points of the chunk at byte {} go on beyond its end; the file is cut off or damaged",
+            self.chunk.start
+        );
+        Trouble::from_io(error, self.chunk.end, &what)
+    }
+
+    /// Goes to the start of the chunk.
+    fn start(&mut self) -> Result<(), Trouble> {
+        let Chunk { start, end, points } = self.chunk;
+        let input = self.decoder.input();
+        // Where no table says the ends of chunks, one follows the other in what is buffered.
+        if input.get_ref().end() != end || input.stream_position().map_err(Trouble::Io)? != start {
+            input.seek(SeekFrom::Start(start)).map_err(Trouble::Io)?;
+            input.get_mut().set(start, end);
+        }
+        self.left = points;
+        self.started_layers = self.layers;
+        let started = self.decoder.start(&self.method.items, self.layers);
+        started.map_err(|e| Trouble::at(start, e.to_string()))
+    }
+
+    /// Starts the chunk once more with the layers that are asked for now, and goes to where it was.
+    fn restart(&mut self) -> Result<(), Trouble> {
+        let passed = self.chunk.points - self.left;
+        self.start()?;
+        for _ in 0..passed {
+            let decoded = self.decoder.next(&mut self.spare);
+            decoded.map_err(|e| self.cut(e))?;
+            self.left -= 1;
+        }
+        Ok(())
+    }
+
+    /// The chunk after the present one.
+    fn next_chunk(&mut self) -> Result<Chunk, Trouble> {
+        let start = self.chunk.end;
+        let mut end = self.end;
+        let mut points = match self.method.chunking {
+            Chunking::One => u64::MAX,
+            Chunking::Fixed(points) => points.into(),
+            Chunking::Variable => 0,
+        };
+        if let Some(table) = &mut self.table {
+            let Some(entry) = table.next()? else {
+                return Err(Trouble::at(start, "there are fewer chunks than the points need"));
+            };
+            end = start + entry.bytes;
+            if self.method.chunking == Chunking::Variable {
+                points = entry.points;
+            }
+            if points == 0 {
+                return Ok(Chunk { start, end, points });
+            }
+        } else if !self.method.is_layered {
+            // The end of a chunk is where its last point was decoded.
+            let at = self.decoder.input().stream_position().map_err(Trouble::Io)?;
+            return Ok(Chunk { start: at, end, points });
+        }
+        if self.method.is_layered {
+            let preamble = self.preamble(start, end)?;
+            end = preamble.end;
+            if self.table.is_none() && self.method.chunking == Chunking::Variable {
+                points = preamble.points;
+            }
+        }
+        Ok(Chunk { start, end, points })
+    }
+
+    /// What a layered chunk says before its layers: how many points it has, and the sizes of the layers, by which the
+    /// decompressor allocates. They must lie within the chunk.
+    fn preamble(&mut self, start: u64, end: u64) -> Result<Preamble, Trouble> {
+        let mut bytes = vec![0; self.method.preamble_bytes()];
+        let mut stretch = Stretch::new(&self.file, start, end);
+        stretch.read_exact(&mut bytes).map_err(|e| {
+            let what =
+                format!("the chunk at byte {start} is too short for its first point; the file is damaged");
+            Trouble::from_io(e, start, &what)
+        })?;
+        let mut numbers = (bytes[self.record_bytes..].chunks_exact(4))
+            .map(|b| u64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])));
+        let points = numbers.next().unwrap_or(0);
+        let layers: u64 = numbers.sum();
+        let room = end - start - bytes.len() as u64;
+        if layers > room {
+            let what = format!(
+                "the layers of a chunk claim {layers} bytes where {room} are left; the file is cut off or damaged"
+            );
+            return Err(Trouble::at(start, what));
+        }
+        // Where there is a table, it says the end; no writer leaves a gap.
+        let end = if self.table.is_some() { end } else { end - room + layers };
+        Ok(Preamble { points, end })
+    }
+
+    /// Bytes of the largest chunk of a file of layered chunks that has no table of them.
+    fn largest_without_table(&mut self, mut points: u64) -> Result<u64, Trouble> {
+        let (first, mut largest) = (self.chunk, 0);
+        while points > 0 {
+            let chunk = self.next_chunk()?;
+            largest = largest.max(chunk.end - chunk.start);
+            points = points.saturating_sub(chunk.points);
+            self.chunk = chunk;
+        }
+        self.chunk = first;
+        Ok(largest)
+    }
+}
+
+struct Preamble {
+    points: u64,
+    end: u64,
+}

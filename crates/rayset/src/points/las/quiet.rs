@@ -1,0 +1,42 @@
+//! Panics of the decompressor as values, without a word on standard error.
+//!
+//! The decompressor trusts its input: damaged bytes make it index beyond tables, divide by zero or overflow. These
+//! panics are caught, and since a panic is reported before it is caught, a panic hook that keeps silent about them is
+//! put before the one of the program, once per process and only when a compressed file is read. It looks at a flag of
+//! the thread, so that every other panic is reported as it was.
+
+use std::cell::Cell;
+use std::panic::{self, AssertUnwindSafe};
+use std::sync::Once;
+
+thread_local! {
+    static SILENT: Cell<bool> = const { Cell::new(false) };
+}
+
+/// What `call` returns, or `None` where it panics. The caller gives up what `call` was changing.
+pub(super) fn catch<T>(call: impl FnOnce() -> T) -> Option<T> {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let report = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            // A thread that is ending has no flags any more, and is not in here either.
+            if !SILENT.try_with(Cell::get).unwrap_or(false) {
+                report(info);
+            }
+        }));
+    });
+    let outer = SILENT.replace(true);
+    let result = panic::catch_unwind(AssertUnwindSafe(call)).ok();
+    SILENT.set(outer);
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_panic_is_none_and_the_flag_goes_back() {
+        assert_eq!(super::catch(|| 3), Some(3));
+        assert_eq!(super::catch(|| -> u32 { panic!("this must not be printed") }), None);
+        assert!(!super::SILENT.get());
+    }
+}
