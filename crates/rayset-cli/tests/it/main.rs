@@ -24,11 +24,13 @@ mod las_writer;
 mod layers;
 mod memory;
 mod outputs;
+mod ply_files;
 mod program;
 mod readers;
 mod right_picture;
 mod same_picture;
 mod schema;
+mod tables;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
 mod volumes;

@@ -129,9 +129,9 @@ fn separators_headers_and_column_names_are_detected() {
     };
     check("a.xyz", "1 2 3\n-4.5 5e3 .25\n", &none, &[]);
     check("a.txt", "# a comment\n\n  1\t2\t3\n-4.5\t5e3\t.25", &none, &[]);
-    check("a.csv", "x,y,z,Intensity\n1,2,3,9\n-4.5,5e3,.25,\n", &none, &["intensity"]);
+    check("a.csv", "x,y,z,Intensity\n1,2,3,9\n-4.5,5e3,.25,\n", &none, &["Intensity"]);
     check("a.csv", "z;x;y\r\n3;1;2\r\n.25;-4.5;5e3\r\n", &none, &[]);
-    check("a.txt", "//X Y Z R G B\n1 2 3 0 0 0\n-4.5 5e3 .25 1 2 3\n", &none, &["red", "green", "blue"]);
+    check("a.txt", "//X Y Z R G B\n1 2 3 0 0 0\n-4.5 5e3 .25 1 2 3\n", &none, &["R", "G", "B"]);
     check(
         "a.pts",
         "2\n1 2 3 -9 1 2 3\n-4.5 5e3 .25 8 1 2 3\n",

@@ -1,18 +1,21 @@
 //! Points on the triangles of a mesh, as many as one likes.
 
-use std::fs::File;
-use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::ply_header::{Encoding, Header, Property, Scalar};
+use super::ply_body::{Body, Part};
+use super::ply_header::{Element, Property};
 use super::synthetic::SplitMix;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 use crate::geometry::DVec3;
 
+/// Most corners of a face: more is no face, but a damaged count.
+const CORNER_LIMIT: u32 = 1 << 16;
+
 /// Points drawn at random from the surface of a mesh, evenly by area; the same for the same mesh and number. The mesh is
-/// held in memory.
+/// held in memory: 24 bytes a vertex and 20 a triangle.
 pub struct MeshSource {
-    corners: Vec<[DVec3; 3]>,
+    vertices: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
     /// Area of each triangle and all before.
     area: Vec<f64>,
     random: SplitMix,
@@ -24,69 +27,123 @@ impl MeshSource {
     /// Reads the vertices and faces of a PLY file.
     ///
     /// # Errors
-    /// [`ReadError`] where it cannot be read, or has no faces.
+    /// [`ReadError`] where it cannot be read, has no faces, or a face has a corner that is no vertex.
     pub fn open(path: &Path, points: u64) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut input = BufReader::with_capacity(1 << 18, File::open(path).map_err(io)?);
-        let header = Header::read(path, &mut input)?;
-        let mut values =
-            Values { path, input, encoding: header.encoding, word: String::new(), line: header.lines + 1 };
-        let (mut vertices, mut corners): (Vec<DVec3>, Vec<[DVec3; 3]>) = (Vec::new(), Vec::new());
+        let (header, mut body) = Body::open(path)?;
+        let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
+        let element = |name: &str| {
+            let found = header.elements.iter().find(|e| e.name == name);
+            found.ok_or_else(|| fail(format!("no `{name}` element; a mesh has vertices and faces")))
+        };
+        let (vertex, face) = (element("vertex")?, element("face")?);
+        let axes = vertex.axes().map_err(fail)?;
+        let corners = corners(face).map_err(fail)?;
+        if vertex.count > u64::from(u32::MAX) {
+            return Err(fail(format!("{} vertices; at most {} can be read", vertex.count, u32::MAX)));
+        }
+        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
         for element in &header.elements {
-            for record in 0..element.count {
-                let mut position = DVec3::ZERO;
-                for property in &element.properties {
-                    match property {
-                        Property::Scalar { name, kind } => {
-                            let value = values.next(*kind)?;
-                            if let Some(axis) = ["x", "y", "z"].iter().position(|axis| axis == name) {
-                                position[axis] = value;
-                            }
-                        }
-                        Property::List { count, item } => {
-                            let count = values.next(*count)? as u64;
-                            let list =
-                                (0..count).map(|_| values.next(*item)).collect::<Result<Vec<f64>, _>>()?;
-                            if element.name == "face" {
-                                let corner = |i: usize| vertices.get(list[i] as usize).copied();
-                                // A polygon is a fan of triangles.
-                                for i in 2..list.len() {
-                                    let (Some(a), Some(b), Some(c)) = (corner(0), corner(i - 1), corner(i))
-                                    else {
-                                        let what = format!("face {record} names a vertex that is not there");
-                                        return Err(ReadError::malformed(
-                                            path,
-                                            Place::Line(header.lines),
-                                            what,
-                                        ));
-                                    };
-                                    corners.push([a, b, c]);
-                                }
-                            }
-                        }
-                    }
-                }
-                if element.name == "vertex" {
-                    vertices.push(position);
-                }
+            match element.name.as_str() {
+                "vertex" => read_vertices(&mut body, vertex, axes, &mut vertices)?,
+                "face" => read_faces(&mut body, face, corners, vertex.count, &mut triangles)?,
+                _ => body.skip(element)?,
             }
         }
         let mut sum = 0.0;
-        let area = corners.iter().map(|[a, b, c]| {
-            sum += 0.5 * (*b - *a).cross(*c - *a).length();
+        let area = triangles.iter().map(|triangle: &[u32; 3]| {
+            let [a, b, c]: [DVec3; 3] = triangle.map(|corner| vertices[corner as usize]);
+            sum += 0.5 * (b - a).cross(c - a).length();
             sum
         });
         let area: Vec<f64> = area.collect();
-        if !(sum > 0.0 && sum.is_finite()) {
-            return Err(ReadError::malformed(
-                path,
-                Place::Line(header.lines),
-                "the mesh has no faces with an area",
+        if !sum.is_finite() {
+            return Err(fail(
+                "a face has a corner that is not finite, or the area of the mesh overflows".into(),
             ));
         }
-        let schema = Schema::new(Vec::new(), ColorDepth::Unit);
-        Ok(Self { corners, area, random: SplitMix(42), left: points, schema })
+        if sum <= 0.0 {
+            return Err(fail("the mesh has no faces with an area".into()));
+        }
+        let schema = Schema { description: header.description, ..Schema::new(Vec::new(), ColorDepth::Unit) };
+        Ok(Self { vertices, triangles, area, random: SplitMix(42), left: points, schema })
     }
+}
+
+/// The property of a face that lists its corners.
+fn corners(face: &Element) -> Result<usize, String> {
+    let is_list = |p: &Property| matches!(p, Property::List { .. });
+    let named = |p: &Property| is_list(p) && matches!(p.name(), "vertex_indices" | "vertex_index");
+    let place = face.properties.iter().position(named);
+    let only = || {
+        (face.properties.iter().filter(|p| is_list(p)).count() == 1)
+            .then(|| face.properties.iter().position(is_list))
+    };
+    place
+        .or_else(|| only().flatten())
+        .ok_or_else(|| "the `face` element has no list called `vertex_indices`".to_owned())
+}
+
+fn read_vertices(
+    body: &mut Body,
+    element: &Element,
+    axes: [usize; 3],
+    vertices: &mut Vec<DVec3>,
+) -> Result<(), ReadError> {
+    for index in 0..element.count {
+        let mut position = DVec3::ZERO;
+        body.record(
+            element,
+            index,
+            |_| false,
+            |place, part| {
+                if let (Some(axis), Part::Scalar(value)) = (axes.iter().position(|&a| a == place), part) {
+                    position[axis] = value;
+                }
+                Ok(())
+            },
+        )?;
+        vertices.push(position);
+    }
+    Ok(())
+}
+
+/// Reads the faces; a polygon is a fan of triangles. `vertices`: how many there are.
+fn read_faces(
+    body: &mut Body,
+    element: &Element,
+    corners: usize,
+    vertices: u64,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<(), ReadError> {
+    for index in 0..element.count {
+        // The first corner, the one before, and how many were seen.
+        let (mut first, mut last, mut seen) = (0, 0, 0_u32);
+        body.record(element, index, |place| place == corners, |place, part| {
+            match part {
+                Part::Count(count) if place == corners && count > CORNER_LIMIT => {
+                    return Err(format!("face {index} has {count} corners; at most {CORNER_LIMIT} are believed"));
+                }
+                Part::Item(corner) => {
+                    if !(corner >= 0.0 && corner < vertices as f64 && corner.fract() == 0.0) {
+                        return Err(format!(
+                            "a corner of face {index} is vertex {corner}, which is not there: there are {vertices}, \
+                             counted from 0"
+                        ));
+                    }
+                    let corner = corner as u32;
+                    if seen == 0 {
+                        first = corner;
+                    } else if seen > 1 {
+                        triangles.push([first, last, corner]);
+                    }
+                    (last, seen) = (corner, seen + 1);
+                }
+                _ => {}
+            }
+            Ok(())
+        })?;
+    }
+    Ok(())
 }
 
 impl PointSource for MeshSource {
@@ -106,8 +163,8 @@ impl PointSource for MeshSource {
         let whole = self.area.last().copied().unwrap_or(0.0);
         for _ in 0..count {
             let at = self.random.unit() * whole + self.random.unit() * whole / f64::from(1 << 24);
-            let triangle = self.area.partition_point(|&a| a <= at).min(self.corners.len() - 1);
-            let [a, b, c] = self.corners[triangle];
+            let triangle = self.area.partition_point(|&a| a <= at).min(self.triangles.len() - 1);
+            let [a, b, c] = self.triangles[triangle].map(|corner| self.vertices[corner as usize]);
             // Evenly over the triangle (Osada et al. 2002).
             let (u, v) = (self.random.unit().sqrt(), self.random.unit());
             let p = a * (1.0 - u) + b * (u * (1.0 - v)) + c * (u * v);
@@ -115,40 +172,5 @@ impl PointSource for MeshSource {
         }
         self.left -= count;
         Ok(())
-    }
-}
-
-/// Values of a PLY file, one after another.
-struct Values<'a> {
-    path: &'a Path,
-    input: BufReader<File>,
-    encoding: Encoding,
-    word: String,
-    line: u64,
-}
-
-impl Values<'_> {
-    fn next(&mut self, kind: Scalar) -> Result<f64, ReadError> {
-        let early = |source| ReadError::Io { path: self.path.to_owned(), source };
-        if self.encoding != Encoding::Ascii {
-            let mut bytes = [0; 8];
-            self.input.read_exact(&mut bytes[..kind.size()]).map_err(early)?;
-            return Ok(kind.decode(&bytes, self.encoding == Encoding::BigEndian));
-        }
-        self.word.clear();
-        loop {
-            let mut byte = [0];
-            let read = self.input.read(&mut byte).map_err(early)?;
-            self.line += u64::from(read == 1 && byte[0] == b'\n');
-            let end = read == 0 || byte[0].is_ascii_whitespace();
-            if end && (read == 0 || !self.word.is_empty()) {
-                break;
-            }
-            if !end {
-                self.word.push(byte[0] as char);
-            }
-        }
-        let what = || format!("`{}` is no number, or the file ends early", self.word);
-        self.word.parse().map_err(|_| ReadError::malformed(self.path, Place::Line(self.line), what()))
     }
 }

@@ -9,8 +9,10 @@ mod column;
 mod las;
 mod mesh;
 mod ply;
+mod ply_body;
 mod ply_header;
 mod ply_write;
+mod roles;
 mod synthetic;
 mod text;
 
@@ -42,8 +44,11 @@ pub enum ColorDepth {
 /// What a source offers besides positions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schema {
-    /// Columns, in the order of [`PointBatch::columns`] before any selection. Colours are `red`, `green`, `blue`.
+    /// Columns, in the order of [`PointBatch::columns`] before any selection. Colours are `red`, `green`, `blue`, as
+    /// names or as roles.
     pub columns: Vec<ColumnInfo>,
+    /// What columns are for that have other names: `red` of the column `r`. Each a role and the index of a column.
+    pub roles: Vec<(String, usize)>,
     /// How to read the colour columns, if there are any.
     pub color_depth: ColorDepth,
     /// The coordinate reference system as the file has it (WKT, or GeoTIFF keys in words); empty where it has none.
@@ -56,13 +61,14 @@ impl Schema {
     /// Columns alone.
     #[must_use]
     pub fn new(columns: Vec<ColumnInfo>, color_depth: ColorDepth) -> Self {
-        Self { columns, color_depth, crs: String::new(), description: String::new() }
+        Self { columns, roles: Vec::new(), color_depth, crs: String::new(), description: String::new() }
     }
 
-    /// Index of the column called `name`.
+    /// Index of the column that `name` means: the one of that name, else the one that has it as its role, else the one of
+    /// that name in other letter case. Several names may mean one column.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<usize> {
-        self.columns.iter().position(|c| c.name == name)
+        roles::find(&self.columns, &self.roles, name)
     }
 
     /// Names of all columns.
@@ -116,12 +122,12 @@ pub trait PointSource {
     fn schema(&self) -> &Schema;
     /// Number of points that the file claims to hold; a claim, never trusted for an allocation.
     fn count_hint(&self) -> Option<u64>;
-
     /// The file that is read, if it is one: an output never replaces it.
     fn path(&self) -> Option<&Path> {
         None
     }
-    /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema. Initially none.
+    /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema; one may be chosen more than
+    /// once. Initially none.
     fn select(&mut self, columns: &[usize]);
     /// Bytes that reading holds at once besides the batch, at most. Sources that hold next to nothing say 0.
     fn memory_needed(&self) -> u64 {
@@ -207,7 +213,7 @@ impl ReadError {
 /// What a reader needs to be told because some formats do not say it.
 #[derive(Clone, Debug, Default)]
 pub struct ReadOptions {
-    /// Column names of text files, overriding their header; `-` or an empty name skips a column.
+    /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
 }
 

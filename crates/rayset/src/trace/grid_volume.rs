@@ -358,6 +358,7 @@ mod tests {
 
     fn header(size: [u64; 3], kind: VoxelKind) -> GridHeader {
         GridHeader {
+            identity: crate::container::Identity::default(),
             size,
             kind,
             range: (0.0, 1.0),
@@ -365,6 +366,7 @@ mod tests {
             offset: 0.0,
             space_from_voxel: DAffine3::IDENTITY,
             file_bytes: 0,
+            sources: Vec::new(),
         }
     }
 

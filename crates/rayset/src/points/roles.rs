@@ -1,0 +1,105 @@
+//! What columns are for, told by their names: axes, colours, classes.
+//!
+//! A name means itself before it means anything else: `x` is the axis even where there is an `easting`, and a file with
+//! `red` has no other red. Names are compared without regard to case where no name agrees letter by letter.
+
+use super::ColumnInfo;
+
+const AXES: [&[&str]; 3] = [
+    &["x", "easting", "points:0", "points_0"],
+    &["y", "northing", "points:1", "points_1"],
+    &["z", "elevation", "height", "points:2", "points_2"],
+];
+
+const COLORS: [&str; 3] = ["red", "green", "blue"];
+/// Other names of the three colours, which count where all three are there.
+const COLOR_ALIASES: [[&str; 3]; 2] = [["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"]];
+
+/// The first of `names` that is `wanted`, letter by letter or else without regard to case.
+fn place(names: &[&str], wanted: &str) -> Option<usize> {
+    let exact = names.iter().position(|n| *n == wanted);
+    exact.or_else(|| names.iter().position(|n| n.eq_ignore_ascii_case(wanted)))
+}
+
+/// Which of `names` are x, y and z.
+pub(super) fn axes<S: AsRef<str>>(names: &[S]) -> [Option<usize>; 3] {
+    let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+    AXES.map(|aliases| aliases.iter().find_map(|alias| place(&names, alias)))
+}
+
+/// The roles `red`, `green` and `blue`, with the columns that have them under other names. None where any column is
+/// called `red`, `green` or `blue`.
+pub(super) fn colors(columns: &[ColumnInfo]) -> Vec<(String, usize)> {
+    let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
+    let find = |name: &str| place(&names, name);
+    if COLORS.iter().any(|name| find(name).is_some()) {
+        return Vec::new();
+    }
+    let all = COLOR_ALIASES.iter().find_map(|[r, g, b]| Some([find(r)?, find(g)?, find(b)?]));
+    all.map_or_else(Vec::new, |found| COLORS.iter().map(|c| (*c).to_owned()).zip(found).collect())
+}
+
+/// The column that `name` means: that of the name, else that of the role, else that of the name in other letter case.
+pub(super) fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str) -> Option<usize> {
+    let exact = columns.iter().position(|c| c.name == name);
+    exact
+        .or_else(|| roles.iter().find(|(role, _)| role == name).map(|(_, column)| *column))
+        .or_else(|| columns.iter().position(|c| c.name.eq_ignore_ascii_case(name)))
+}
+
+/// Whether a column of this name holds the numbers of classes.
+pub(super) fn is_class(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let name = name.strip_prefix("scalar_").unwrap_or(&name);
+    matches!(name, "class" | "classification" | "label")
+}
+
+/// The start of what a file holds, short enough for a message and without control characters.
+pub(super) fn excerpt(text: &str) -> String {
+    let text = text.trim();
+    let mut short: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect();
+    if short.len() < text.len() {
+        short.push('…');
+    }
+    short
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::points::ColumnType;
+
+    fn columns(names: &[&str]) -> Vec<ColumnInfo> {
+        names.iter().map(|name| ColumnInfo::new(*name, ColumnType::F64)).collect()
+    }
+
+    #[test]
+    fn a_canonical_name_goes_before_an_alias_and_a_spelling_before_another() {
+        assert_eq!(axes(&["height", "x", "y", "z"]), [Some(1), Some(2), Some(3)]);
+        assert_eq!(axes(&["Easting", "NORTHING", "height"]), [Some(0), Some(1), Some(2)]);
+        assert_eq!(axes(&["height", "elevation", "y", "x"]), [Some(3), Some(2), Some(1)]);
+        assert_eq!(axes(&["X", "x", "y", "Z"]), [Some(1), Some(2), Some(3)]);
+        assert_eq!(axes(&["x", "y"]), [Some(0), Some(1), None]);
+    }
+
+    #[test]
+    fn other_names_are_colours_only_together_and_where_no_colour_is() {
+        assert_eq!(
+            colors(&columns(&["a", "B", "r", "G"])).iter().map(|r| r.1).collect::<Vec<_>>(),
+            [2, 3, 1]
+        );
+        assert!(colors(&columns(&["r", "g"])).is_empty());
+        assert!(colors(&columns(&["r", "g", "b", "Green"])).is_empty());
+        let both = columns(&["r", "g", "b", "diffuse_red", "diffuse_green", "diffuse_blue"]);
+        assert_eq!(colors(&both).iter().map(|r| r.1).collect::<Vec<_>>(), [3, 4, 5]);
+    }
+
+    #[test]
+    fn a_column_is_found_by_its_own_name_then_its_role_then_in_other_case() {
+        let columns = columns(&["r", "g", "b", "B", "Intensity"]);
+        let roles = super::colors(&columns);
+        let found = |name: &str| super::find(&columns, &roles, name);
+        assert_eq!([found("b"), found("B"), found("blue"), found("intensity")], [2, 3, 2, 4].map(Some));
+        assert_eq!(found("Blue"), None);
+    }
+}

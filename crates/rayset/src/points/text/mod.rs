@@ -1,0 +1,237 @@
+//! XYZ, TXT, CSV, ASC, PTS: one point a record, with separators and header detected and columns nameable.
+//!
+//! **Rows.** Values are separated by `;`, tabs, commas, or blanks (any number of blanks and tabs): the first of these
+//! with which the first row has numbers for x, y and z. What is settled by the first row holds for the whole file, and a
+//! row with another number of values is an error. A separator may follow the last value. Values may be quoted: `""` is a
+//! quote, and separators and line breaks within quotes are part of the value. A record has at most 64 KiB. Lines end with
+//! `\n` or `\r\n`. Empty lines, and lines that start with `#` or `//`, hold no point.
+//!
+//! **Numbers** are what Rust reads as `f64`, or have the exponents of Fortran, `1.0D+05`. Where values are not separated
+//! by commas the decimal mark may be a comma between digits; a file has one decimal mark, that of the first number that
+//! has any. `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing: NaN. Values of columns
+//! that nobody selected are not looked at, and may be any text.
+//!
+//! **Names** come from the caller, else from a header, else from the number of columns: four are x y z intensity, six x y
+//! z red green blue, seven x y z intensity red green blue. A header is a line before the first row that names x, y and z
+//! (see [`roles`](super::roles)), or a comment that does, if its first name is one of the three. It has a name for each
+//! value of a row; columns without a name are left out.
+//!
+//! **Counts.** A whole number alone on the line before the first row, as in PTS files, is the number of points that
+//! follow, and must be. Behind them may stand another count and as many points, and so on: all are one cloud.
+
+mod layout;
+mod lines;
+mod number;
+mod rows;
+
+use std::path::Path;
+
+use self::layout::Layout;
+use self::lines::Lines;
+use self::number::{DecimalMark, NotANumber};
+use self::rows::{Progress, Separator, Splitter};
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, roles};
+
+/// The points of a text file.
+#[derive(Debug)]
+pub struct TextSource {
+    lines: Lines,
+    separator: Separator,
+    mark: DecimalMark,
+    /// Values of a row.
+    width: usize,
+    axes: [usize; 3],
+    /// The place in a row of each column of the schema.
+    places: Vec<usize>,
+    schema: Schema,
+    selected: Vec<usize>,
+    scan: Option<Scan>,
+    /// The line read last, and whether it is yet to be used.
+    line: Vec<u8>,
+    is_held: bool,
+    row: Splitter,
+    /// Line on which the row begins, and on which the first did.
+    row_line: u64,
+    first_line: u64,
+}
+
+/// Points that follow a count.
+#[derive(Debug)]
+struct Scan {
+    claimed: u64,
+    found: u64,
+    line: u64,
+}
+
+impl TextSource {
+    /// Opens a file and settles its columns, from `names` if given.
+    ///
+    /// # Errors
+    /// [`ReadError`] where the file cannot be read, holds no data, or its columns do not include x, y and z.
+    pub fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
+        let mut lines = Lines::open(path.to_owned())?;
+        let layout = Layout::find(&mut lines, names)?;
+        let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
+        let mut places = Vec::new();
+        for (place, name) in layout.names.iter().enumerate() {
+            if !layout.axes.contains(&place) && !layout::is_skipped(name) {
+                let column = ColumnInfo::new(name, ColumnType::F64);
+                schema.columns.push(if roles::is_class(name) { column.of_classes() } else { column });
+                places.push(place);
+            }
+        }
+        schema.roles = roles::colors(&schema.columns);
+        schema.description = describe(&layout);
+        Ok(Self {
+            lines,
+            separator: layout.separator,
+            mark: layout::first_mark(layout.separator),
+            width: layout.names.len(),
+            axes: layout.axes,
+            places,
+            schema,
+            selected: Vec::new(),
+            scan: layout.count.map(|(claimed, line)| Scan { claimed, found: 0, line }),
+            line: layout.first,
+            is_held: true,
+            row: Splitter::new(layout.separator),
+            row_line: layout.first_line,
+            first_line: layout.first_line,
+        })
+    }
+
+    /// Takes the next row apart. False at the end of the file.
+    fn next_row(&mut self) -> Result<bool, ReadError> {
+        loop {
+            if !std::mem::take(&mut self.is_held) {
+                self.line.clear();
+                if !self.lines.append(&mut self.line)? {
+                    return self.finish_scan().map(|()| false);
+                }
+                self.row_line = self.lines.number();
+            }
+            if self.line.trim_ascii().is_empty() || layout::comment(&self.line).is_some() {
+                continue;
+            }
+            let mut progress = self.row.start(&self.line);
+            while progress == Progress::QuoteOpen {
+                let start = self.line.len();
+                if !self.lines.append(&mut self.line)? {
+                    return Err(self.fail("a quote that is not closed"));
+                }
+                progress = self.row.go_on(&self.line[start..]);
+            }
+            if progress == Progress::CarriageReturn {
+                return Err(self.fail(layout::CARRIAGE_RETURN));
+            }
+            if let Some(scan) = &mut self.scan {
+                if let Some(claimed) = layout::lone_count(&self.line) {
+                    self.finish_scan()?;
+                    self.scan = Some(Scan { claimed, found: 0, line: self.row_line });
+                    continue;
+                }
+                if scan.found == scan.claimed {
+                    let what = format!(
+                        "a point beyond the {} that the count on line {} claims; correct or remove the count",
+                        scan.claimed, scan.line
+                    );
+                    return Err(self.fail(what));
+                }
+                scan.found += 1;
+            }
+            if !layout::is_as_wide(&self.row, self.width) {
+                let (found, width, first) = (self.row.len(), self.width, self.first_line);
+                return Err(
+                    self.fail(format!("{found} values where {width} were expected, as on line {first}"))
+                );
+            }
+            return Ok(true);
+        }
+    }
+
+    /// Whether as many points came as the last count claims.
+    fn finish_scan(&self) -> Result<(), ReadError> {
+        match &self.scan {
+            Some(scan) if scan.found < scan.claimed => Err(self.lines.fail_at(
+                scan.line,
+                format!(
+                    "the count claims {} points and {} follow, up to line {}; the file is not whole, or the count \
+                     wrong",
+                    scan.claimed,
+                    scan.found,
+                    self.lines.number()
+                ),
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    fn fail(&self, what: impl Into<String>) -> ReadError {
+        self.lines.fail_at(self.row_line, what)
+    }
+
+    /// Value `place` of the row.
+    #[inline]
+    fn number(&mut self, place: usize) -> Result<f64, ReadError> {
+        let text = std::str::from_utf8(self.row.bytes(place));
+        let why = match text.map_or(Err(NotANumber::Word), |text| self.mark.parse(text)) {
+            Ok(value) => return Ok(value),
+            Err(why) => why,
+        };
+        let field = roles::excerpt(&self.row.field(place));
+        Err(self.fail(match why {
+            NotANumber::Word => format!("`{field}` is not a number"),
+            NotANumber::OtherMark if self.separator == Separator::Comma => format!(
+                "`{field}`: where commas separate values the decimal mark is a point, and thousands have no mark"
+            ),
+            NotANumber::OtherMark => format!(
+                "`{field}` has two decimal marks, or another than the numbers before it; a file has one, and \
+                 thousands have none"
+            ),
+        }))
+    }
+}
+
+impl PointSource for TextSource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        None
+    }
+
+    fn path(&self) -> Option<&Path> {
+        Some(self.lines.path())
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(&self.schema, &self.selected);
+        while batch.len() < limit && self.next_row()? {
+            let [x, y, z] = self.axes;
+            let position = [self.number(x)?, self.number(y)?, self.number(z)?];
+            for target in 0..self.selected.len() {
+                let value = self.number(self.places[self.selected[target]])?;
+                batch.columns[target].push(value);
+            }
+            batch.position.push(position);
+        }
+        Ok(())
+    }
+}
+
+fn describe(layout: &Layout) -> String {
+    let kind = match (layout.separator, layout.count) {
+        (_, Some(_)) => "PTS",
+        (Separator::Comma, None) => "CSV",
+        (Separator::Semicolon, None) => "text separated by semicolons",
+        (Separator::Tab, None) => "text separated by tabs",
+        (Separator::Blank, None) => "text separated by blanks",
+    };
+    let header = if layout.header_line.is_some() { "with header" } else { "without header" };
+    format!("{kind} {header}")
+}
