@@ -348,9 +348,10 @@ fn folders_are_refused_and_pipes_are_written_to_or_refused_but_never_replaced() 
     ] {
         succeeds(f, arguments);
     }
-    for arguments in
-        [&["generate", "sphere-2k", "-o", "/dev/full"][..], &["render", "cloud.rset", "-o", "/dev/full"]]
-    {
+    for arguments in [
+        &["generate", "sphere-2k", "-o", "/dev/full"][..],
+        &["render", "cloud.rset", "-o", "/dev/full", "--size", "8x8"],
+    ] {
         let said = fails(f, arguments);
         assert_eq!(said.matches("No space left").count(), 1, "{said}");
     }
