@@ -140,7 +140,7 @@ fn columns_called_b_and_r_are_addressed_by_their_own_names_and_are_colours_too()
         assert_eq!([column(0), column(1), column(2)], [[3.0, 4.0, 5.0], [1.0, 2.0, 3.0], [3.0, 4.0, 5.0]]);
         let options = BuildOptions {
             attributes: vec!["b".into()],
-            radius: Some(Rule::Attribute { name: "r".into(), scale: 1.0 }),
+            radius: Some(Rule::Attribute("r".into())),
             ..BuildOptions::default()
         };
         build_at(&folder.path().join("a.rset"), open(), &options);
