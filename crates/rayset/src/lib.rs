@@ -47,6 +47,7 @@ pub mod grid;
 pub mod image;
 pub mod octree;
 pub mod points;
+pub mod regular_file;
 pub mod scene;
 pub mod scene_file;
 mod spill;
