@@ -16,7 +16,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use rayset::scene::Camera;
 use rayset::trace::memory::MemoryPlan;
-use rayset::trace::render_region;
+use rayset::trace::{Region, render_region};
 
 pub(crate) use self::camera::CameraArgs;
 use self::picture::{LookArgs, PictureArgs};
@@ -40,7 +40,7 @@ pub(crate) struct RenderArgs {
     #[arg(short, long)]
     output: PathBuf,
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     turntable: Option<u32>,
     /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
     #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
@@ -61,9 +61,10 @@ pub(crate) struct RenderArgs {
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let mut shot = Shot::new(args)?;
     shot.settings.layers = Format::of(&args.output)? == Format::Exr;
-    let (work, plan) = Work::prepare(&args.work, &shot.scene, shot.settings)?;
+    let region = args.picture.region(shot.settings)?;
+    let (work, plan) = Work::prepare(&args.work, &shot)?;
     let numbered_picture =
-        |frame, camera| picture(args, &shot, &camera, &numbered(&args.output, frame), &work, &plan);
+        |frame, camera| picture(args, &shot, &camera, &region, &numbered(&args.output, frame), &work, &plan);
     match (args.turntable, args.frames) {
         (Some(turns), _) => (0..turns)
             .try_for_each(|frame| numbered_picture(frame, shot.turned(f64::from(frame) / f64::from(turns)))),
@@ -71,9 +72,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
             let path = shot.path.as_ref().with_context(|| {
                 format!("{} has no \"animation\"; --frames has nothing to follow", args.input.display())
             })?;
-            frames.of(path).try_for_each(|frame| numbered_picture(frame, path.camera(frame)))
+            frames.of(path)?.try_for_each(|frame| numbered_picture(frame, path.camera(frame)))
         }
-        (None, None) => picture(args, &shot, &shot.camera, &args.output, &work, &plan),
+        (None, None) => picture(args, &shot, &shot.camera, &region, &args.output, &work, &plan),
     }
 }
 
@@ -82,16 +83,16 @@ fn picture(
     args: &RenderArgs,
     shot: &Shot,
     camera: &Camera,
+    region: &Region,
     output: &Path,
     work: &Work,
     plan: &MemoryPlan,
 ) -> Result<()> {
     let started = Instant::now();
-    let region = args.picture.region(shot.settings)?;
-    let mut sink = PictureSink::create(output, &region, &shot.settings, shot.development)?;
+    let mut sink = PictureSink::create(output, region, &shot.settings, shot.development)?;
     work.paged.pages.reset_statistics();
     let counts =
-        render_region(&shot.scene, camera, &shot.settings, &region, &work.exec, &work.paged, &mut sink)?;
+        render_region(&shot.scene, camera, &shot.settings, region, &work.exec, &work.paged, &mut sink)?;
     sink.finish()?;
     let report = RenderReport::new(work, plan, counts, started.elapsed());
     if let Some(path) = &args.stats {

@@ -3,10 +3,11 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::image::Development;
 use rayset::octree::Cloud;
+use rayset::regular_file;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
 
@@ -20,11 +21,17 @@ pub(super) struct Shot {
     pub(super) path: Option<CameraPath>,
     pub(super) settings: RenderSettings,
     pub(super) development: Development,
+    /// An upper bound of the memory that reading the scene took.
+    pub(super) loading_bytes: u64,
 }
 
 impl Shot {
     pub(super) fn new(args: &RenderArgs) -> Result<Self> {
-        if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }
+        let shot = if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }?;
+        // Whatever is wrong with what was asked for is said before there is an output.
+        shot.scene.check()?;
+        shot.scene.check_step(shot.settings.step)?;
+        Ok(shot)
     }
 
     fn of_scene(args: &RenderArgs) -> Result<Self> {
@@ -34,18 +41,22 @@ impl Shot {
         if args.camera.is_given() {
             bail!("the camera stands in {}; change it there", args.input.display());
         }
-        let SceneFile { scene, camera, path, mut settings, mut development } = SceneFile::load(&args.input)?;
+        let SceneFile { scene, camera, path, mut settings, mut development, loading_bytes } =
+            SceneFile::load(&args.input)?;
         args.picture.apply(&mut settings, &mut development);
-        Ok(Self { scene, camera, path, settings, development })
+        Ok(Self { scene, camera, path, settings, development, loading_bytes })
     }
 
     fn of_cloud(args: &RenderArgs) -> Result<Self> {
+        // A pipe would be waited for.
+        regular_file::open(&args.input).with_context(|| format!("cannot open {}", args.input.display()))?;
         let cloud = Arc::new(Cloud::open(&args.input)?);
         let (mut settings, mut development) = (args.look.settings()?, Development::default());
         args.picture.apply(&mut settings, &mut development);
         let camera = args.camera.camera(cloud.header(), settings)?;
         warn_of_small_radii(cloud.header(), &camera, settings);
-        Ok(Self { scene: args.look.scene(&cloud)?, path: None, camera, settings, development })
+        let scene = args.look.scene(&cloud)?;
+        Ok(Self { scene, path: None, camera, settings, development, loading_bytes: 0 })
     }
 
     /// The camera, turned about the middle of the scene.

@@ -363,7 +363,7 @@ fn transform(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
     if at.value.is_list() {
         let mut sum = DAffine3::IDENTITY;
         for step in at.list(MOST_MOVES)? {
-            sum = one_move(&step)? * sum;
+            sum = transform(&step)? * sum;
         }
         return moved(at, sum);
     }
