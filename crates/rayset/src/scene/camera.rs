@@ -1,6 +1,5 @@
 //! Cameras: where rays start and where they go.
 
-use super::{FARTHEST, SHORTEST};
 use crate::geometry::{Aabb, DVec3, Ray};
 
 /// How points of the image plane become rays.
@@ -31,6 +30,9 @@ pub struct Camera {
     pub projection: Projection,
 }
 
+/// A camera that frames a scene may stand this much farther off than anything in it.
+const FARTHEST_EYE: f64 = 1e30;
+
 /// A direction, whatever the length that it is given by; `None` if it has none.
 fn unit(v: DVec3) -> Option<DVec3> {
     // In units of its largest component its length can be squared, however small or large it is.
@@ -43,7 +45,7 @@ fn unit(v: DVec3) -> Option<DVec3> {
 #[non_exhaustive]
 pub enum CameraError {
     /// A direction is zero or not finite.
-    #[error("the camera's direction is zero or not finite, or its position beyond 1e18")]
+    #[error("the camera's direction is zero or not finite, or its position beyond 1e30")]
     Direction,
     /// Up says nothing about the roll.
     #[error("the camera's up direction is parallel to its viewing direction, zero or not finite")]
@@ -120,14 +122,14 @@ impl Camera {
 
     /// Checks the camera and prepares it for a picture.
     pub(crate) fn ray_maker(&self, width: u32, height: u32) -> Result<RayMaker, CameraError> {
-        let in_range = self.position.abs().max_element() <= FARTHEST;
+        let in_range = self.position.abs().max_element() <= FARTHEST_EYE;
         let forward = unit(self.direction).filter(|_| in_range).ok_or(CameraError::Direction)?;
         // Nearer to parallel than rounding is wide, they leave the roll to chance.
         let sine = unit(self.up).map_or(0.0, |up| forward.cross(up).length());
         let right = unit(forward.cross(self.up)).filter(|_| sine > 1e-12).ok_or(CameraError::Up)?;
         let fits = match self.projection {
             Projection::Perspective { fovy } => fovy > 0.0 && fovy < std::f64::consts::PI,
-            Projection::Orthographic { height } => (SHORTEST..=FARTHEST).contains(&height),
+            Projection::Orthographic { height } => (1.0 / FARTHEST_EYE..=FARTHEST_EYE).contains(&height),
         };
         if !fits {
             return Err(CameraError::Projection);

@@ -214,8 +214,9 @@ impl<'a> Cursor<'a> {
         if length >= SHORTEST {
             Ok(vector)
         } else {
+            let found = Json::Number(length);
             Err(self.error(format!(
-                "expected a direction, found a vector of length {length:?}; at least {SHORTEST:e} has one"
+                "expected a direction, at least {SHORTEST:e} long; found a vector of length {found}"
             )))
         }
     }
