@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 11] = [
+const ORDER: [&str; 12] = [
     "geometry",
     "spill",
+    "regular_file",
     "points",
     "octree",
     "grid",
