@@ -94,12 +94,14 @@ impl StepRule {
         }
         let fixed = matches!(settings.step, Step::Fixed(_));
         // The least k with which steps are at least so long.
-        let exponent = |least: f64| ((least / coarsest).log2().ceil() as i32).clamp(-FINEST, 0);
+        let exponent = |least: f64| ((least / coarsest).log2().ceil() as i32).clamp(-FINEST, FINEST);
         let floors = Floors {
             detail: floor,
             exponent: exponent(diagonal(within) / MOST_STEPS),
             exponent_in_solids: exponent(around_solids / MOST_STEPS_IN_SOLIDS),
         };
+        // Where even the coarsest step is too fine for solids, rays that meet them differ from the others.
+        let varies = varies || floors.exponent_in_solids > 0;
         Ok(Self { coarsest, longest: (!fixed).then_some(longest), varies, floors })
     }
 
@@ -116,6 +118,7 @@ impl StepRule {
         let least = vec![self.floors.exponent; rays.len()];
         let mut exponents = Exponents { longest, floors: self.floors, of_rays: vec![0; rays.len()], least };
         exponents.lower(access, program, rays)?;
+        exponents.hold_in_solids(program, rays);
         let exponents: Vec<i32> =
             exponents.of_rays.iter().zip(&exponents.least).map(|(&k, &least)| k.max(least)).collect();
         let mut distinct = exponents.clone();
@@ -171,11 +174,13 @@ impl Exponents {
             }
             match &instruction.action {
                 Action::Procedural(volume) => {
-                    self.lower_by_solid(rays, &instruction.bounds, |ray| volume.detail_world(ray));
+                    let least = self.floors.detail;
+                    self.lower_within(rays, &instruction.bounds, |ray| volume.detail_world(ray).max(least));
                 }
                 Action::Grid(volume) => {
-                    self.lower_by_solid(rays, &instruction.bounds, |ray| {
-                        GRID_DETAIL * volume.spacing_world(ray)
+                    let least = self.floors.detail;
+                    self.lower_within(rays, &instruction.bounds, |ray| {
+                        (GRID_DETAIL * volume.spacing_world(ray)).max(least)
                     });
                 }
                 Action::Cloud(volume) if volume.header().radius.min() == volume.header().radius.max() => {
@@ -191,13 +196,17 @@ impl Exponents {
         Ok(())
     }
 
-    /// Rays that meet the box of a solid, noise or a grid take at most a fraction of a length, if that is not too short.
-    fn lower_by_solid(&mut self, rays: &[(Ray, f64)], bounds: &Aabb, length: impl Fn(&Ray) -> f64) {
-        let Floors { detail, exponent_in_solids, .. } = self.floors;
-        self.lower_within(rays, bounds, |ray| length(ray).max(detail));
-        for (least, (ray, _)) in self.least.iter_mut().zip(rays) {
-            if *least < exponent_in_solids && bounds.clip(ray).is_some() {
-                *least = exponent_in_solids;
+    /// Rays that meet the box of a solid, noise or a grid do not fall below the k of such rays.
+    fn hold_in_solids(&mut self, program: &Program, rays: &[(Ray, f64)]) {
+        let floor = self.floors.exponent_in_solids;
+        if self.of_rays.iter().all(|&k| k >= floor) {
+            return;
+        }
+        for instruction in program.instructions.iter().filter(|i| is_solid(&i.action) && !i.bounds.is_empty()) {
+            for (least, (ray, _)) in self.least.iter_mut().zip(rays) {
+                if *least < floor && instruction.bounds.clip(ray).is_some() {
+                    *least = floor;
+                }
             }
         }
     }
