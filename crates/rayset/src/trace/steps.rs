@@ -202,7 +202,8 @@ impl Exponents {
         if self.of_rays.iter().all(|&k| k >= floor) {
             return;
         }
-        for instruction in program.instructions.iter().filter(|i| is_solid(&i.action) && !i.bounds.is_empty()) {
+        for instruction in program.instructions.iter().filter(|i| is_solid(&i.action) && !i.bounds.is_empty())
+        {
             for (least, (ray, _)) in self.least.iter_mut().zip(rays) {
                 if *least < floor && instruction.bounds.clip(ray).is_some() {
                     *least = floor;
