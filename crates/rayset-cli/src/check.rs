@@ -19,7 +19,7 @@ pub(crate) struct CheckArgs {
 }
 
 pub(crate) fn run(args: &CheckArgs) -> Result<()> {
-    let SceneFile { scene, settings, .. } = SceneFile::load(&args.scene)?;
+    let SceneFile { scene, settings, loading_bytes, .. } = SceneFile::load(&args.scene)?;
     let (mut leaves, mut operators) = (0, 0);
     scene.root.for_each(&mut |node| match node.shape {
         Shape::Operator(..) => operators += 1,
@@ -30,7 +30,7 @@ pub(crate) fn run(args: &CheckArgs) -> Result<()> {
         Lighting::Lit(lights) => lights.len(),
     };
     let bounds = scene.root.bounds();
-    let needs = SceneNeeds::of(&scene, &settings);
+    let needs = SceneNeeds::of(&scene, &settings).with_loading(loading_bytes);
     let points: u64 = needs.clouds().iter().map(|cloud| cloud.header().points).sum();
     report::say(format_args!(
         "{}: {leaves} objects, {operators} operators, {lights} lights; {} points in {} cloud files",

@@ -3,6 +3,7 @@
 use std::str::FromStr;
 
 use anyhow::{Context, bail, ensure};
+use rayset::scene::{FARTHEST, SHORTEST};
 
 /// A number of bytes: `64MiB`, `20MB`, `1048576`.
 pub(crate) fn size(text: &str) -> Result<u64, String> {
@@ -14,15 +15,46 @@ pub(crate) fn size(text: &str) -> Result<u64, String> {
 /// A picture size: `512x512`.
 pub(crate) fn dimensions(text: &str) -> Result<(u32, u32), String> {
     let parsed = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-    parsed.ok_or_else(|| format!("`{text}` is not a picture size; write it as 512x512"))
+    let (width, height) =
+        parsed.ok_or_else(|| format!("`{text}` is not a picture size; write it as 512x512"))?;
+    let fits = |side: u32| (1..=1 << 20).contains(&side);
+    if fits(width) && fits(height) {
+        Ok((width, height))
+    } else {
+        Err(format!("`{text}` is not between 1x1 and 1048576x1048576"))
+    }
+}
+
+/// A number within bounds, both included.
+pub(crate) fn number_within(text: &str, least: f64, most: f64) -> Result<f64, String> {
+    let number = text.trim().parse().ok().filter(|v: &f64| (least..=most).contains(v));
+    let plain =
+        |v: f64| if v == 0.0 || (1e-4..1e6).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") };
+    number.ok_or_else(|| format!("`{text}` is not a number from {} to {}", plain(least), plain(most)))
+}
+
+/// A length.
+pub(crate) fn length(text: &str) -> Result<f64, String> {
+    number_within(text, SHORTEST, FARTHEST)
 }
 
 /// Three numbers: `1,0,-2.5`.
 pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     match numbers.as_deref() {
-        Some(&[x, y, z]) => Ok([x, y, z]),
+        Some(&[x, y, z]) if [x, y, z].iter().all(|v| v.abs() <= FARTHEST) => Ok([x, y, z]),
+        Some(&[_, _, _]) => Err(format!("`{text}`: expected numbers from -1e18 to 1e18")),
         _ => Err(format!("`{text}` is not three numbers; write it as 1,0,-2.5")),
+    }
+}
+
+/// A vector that is long enough to have a direction.
+pub(crate) fn direction(text: &str) -> Result<[f64; 3], String> {
+    let vector = vector(text)?;
+    if vector.iter().any(|v| v.abs() >= SHORTEST) {
+        Ok(vector)
+    } else {
+        Err(format!("`{text}` has no direction; at least one of its numbers must not be 0"))
     }
 }
 
@@ -30,7 +62,12 @@ pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
 pub(crate) fn range(text: &str) -> Result<(f64, f64), String> {
     let parsed =
         text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    parsed.ok_or_else(|| format!("`{text}` is not a range; write it as 0:10"))
+    let in_range = |v: f64| v.abs() <= FARTHEST;
+    match parsed {
+        Some((low, high)) if in_range(low) && in_range(high) => Ok((low, high)),
+        Some(_) => Err(format!("`{text}`: expected numbers from -1e18 to 1e18")),
+        None => Err(format!("`{text}` is not a range; write it as 0:10")),
+    }
 }
 
 /// A colour, `#rrggbb` or a name, as display-encoded values of 0 to 1.
@@ -92,6 +129,8 @@ mod tests {
             assert!(size(wrong).is_err(), "{wrong}");
         }
         assert!(dimensions("640").is_err() && vector("1,2").is_err() && color("#12345").is_err());
+        assert!(dimensions("0x1").is_err() && vector("1,nan,2").is_err() && range("0:inf").is_err());
+        assert!(direction("0,0,0").is_err() && length("0").is_err() && length("nan").is_err());
     }
 }
 
@@ -105,12 +144,21 @@ pub(crate) enum Frames {
 }
 
 impl Frames {
-    pub(crate) fn of(self, path: &rayset::scene::CameraPath) -> std::ops::RangeInclusive<u32> {
-        let (first, last) = match self {
-            Self::All => path.ends(),
-            Self::Part(first, last) => (first, last),
-        };
-        first..=last
+    pub(crate) fn of(
+        self,
+        path: &rayset::scene::CameraPath,
+    ) -> anyhow::Result<std::ops::RangeInclusive<u32>> {
+        let (from, to) = path.ends();
+        match self {
+            Self::All => Ok(from..=to),
+            Self::Part(first, last) => {
+                ensure!(
+                    from <= first && last <= to,
+                    "--frames {first}..{last}: the animation runs from frame {from} to frame {to}"
+                );
+                Ok(first..=last)
+            }
+        }
     }
 }
 

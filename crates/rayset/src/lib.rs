@@ -49,6 +49,7 @@ pub mod image;
 pub mod octree;
 pub mod output;
 pub mod points;
+pub mod regular_file;
 pub mod scene;
 pub mod scene_file;
 mod spill;

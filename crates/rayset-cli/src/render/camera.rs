@@ -1,6 +1,6 @@
 //! Where a picture is taken from.
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use clap::Args;
 use rayset::geometry::DVec3;
 use rayset::octree::format::Header;
@@ -18,20 +18,24 @@ pub(crate) struct CameraArgs {
     #[arg(long, value_parser = values::vector, allow_hyphen_values = true, requires = "position")]
     pub(crate) look_at: Option<[f64; 3]>,
     /// Viewing direction: with an eye instead of --look-at, without one to frame the cloud from another side
-    #[arg(long, value_parser = values::vector, allow_hyphen_values = true, conflicts_with = "look_at")]
+    #[arg(long, value_parser = values::direction, allow_hyphen_values = true, conflicts_with = "look_at")]
     pub(crate) direction: Option<[f64; 3]>,
     /// Up
-    #[arg(long, value_parser = values::vector, allow_hyphen_values = true)]
+    #[arg(long, value_parser = values::direction, allow_hyphen_values = true)]
     pub(crate) up: Option<[f64; 3]>,
-    /// Vertical field of view in degrees; 45 by default
-    #[arg(long)]
+    /// Vertical field of view in degrees, 0.001 to 179; 45 by default
+    #[arg(long, value_parser = degrees)]
     pub(crate) fovy: Option<f64>,
     /// Parallel rays
     #[arg(long)]
     pub(crate) orthographic: bool,
     /// Height of an orthographic picture, in units of the cloud
-    #[arg(long, requires = "orthographic")]
+    #[arg(long, value_parser = values::length, requires = "orthographic")]
     pub(crate) height: Option<f64>,
+}
+
+fn degrees(text: &str) -> Result<f64, String> {
+    values::number_within(text, 1e-3, 179.0)
 }
 
 impl CameraArgs {
@@ -51,15 +55,15 @@ impl CameraArgs {
         let vector = |v: [f64; 3]| DVec3::from_array(v);
         let direction = self.direction.map_or(view, vector);
         let up = self.up.map_or(vertical, vector);
-        // A direction along up says nothing of the roll: any will do.
-        let up = if direction.cross(up).length_squared() > 1e-12 * direction.length_squared() {
+        // A direction along up says nothing of the roll: any will do where nobody asked for one.
+        let up = if self.up.is_some()
+            || direction.cross(up).length_squared() > 1e-12 * direction.length_squared()
+        {
             up
         } else {
             direction.any_orthonormal_vector()
         };
-        let degrees = self.fovy.unwrap_or(45.0);
-        ensure!(degrees > 0.0 && degrees < 180.0, "--fovy {degrees} is not between 0 and 180 degrees");
-        let fovy = degrees.to_radians();
+        let fovy = self.fovy.unwrap_or(45.0).to_radians();
         let mut camera = Camera::framing(&bounds, direction, up, fovy, aspect, self.orthographic);
         if let Some(position) = self.position {
             camera.position = vector(position);
@@ -72,6 +76,11 @@ impl CameraArgs {
         }
         if let Some(height) = self.height {
             camera.projection = Projection::Orthographic { height };
+        }
+        camera.check()?;
+        if self.up.is_some() && self.position.is_none() {
+            // Framing finds an up of its own where the one it is given is along the view.
+            Camera { up, ..camera }.check()?;
         }
         Ok(camera)
     }

@@ -17,7 +17,7 @@ use clap::Args;
 use rayset::output::Destination;
 use rayset::scene::Camera;
 use rayset::trace::memory::MemoryPlan;
-use rayset::trace::render_region;
+use rayset::trace::{Region, render_region};
 
 pub(crate) use self::camera::CameraArgs;
 use self::picture::{LookArgs, PictureArgs};
@@ -42,7 +42,7 @@ pub(crate) struct RenderArgs {
     #[arg(short, long)]
     output: PathBuf,
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     turntable: Option<u32>,
     /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
     #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
@@ -65,15 +65,16 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let format = Format::of(&Destination::new(&args.output)?)?;
     let mut shot = Shot::new(args)?;
     shot.settings.layers = format == Format::Exr;
+    let region = args.picture.region(shot.settings)?;
     let mut outputs = Outputs::beside(&shot.files);
     let pictures = pictures(args, &shot)?
         .into_iter()
         .map(|(path, camera)| Ok((outputs.add(&path, None)?, camera)))
         .collect::<Result<Vec<_>>>()?;
     let stats = args.stats.as_ref().map(|path| outputs.add(path, None)).transpose()?;
-    let (work, plan) = Work::prepare(&args.work, &shot.scene, shot.settings)?;
+    let (work, plan) = Work::prepare(&args.work, &shot)?;
     for (picture, camera) in &pictures {
-        render(args, &shot, camera, picture, stats.as_ref(), &work, &plan)?;
+        render(&shot, camera, &region, picture, stats.as_ref(), &work, &plan)?;
     }
     Ok(())
 }
@@ -89,7 +90,7 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
             let path = shot.path.as_ref().with_context(|| {
                 format!("{} has no \"animation\"; --frames has nothing to follow", args.input.display())
             })?;
-            frames.of(path).map(|frame| (numbered(frame), path.camera(frame))).collect()
+            frames.of(path)?.map(|frame| (numbered(frame), path.camera(frame))).collect()
         }
         (None, None) => vec![(args.output.clone(), shot.camera)],
     })
@@ -97,20 +98,19 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
 
 /// Renders one picture.
 fn render(
-    args: &RenderArgs,
     shot: &Shot,
     camera: &Camera,
+    region: &Region,
     output: &Destination,
     stats: Option<&Destination>,
     work: &Work,
     plan: &MemoryPlan,
 ) -> Result<()> {
     let started = Instant::now();
-    let region = args.picture.region(shot.settings)?;
-    let mut sink = PictureSink::create(output, &region, &shot.settings, shot.development)?;
+    let mut sink = PictureSink::create(output, region, &shot.settings, shot.development)?;
     work.paged.pages.reset_statistics();
     let counts =
-        render_region(&shot.scene, camera, &shot.settings, &region, &work.exec, &work.paged, &mut sink)?;
+        render_region(&shot.scene, camera, &shot.settings, region, &work.exec, &work.paged, &mut sink)?;
     sink.finish()?;
     let report = RenderReport::new(work, plan, counts, started.elapsed());
     if let Some(stats) = stats {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
 use rayset::field::{Kernel, linear_from_srgb};
 use rayset::image::Development;
@@ -25,11 +25,11 @@ pub(crate) struct PictureArgs {
     /// Only a part of the picture: left,top,width,height
     #[arg(long, value_delimiter = ',')]
     crop: Option<Vec<u32>>,
-    /// Rays along each side of a pixel; 1 by default
-    #[arg(long)]
+    /// Rays along each side of a pixel, 1 to 64; 1 by default
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     samples: Option<u32>,
-    /// Exposure in stops: light is multiplied by two to this power
-    #[arg(long, allow_hyphen_values = true)]
+    /// Exposure in stops, -32 to 32: light is multiplied by two to this power
+    #[arg(long, value_parser = exposure, allow_hyphen_values = true)]
     exposure: Option<f64>,
 }
 
@@ -47,7 +47,7 @@ pub(crate) struct LookArgs {
     #[arg(long)]
     opacity: Option<String>,
     /// Length that opacity refers to, in units of the cloud; the mean radius by default
-    #[arg(long)]
+    #[arg(long, value_parser = values::length)]
     unit_distance: Option<f64>,
     /// One colour for all, as #c8b090
     #[arg(long, value_parser = values::color, conflicts_with_all = ["colormap", "color_by"])]
@@ -70,15 +70,27 @@ pub(crate) struct LookArgs {
     /// Distance between samples, in units of the cloud, or `auto` (by default)
     #[arg(long)]
     step: Option<String>,
-    /// Automatic distance between samples as a fraction of the radius; 0.25 by default
-    #[arg(long)]
+    /// Automatic distance between samples as a fraction of the radius, 0.001 to 4; 0.25 by default
+    #[arg(long, value_parser = step_fraction)]
     step_fraction: Option<f64>,
     /// Samples of a ray begin half a step from the eye (by default), or a different fraction for each pixel
     #[arg(long, value_enum)]
     phase: Option<PhaseArg>,
-    /// Rays end where less than this is seen through; 0.01 by default
-    #[arg(long)]
+    /// Rays end where less than this is seen through, 0 to 0.999; 0.01 by default
+    #[arg(long, value_parser = stop)]
     stop: Option<f32>,
+}
+
+fn exposure(text: &str) -> Result<f64, String> {
+    values::number_within(text, -32.0, 32.0)
+}
+
+fn step_fraction(text: &str) -> Result<f64, String> {
+    values::number_within(text, 1e-3, 4.0)
+}
+
+fn stop(text: &str) -> Result<f32, String> {
+    values::number_within(text, 0.0, 0.999).map(|v| v as f32)
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -144,9 +156,9 @@ impl LookArgs {
     pub(super) fn settings(&self) -> Result<RenderSettings> {
         let step = match self.step.as_deref() {
             None | Some("auto") => Step::Automatic { fraction: self.step_fraction.unwrap_or(0.25) },
-            Some(number) => Step::Fixed(
-                number.parse().with_context(|| format!("--step {number}: expected a length or `auto`"))?,
-            ),
+            Some(number) => {
+                Step::Fixed(values::length(number).map_err(|what| anyhow!("--step: {what}, or `auto`"))?)
+            }
         };
         let plain = RenderSettings::default();
         Ok(RenderSettings {

@@ -21,11 +21,17 @@ pub(super) struct Shot {
     pub(super) development: Development,
     /// Every file that it was read from.
     pub(super) files: Vec<PathBuf>,
+    /// An upper bound of the memory that reading the scene took.
+    pub(super) loading_bytes: u64,
 }
 
 impl Shot {
     pub(super) fn new(args: &RenderArgs) -> Result<Self> {
-        if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }
+        let shot = if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }?;
+        // Whatever is wrong with what was asked for is said before there is an output.
+        shot.scene.check()?;
+        shot.scene.check_step(shot.settings.step)?;
+        Ok(shot)
     }
 
     fn of_scene(args: &RenderArgs) -> Result<Self> {
@@ -35,11 +41,11 @@ impl Shot {
         if args.camera.is_given() {
             bail!("the camera stands in {}; change it there", args.input.display());
         }
-        let SceneFile { scene, camera, path, mut settings, mut development, mut files } =
+        let SceneFile { scene, camera, path, mut settings, mut development, mut files, loading_bytes } =
             SceneFile::load(&args.input)?;
         args.picture.apply(&mut settings, &mut development);
         files.push(args.input.clone());
-        Ok(Self { scene, camera, path, settings, development, files })
+        Ok(Self { scene, camera, path, settings, development, files, loading_bytes })
     }
 
     fn of_cloud(args: &RenderArgs) -> Result<Self> {
@@ -49,7 +55,7 @@ impl Shot {
         let camera = args.camera.camera(cloud.header(), settings)?;
         warn_of_small_radii(cloud.header(), &camera, settings);
         let (scene, files) = (args.look.scene(&cloud)?, vec![args.input.clone()]);
-        Ok(Self { scene, path: None, camera, settings, development, files })
+        Ok(Self { scene, path: None, camera, settings, development, files, loading_bytes: 0 })
     }
 
     /// The camera, turned about the middle of the scene.

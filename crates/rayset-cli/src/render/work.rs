@@ -6,13 +6,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, ensure};
 use clap::{Args, ValueEnum};
 use rayset::field::SimdLevel;
-use rayset::scene::{RenderSettings, Scene};
 use rayset::trace::ExecSettings;
 use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
 use rayset::working_set::read::{self, BackendKind, Delayed};
 use rayset::working_set::{Kind, Limits, PagedFiles, WorkingSet};
 
+use super::shot::Shot;
 use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
 
@@ -44,11 +44,16 @@ pub(crate) struct WorkArgs {
     #[arg(long, default_value = "auto")]
     pub(crate) simd: SimdLevel,
     /// Edge of a tile of rays in pixels, 1 to 8
-    #[arg(long, default_value_t = 8, hide = true)]
+    #[arg(long, default_value_t = 8, hide = true, value_parser = clap::value_parser!(u32).range(1..=8))]
     pub(crate) tile: u32,
     /// Samples worked on at a time, 1 to 32
-    #[arg(long, default_value_t = 32, hide = true)]
+    #[arg(long, default_value_t = 32, hide = true, value_parser = slab)]
     pub(crate) slab: usize,
+}
+
+fn slab(text: &str) -> Result<usize, String> {
+    let samples = text.parse().ok().filter(|samples| (1..=32).contains(samples));
+    samples.ok_or_else(|| format!("`{text}` is not a number from 1 to 32"))
 }
 
 #[derive(Clone, Copy, ValueEnum, PartialEq, Eq)]
@@ -84,12 +89,9 @@ pub(crate) struct Work {
 }
 
 impl Work {
-    pub(crate) fn prepare(
-        args: &WorkArgs,
-        scene: &Scene,
-        settings: RenderSettings,
-    ) -> Result<(Self, MemoryPlan)> {
-        let needs = SceneNeeds::of(scene, &settings);
+    pub(super) fn prepare(args: &WorkArgs, shot: &Shot) -> Result<(Self, MemoryPlan)> {
+        let settings = shot.settings;
+        let needs = SceneNeeds::of(&shot.scene, &settings).with_loading(shot.loading_bytes);
         let threads = args.threads.unwrap_or_else(|| ExecSettings::default().threads).max(1);
         let stored = needs.clouds().iter().map(|cloud| cloud.header().render_memory).max().filter(|&m| m > 0);
         let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);

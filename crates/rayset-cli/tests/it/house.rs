@@ -7,6 +7,7 @@ const ORDER: [&str; 12] = [
     "geometry",
     "output",
     "spill",
+    "regular_file",
     "points",
     "octree",
     "grid",

@@ -6,6 +6,7 @@
 mod bad_bytes;
 mod bounces;
 mod build_is_pure;
+mod colormaps;
 mod columns;
 mod common;
 mod edges;
@@ -22,6 +23,7 @@ mod interrupted;
 mod las_files;
 mod las_writer;
 mod layers;
+mod limits;
 mod memory;
 mod outputs;
 mod ply_files;
@@ -30,6 +32,7 @@ mod readers;
 mod right_picture;
 mod same_picture;
 mod schema;
+mod settings;
 mod tables;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, Section, SectionKind};
 use super::page::stored_page_checksum;
+use crate::regular_file;
 
 /// Longest section that is read at once: directories of columns, descriptions.
 const MAX_SECTION_BYTES: u64 = 4 << 20;
@@ -21,12 +22,6 @@ pub enum OpenError {
         path: PathBuf,
         /// The system's reason.
         r#source: io::Error,
-    },
-    /// It is a folder, a device or a pipe.
-    #[error("{} is not a regular file", path.display())]
-    NotRegular {
-        /// What it is called.
-        path: PathBuf,
     },
     /// The header, the footer or a section is not what it should be.
     #[error("{}, {source}", path.display())]
@@ -65,11 +60,7 @@ impl OpenFile {
     pub fn open(path: &Path, kind: FileKind) -> Result<Self, OpenError> {
         let io = |source| OpenError::Io { path: path.to_owned(), source };
         let wrong = |source| OpenError::Header { path: path.to_owned(), source };
-        // A pipe blocks who opens it, and a device has no end.
-        if !std::fs::metadata(path).map_err(io)?.is_file() {
-            return Err(OpenError::NotRegular { path: path.to_owned() });
-        }
-        let mut file = File::open(path).map_err(io)?;
+        let mut file = regular_file::open(path).map_err(io)?;
         let found = file.metadata().map_err(io)?.len();
         let mut head = [0; BLOCK_BYTES];
         let got = read_up_to(&mut file, &mut head).map_err(io)?;

@@ -13,6 +13,9 @@ pub const LANES: usize = 64;
 /// Samples of a ray that are worked on at a time.
 pub const SLAB_SAMPLES: usize = 32;
 
+/// No ray has more samples: beyond, their distances could not be told apart.
+const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
+
 /// Up to 64 rays in columns.
 #[derive(Clone, Debug)]
 pub struct Packet {
@@ -186,8 +189,8 @@ impl Packet {
         let (enter, exit) = beam.span(bounds)?;
         // Rounding in the quotients is far below the two samples of slack.
         let first = (enter / self.step_world - 2.0).max(0.0);
-        let last = exit / self.step_world + 2.0;
-        Some((first as u64, last as u64))
+        let last = (exit / self.step_world + 2.0).min(MOST_SAMPLES);
+        (first < MOST_SAMPLES).then_some((first as u64, last as u64))
     }
 }
 

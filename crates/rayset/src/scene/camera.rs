@@ -30,12 +30,22 @@ pub struct Camera {
     pub projection: Projection,
 }
 
+/// A camera that frames a scene may stand this much farther off than anything in it.
+const FARTHEST_EYE: f64 = 1e30;
+
+/// A direction, whatever the length that it is given by; `None` if it has none.
+fn unit(v: DVec3) -> Option<DVec3> {
+    // In units of its largest component its length can be squared, however small or large it is.
+    let largest = v.abs().max_element();
+    v.try_normalize().or_else(|| (v / largest).try_normalize().filter(|_| v.is_finite()))
+}
+
 /// Why a camera makes no rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraError {
     /// A direction is zero or not finite.
-    #[error("the camera's position or direction is zero or not finite")]
+    #[error("the camera's direction is zero or not finite, or its position beyond 1e30")]
     Direction,
     /// Up says nothing about the roll.
     #[error("the camera's up direction is parallel to its viewing direction, zero or not finite")]
@@ -102,16 +112,24 @@ impl Camera {
         Self { position: center - direction * distance, direction, up: upward, projection }
     }
 
+    /// Checks that the camera makes rays.
+    ///
+    /// # Errors
+    /// [`CameraError`] that says what is wrong.
+    pub fn check(&self) -> Result<(), CameraError> {
+        self.ray_maker(1, 1).map(drop)
+    }
+
     /// Checks the camera and prepares it for a picture.
     pub(crate) fn ray_maker(&self, width: u32, height: u32) -> Result<RayMaker, CameraError> {
-        let forward = self.direction.normalize_or_zero();
-        if forward == DVec3::ZERO || !self.position.is_finite() {
-            return Err(CameraError::Direction);
-        }
-        let right = forward.cross(self.up).try_normalize().ok_or(CameraError::Up)?;
+        let in_range = self.position.abs().max_element() <= FARTHEST_EYE;
+        let forward = unit(self.direction).filter(|_| in_range).ok_or(CameraError::Direction)?;
+        // Nearer to parallel than rounding is wide, they leave the roll to chance.
+        let sine = unit(self.up).map_or(0.0, |up| forward.cross(up).length());
+        let right = unit(forward.cross(self.up)).filter(|_| sine > 1e-12).ok_or(CameraError::Up)?;
         let fits = match self.projection {
             Projection::Perspective { fovy } => fovy > 0.0 && fovy < std::f64::consts::PI,
-            Projection::Orthographic { height } => height > 0.0 && height.is_finite(),
+            Projection::Orthographic { height } => (1.0 / FARTHEST_EYE..=FARTHEST_EYE).contains(&height),
         };
         if !fits {
             return Err(CameraError::Projection);

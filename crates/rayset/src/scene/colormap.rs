@@ -45,6 +45,14 @@ impl Colormap {
     }
 }
 
+impl Colormap {
+    /// Its colours, each at its place from 0 to 1; straight lines lie between.
+    pub(super) fn stops(&self) -> Vec<(f64, [f64; 3])> {
+        let last = (self.knots.len() - 1) as f64;
+        (0..self.knots.len()).map(|i| i as f64 / last).map(|at| (at, self.display_color(at))).collect()
+    }
+}
+
 impl fmt::Display for Colormap {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}{}", self.name, if self.reversed { "_r" } else { "" })

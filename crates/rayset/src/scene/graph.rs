@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
 use super::transfer::{ColorMap, ColorRule, MapInput, OpacityRule, TransferError, TransferFunction};
-use super::{Material, Procedural};
+use super::{FARTHEST, Material, Procedural, SHORTEST};
 use crate::field::Kernel;
 use crate::geometry::{Aabb, DAffine3, DVec3};
 use crate::grid::Grid;
@@ -179,6 +179,9 @@ impl GridObject {
 /// The name under which the values of a grid travel through operators.
 pub const GRID_ATTRIBUTE: &str = "value";
 
+/// The most places that the nodes of a graph may stand in, shared ones counted wherever they are used.
+pub const MOST_PLACES: u64 = 1 << 16;
+
 /// The most attributes that the transfer functions of one scene may read.
 pub const MOST_ATTRIBUTES: usize = 32;
 
@@ -230,6 +233,22 @@ pub enum SceneError {
         /// Its determinant.
         determinant: f64,
     },
+    /// A transform that magnifies, shrinks or moves beyond all bounds.
+    #[error(
+        "a transform, with all those around it, takes a length of 1 to {length:e}; expected 1e-18 to 1e18, as of places"
+    )]
+    Stretch {
+        /// What becomes of a length of 1, or of the origin.
+        length: f64,
+    },
+    /// Too many samples.
+    #[error("a step of {step:e} is too small for this scene; {least:e} or more will do, or \"auto\"")]
+    Step {
+        /// The distance between samples.
+        step: f64,
+        /// The least that there may be.
+        least: f64,
+    },
     /// An operator without enough children.
     #[error("{operator} of {children} children; at least {least} are needed")]
     Children {
@@ -266,7 +285,7 @@ pub enum SceneError {
     #[error("the scene has no end: cut its half-spaces off with an intersection")]
     Unbounded,
     /// The unit distance is not a positive number.
-    #[error("the unit distance must be a positive number")]
+    #[error("the unit distance must be a number from 1e-18 to 1e18")]
     UnitDistance,
     /// A number out of its range.
     #[error("{what} {value} is out of range; expected {expected}")]
@@ -320,13 +339,12 @@ impl Node {
     /// # Errors
     /// [`SceneError`] that says what is wrong.
     pub fn check(&self) -> Result<(), SceneError> {
-        /// Sharing can make graphs whose terms are beyond all bounds.
-        const MOST: u64 = 1 << 16;
+        // Sharing can make graphs whose terms are beyond all bounds.
         let places = self.places(&mut HashMap::new());
-        if places > MOST {
-            return Err(SceneError::TooLarge { places, most: MOST });
+        if places > MOST_PLACES {
+            return Err(SceneError::TooLarge { places, most: MOST_PLACES });
         }
-        self.check_each()?;
+        self.check_each(&DAffine3::IDENTITY)?;
         let count = self.attributes_read().len();
         if count > MOST_ATTRIBUTES { Err(SceneError::TooManyAttributes { count }) } else { Ok(()) }
     }
@@ -388,23 +406,57 @@ impl Node {
         places
     }
 
-    fn check_each(&self) -> Result<(), SceneError> {
+    fn check_each(&self, world_from_parent: &DAffine3) -> Result<(), SceneError> {
         check_transform(&self.parent_from_local)?;
+        let world_from_local = *world_from_parent * self.parent_from_local;
+        check_transform(&world_from_local)?;
         self.transfers.iter().try_for_each(|transfer| transfer.check(self))?;
         self.material.as_ref().map_or(Ok(()), Material::check)?;
         match &self.shape {
             Shape::Cloud(object) => object.check(),
             Shape::Grid(object) => Ok(object.transfer.check()?),
-            Shape::Procedural(_) => Ok(()),
+            Shape::Procedural(field) => {
+                let (value, bounds) = (field.detail(), field.bounds());
+                if !(value > 0.0) || bounds.min.is_nan() || bounds.max.is_nan() {
+                    let what = "the detail of a field in closed form";
+                    return Err(SceneError::Number {
+                        what,
+                        value,
+                        expected: "a positive number, and bounds",
+                    });
+                }
+                Ok(())
+            }
             Shape::Operator(operator, children) => {
                 let least = if matches!(operator, Operator::Difference) { 2 } else { 1 };
                 if children.len() < least {
                     let (operator, children) = (operator.name(), children.len());
                     return Err(SceneError::Children { operator, children, least });
                 }
-                children.iter().try_for_each(|child| child.check_each())
+                children.iter().try_for_each(|child| child.check_each(&world_from_local))
             }
         }
+    }
+
+    /// A box around all solids, noise and grids, as far as the node is not transparent there; empty where there are none.
+    /// In the space of the node's parent.
+    #[must_use]
+    pub fn bounds_of_solids(&self) -> Aabb {
+        fn visit(node: &Node, world_from_parent: &DAffine3, within: Aabb) -> Aabb {
+            let world_from_local = *world_from_parent * node.parent_from_local;
+            match &node.shape {
+                Shape::Cloud(_) => Aabb::EMPTY,
+                Shape::Grid(_) | Shape::Procedural(_) => {
+                    let bounds = node.bounds().transformed(world_from_parent).intersection(within);
+                    if bounds.is_empty() { Aabb::EMPTY } else { bounds }
+                }
+                Shape::Operator(_, children) => children
+                    .iter()
+                    .map(|child| visit(child, &world_from_local, within))
+                    .fold(Aabb::EMPTY, Aabb::union),
+            }
+        }
+        visit(self, &DAffine3::IDENTITY, self.bounds())
     }
 
     /// A box outside which the node is transparent, in the space of its parent; infinite where there is none.
@@ -457,12 +509,26 @@ impl Transfer {
     }
 }
 
-fn check_transform(transform: &DAffine3) -> Result<(), SceneError> {
+/// Checks that a transform has an inverse, and that both leave lengths and places within what numbers may be.
+pub(crate) fn check_transform(transform: &DAffine3) -> Result<(), SceneError> {
+    if *transform == DAffine3::IDENTITY {
+        return Ok(());
+    }
     let m = transform.matrix3;
     let determinant = m.determinant();
     let size = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
     let invertible = determinant.abs() > 1e-12 * size && transform.is_finite() && size > 0.0;
-    if invertible { Ok(()) } else { Err(SceneError::Singular { determinant }) }
+    if !invertible {
+        return Err(SceneError::Singular { determinant });
+    }
+    let largest = |m: &DAffine3| m.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
+    let inverse = m.inverse();
+    let (most, most_back) =
+        (largest(transform), largest(&DAffine3 { matrix3: inverse, ..DAffine3::IDENTITY }));
+    if !(most <= FARTHEST) {
+        return Err(SceneError::Stretch { length: most });
+    }
+    if most_back <= 1.0 / SHORTEST { Ok(()) } else { Err(SceneError::Stretch { length: 1.0 / most_back }) }
 }
 
 /// The longest that a vector of length one becomes under a linear map.

@@ -1,6 +1,6 @@
 //! Lights.
 
-use super::SceneError;
+use super::{BRIGHTEST, FARTHEST, SHORTEST, SceneError};
 use crate::geometry::DVec3;
 
 /// What lights a scene. Names follow ANARI.
@@ -62,7 +62,7 @@ pub enum LightKind {
     Headlight,
     /// Parallel rays.
     Directional {
-        /// Where the light goes, world space; any length but zero.
+        /// Where the light goes, world space; of any length from 1e-18 to 1e18.
         direction: DVec3,
     },
     /// From a point.
@@ -82,19 +82,22 @@ impl Light {
     }
 
     fn check(&self) -> Result<(), SceneError> {
-        let finite = |what, v: DVec3, least: f64| {
-            let fits = v.is_finite() && v.length() >= least;
-            let expected = "finite numbers, not all of them 0";
+        let in_range = |what, v: DVec3, least: f64, expected| {
+            let fits = v.abs().max_element() <= FARTHEST && v.length() >= least;
             if fits { Ok(()) } else { Err(SceneError::Number { what, value: v.length(), expected }) }
         };
-        if let Some(&value) = self.color.iter().find(|v| !(0.0..=1e12).contains(*v)) {
+        if let Some(&value) = self.color.iter().find(|v| !(0.0..=BRIGHTEST as f32).contains(*v)) {
             let (what, value) = ("light color", f64::from(value));
             return Err(SceneError::Number { what, value, expected: "0 to 1e12" });
         }
         match self.kind {
             LightKind::Ambient | LightKind::Headlight => Ok(()),
-            LightKind::Directional { direction } => finite("light direction", direction, f64::MIN_POSITIVE),
-            LightKind::Point { position, .. } => finite("light position", position, 0.0),
+            LightKind::Directional { direction } => {
+                in_range("the length of a light's direction", direction, SHORTEST, "1e-18 to 1e18")
+            }
+            LightKind::Point { position, .. } => {
+                in_range("the distance of a light from the origin", position, 0.0, "at most 1e18")
+            }
         }
     }
 }

@@ -16,12 +16,15 @@ mod transfer;
 
 use std::sync::Arc;
 
+use crate::geometry::Aabb;
+
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
 pub use colormap::{Colormap, UnknownColormap};
+pub(crate) use graph::check_transform;
 pub use graph::{
-    Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_ATTRIBUTES, Node, Operator, SceneError, Shape,
-    Transfer, largest_stretch,
+    Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_ATTRIBUTES, MOST_PLACES, Node, Operator,
+    SceneError, Shape, Transfer, largest_stretch,
 };
 pub use light::{Light, LightKind, Lighting};
 pub use material::Material;
@@ -33,6 +36,20 @@ pub use transfer::{
     ColorMap, ColorRule, MAX_OPACITY, MapInput, OpacityRule, Palette, TransferError, TransferFunction,
     curve_at, max_extinction,
 };
+
+/// Coordinates and lengths reach this far.
+pub const FARTHEST: f64 = 1e18;
+/// Lengths and directions are at least so long.
+pub const SHORTEST: f64 = 1e-18;
+/// The brightest colour or light, in any channel.
+pub const BRIGHTEST: f64 = 1e12;
+/// What solids, noise and grids hold that is finer than this part of the diagonal of them all is not sampled more finely:
+/// thin things are missed rather than waited for.
+pub const FINEST_DETAIL: f64 = 1.0 / (1 << 14) as f64;
+/// Most samples of a ray along that diagonal, however fine a cloud in it is.
+pub const MOST_STEPS_IN_SOLIDS: f64 = (1_u64 << 20) as f64;
+/// Most samples along the diagonal of a scene: few enough to be counted exactly. What is empty is passed over.
+pub const MOST_STEPS: f64 = (1_u64 << 40) as f64;
 
 /// A volume scene graph, and how it is lit.
 #[derive(Clone, Debug)]
@@ -65,13 +82,58 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] that says what is wrong.
     pub fn check(&self) -> Result<(), SceneError> {
-        if !(self.unit_distance > 0.0 && self.unit_distance.is_finite()) {
+        if !(SHORTEST..=FARTHEST).contains(&self.unit_distance) {
             return Err(SceneError::UnitDistance);
         }
         self.root.check()?;
         self.lighting.check()?;
+        if let Some(&value) =
+            self.background.iter().flatten().find(|v| !(0.0..=BRIGHTEST as f32).contains(*v))
+        {
+            let (what, value) = ("background", f64::from(value));
+            return Err(SceneError::Number { what, value, expected: "0 to 1e12" });
+        }
         let bounds = self.root.bounds();
-        if bounds.is_empty() || bounds.size().is_finite() { Ok(()) } else { Err(SceneError::Unbounded) }
+        if bounds.is_empty() {
+            return Ok(());
+        }
+        if !bounds.size().is_finite() {
+            return Err(SceneError::Unbounded);
+        }
+        // A little more than coordinates: what stands at the farthest place may have an extent.
+        let farthest = bounds.min.abs().max(bounds.max.abs()).max_element();
+        if farthest > 10.0 * FARTHEST {
+            let what = "the farthest coordinate of the scene";
+            return Err(SceneError::Number { what, value: farthest, expected: "at most 1e19" });
+        }
+        let extent = bounds.size().max_element();
+        if extent < SHORTEST {
+            let what = "the extent of the scene";
+            return Err(SceneError::Number { what, value: extent, expected: "at least 1e-18" });
+        }
+        Ok(())
+    }
+
+    /// Checks a distance between samples: it must leave few enough of them on a ray to be counted, and in solids, noise
+    /// and grids, where every one of them is evaluated, few enough to wait for.
+    ///
+    /// # Errors
+    /// [`SceneError::Step`] that says what would do, or [`SceneError::Number`].
+    pub fn check_step(&self, step: Step) -> Result<(), SceneError> {
+        let step = match step {
+            Step::Automatic { fraction } if (1e-3..=4.0).contains(&fraction) => return Ok(()),
+            Step::Automatic { fraction: value } => {
+                return Err(SceneError::Number { what: "the step fraction", value, expected: "0.001 to 4" });
+            }
+            Step::Fixed(step) => step,
+        };
+        if !(SHORTEST..=FARTHEST).contains(&step) {
+            return Err(SceneError::Number { what: "the step", value: step, expected: "1e-18 to 1e18" });
+        }
+        let diagonal = |bounds: Aabb| if bounds.is_empty() { 0.0 } else { bounds.size().length() };
+        let least = (diagonal(self.root.bounds()) / MOST_STEPS)
+            .max(diagonal(self.root.bounds_of_solids()) / MOST_STEPS_IN_SOLIDS);
+        if step < least { Err(SceneError::Step { step, least }) } else { Ok(()) }
     }
 }
 

@@ -3,9 +3,11 @@
 //! Opacity is per `unit_distance`, one length for the whole scene: a step δ through opacity O absorbs 1 − exp(−σδ) with
 //! σ = −ln(1 − min(O, 1 − 1/4096)) / unit_distance. A density that is not positive is transparent.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::colormap::Colormap;
+use super::{FARTHEST, SHORTEST};
 use crate::field::linear_from_srgb;
 
 /// Opacity is held below this, so that extinction stays finite.
@@ -18,7 +20,8 @@ pub enum OpacityRule {
     Clamp,
     /// σ = κ·D: physics. O = 1 − exp(−σ·unit_distance).
     Extinction(f64),
-    /// Straight lines between (density, opacity) pairs in ascending order; constant beyond the ends.
+    /// Straight lines between (density, opacity) pairs in ascending order; constant beyond the ends. Of pairs at one density
+    /// the last counts there and above, the first just below.
     Curve(Vec<(f64, f64)>),
 }
 
@@ -36,7 +39,8 @@ pub enum MapInput {
 pub enum Palette {
     /// One that has a name.
     Named(Colormap),
-    /// (place, display-encoded colour) in ascending order from 0 to 1, straight lines between.
+    /// (place, display-encoded colour) in ascending order from 0 to 1, straight lines between. Of stops at one place, an edge,
+    /// the last counts there and above, the first just below.
     Stops(Arc<[(f64, [f64; 3])]>),
 }
 
@@ -60,13 +64,13 @@ impl Palette {
         }
     }
 
-    /// The palette as `entries` colours in linear light.
+    /// Its stops: (place, display-encoded colour), in ascending order.
     #[must_use]
-    pub fn linear_table(&self, entries: usize) -> Vec<[f32; 3]> {
-        let last = (entries.max(2) - 1) as f64;
-        (0..entries.max(2))
-            .map(|i| self.display_color(i as f64 / last).map(|v| linear_from_srgb(v) as f32))
-            .collect()
+    pub fn stops(&self) -> Cow<'_, [(f64, [f64; 3])]> {
+        match self {
+            Self::Named(map) => Cow::Owned(map.stops()),
+            Self::Stops(stops) => Cow::Borrowed(stops),
+        }
     }
 }
 
@@ -93,15 +97,18 @@ impl ColorMap {
         self.palette.display_color((value - low) / (high - low)).map(linear_from_srgb)
     }
 
-    pub(super) fn check(&self) -> Result<(), TransferError> {
+    pub(crate) fn check(&self) -> Result<(), TransferError> {
         let (low, high) = self.range;
-        if !(low.is_finite() && high.is_finite() && low != high) {
+        let apart = (high - low).abs();
+        let in_range = low.abs() <= FARTHEST && high.abs() <= FARTHEST;
+        // Nearer than that, places in between would not be distinct numbers.
+        if !(in_range && apart >= SHORTEST && apart >= 1e-15 * low.abs().max(high.abs())) {
             return Err(TransferError::Range);
         }
         match &self.palette {
             Palette::Named(_) => Ok(()),
             Palette::Stops(stops) => {
-                let ascending = stops.windows(2).all(|w| w[0].0 < w[1].0);
+                let ascending = stops.windows(2).all(|w| w[0].0 <= w[1].0);
                 let in_range = stops.iter().all(|(at, color)| {
                     (0.0..=1.0).contains(at) && color.iter().all(|v| (0.0..=1.0).contains(v))
                 });
@@ -140,14 +147,14 @@ pub struct TransferFunction {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TransferError {
-    /// κ is negative or not finite.
-    #[error("the extinction coefficient must be a number of at least 0")]
+    /// κ is out of range.
+    #[error("the extinction coefficient must be a number from 0 to 1e18")]
     Extinction,
     /// A curve is empty, not ascending, or leaves 0–1.
     #[error("an opacity curve needs ascending densities and opacities from 0 to 1, as in 0:0,1:0.5,4:1")]
     Curve,
     /// The value range is empty or not finite.
-    #[error("the value range must be two different finite numbers, as in 0:10")]
+    #[error("the value range must be two different numbers from -1e18 to 1e18, as in 0:10")]
     Range,
     /// A palette is empty, not ascending, or leaves 0–1.
     #[error("a palette needs ascending places from 0 to 1 and colours from 0 to 1")]
@@ -165,11 +172,11 @@ impl OpacityRule {
     pub fn check(&self) -> Result<(), TransferError> {
         match self {
             Self::Clamp => Ok(()),
-            Self::Extinction(kappa) if *kappa >= 0.0 && kappa.is_finite() => Ok(()),
+            Self::Extinction(kappa) if (0.0..=FARTHEST).contains(kappa) => Ok(()),
             Self::Extinction(_) => Err(TransferError::Extinction),
             Self::Curve(points) => {
-                let ascending = points.windows(2).all(|w| w[0].0 < w[1].0);
-                let in_range = points.iter().all(|&(d, o)| d.is_finite() && (0.0..=1.0).contains(&o));
+                let ascending = points.windows(2).all(|w| w[0].0 <= w[1].0);
+                let in_range = points.iter().all(|&(d, o)| d.abs() <= FARTHEST && (0.0..=1.0).contains(&o));
                 if points.is_empty() || !ascending || !in_range { Err(TransferError::Curve) } else { Ok(()) }
             }
         }
@@ -240,7 +247,8 @@ impl OpacityRule {
     }
 }
 
-/// The value of a curve: straight lines between its points, constant beyond the ends.
+/// The value of a curve: straight lines between its points, constant beyond the ends. Where points stand at one place, the
+/// last counts there.
 #[must_use]
 pub fn curve_at(points: &[(f64, f64)], x: f64) -> f64 {
     let above = points.partition_point(|&(d, _)| d <= x);

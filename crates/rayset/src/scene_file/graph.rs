@@ -1,21 +1,23 @@
 //! The graph of a scene file.
 
 use std::collections::HashMap;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::SceneFileError;
+use super::json::Json;
 use super::preset::Preset;
-use super::reader::{Cursor, Object, nearest};
+use super::reader::{Cursor, Object, listed, nearest, shortened};
+use super::{MOST_MOVES, MOST_STOPS, MOST_TRANSFERS, SceneFileError};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use crate::grid::{self, Grid};
 use crate::octree::{self, Cloud};
+use crate::regular_file;
 use crate::scene::{
-    Channel, CloudObject, ColorMap, ColorRule, Form, GridObject, MapInput, Material, Node, NoiseCloud,
-    OpacityRule, Operator, Palette, Pattern, Procedural, Shape, Solid, Transfer,
+    Channel, CloudObject, ColorMap, ColorRule, FARTHEST, Form, GridObject, MOST_PLACES, MapInput, Material,
+    Node, NoiseCloud, OpacityRule, Operator, Palette, Pattern, Procedural, SHORTEST, Shape, Solid, Transfer,
+    check_transform,
 };
 
 /// Keys that every node may have.
@@ -23,6 +25,10 @@ const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "m
 
 /// Nodes within nodes, names followed: more than a person would write, and few enough for any thread's stack.
 const DEEPEST: usize = 100;
+/// Children of an operator: no graph may stand for more places.
+const MOST_CHILDREN: usize = MOST_PLACES as usize;
+/// Longest name of a node.
+const LONGEST_NAME: usize = 256;
 
 const OPERATORS: [Operator; 4] =
     [Operator::Union, Operator::Intersection, Operator::Difference, Operator::Blend];
@@ -78,6 +84,10 @@ impl<'a> GraphReader<'a> {
     }
 
     fn name(&mut self, name: &'a str, node: &Cursor<'a>) -> Result<(), SceneFileError> {
+        if name.len() > LONGEST_NAME {
+            let name = shortened(name);
+            return Err(node.error(format!("the name \"{name}…\" is longer than {LONGEST_NAME} bytes")));
+        }
         match self.named.insert(name, node.clone()) {
             Some(_) => Err(node.error(format!("the name \"{name}\" is given twice"))),
             None => Ok(()),
@@ -92,8 +102,8 @@ impl<'a> GraphReader<'a> {
                 self.name(name, node)?;
             }
         }
-        let children = object.get("children").filter(|at| at.value.is_array());
-        for child in children.map(|at| at.list()).transpose()?.into_iter().flatten() {
+        let children = object.get("children").filter(|at| at.value.is_list());
+        for child in children.map(|at| at.list(MOST_CHILDREN)).transpose()?.into_iter().flatten() {
             self.find_names(&child, None)?;
         }
         Ok(())
@@ -143,7 +153,8 @@ impl<'a> GraphReader<'a> {
             return Ok(node.clone());
         }
         if self.making.contains(&name) {
-            let way = [&self.making[..], &[name]].concat().join(" → ");
+            let way = [&self.making[..], &[name]].concat();
+            let way = way.iter().map(|name| shortened(name)).collect::<Vec<_>>().join(" → ");
             return Err(from.error(format!("a node cannot contain itself: {way}")));
         }
         let Some(at) = self.named.get(name).cloned() else {
@@ -152,8 +163,9 @@ impl<'a> GraphReader<'a> {
             let known = match (nearest(name, &names), names.as_slice()) {
                 (_, []) => "no node has a name; \"id\" gives one".into(),
                 (Some(nearest), _) => format!("did you mean \"{nearest}\"?"),
-                (None, names) => format!("the names are {}", names.join(", ")),
+                (None, names) => format!("the names are {}", listed(names)),
             };
+            let name = shortened(name);
             return Err(from.error(format!("no node is named \"{name}\"; {known}")));
         };
         self.making.push(name);
@@ -204,7 +216,7 @@ impl<'a> GraphReader<'a> {
                 let object = with(&["children"])?;
                 let at = object.require("children")?;
                 let least = if operator == Operator::Difference { 2 } else { 1 };
-                let children = at.list()?;
+                let children = at.list(MOST_CHILDREN)?;
                 if children.len() < least {
                     let children = if least == 1 { "at least one child" } else { "two children or more" };
                     return Err(at.expected(&format!("{children} of a {}", operator.name())));
@@ -216,7 +228,7 @@ impl<'a> GraphReader<'a> {
                 let (own, form) = form(name, at)?;
                 let object = with(&[own, &["opacity", "edge", "color"]].concat())?;
                 let opacity = object.read_or("opacity", 1.0, |at| at.number(0.0, 1.0))?;
-                let edge = object.read_or("edge", 0.0, |at| at.number(0.0, f64::MAX))?;
+                let edge = object.read_or("edge", 0.0, |at| at.number(0.0, FARTHEST))?;
                 let solid = Solid { form, opacity, edge, pattern: pattern(&object)? };
                 (object, Shape::Procedural(Arc::new(solid) as Arc<dyn Procedural>))
             }
@@ -256,8 +268,7 @@ impl<'a> GraphReader<'a> {
     /// Opens a grid file, once for all nodes that name it.
     fn open_grid(&mut self, at: &Cursor<'a>) -> Result<Arc<Grid>, SceneFileError> {
         let path = at.document.beside(at.text()?);
-        let key =
-            path.canonicalize().map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))?;
+        let key = data_file(at, &path)?;
         if let Some(grid) = self.grids.get(&key) {
             return Ok(grid.clone());
         }
@@ -270,8 +281,7 @@ impl<'a> GraphReader<'a> {
     /// Opens a cloud file, once for all nodes that name it.
     fn open(&mut self, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
         let path = at.document.beside(at.text()?);
-        let key =
-            path.canonicalize().map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))?;
+        let key = data_file(at, &path)?;
         if let Some(cloud) = self.clouds.get(&key) {
             return Ok(cloud.clone());
         }
@@ -281,6 +291,12 @@ impl<'a> GraphReader<'a> {
         self.clouds.insert(key, cloud.clone());
         Ok(cloud)
     }
+}
+
+/// What a data file is known by, if it is a regular file that can be read.
+fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
+    let known = regular_file::open(path).and_then(|_| path.canonicalize());
+    known.map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))
 }
 
 /// The transfer function of a grid, over its values.
@@ -315,7 +331,7 @@ fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), Sce
 /// Why a data file does not open, and what would: it may hold something else, or be a file to build from.
 fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
     let mut head = [0_u8; 8];
-    let is_read = File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
+    let is_read = regular_file::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
     let name = path.display();
     at.error(match head {
         _ if is_read && head == wanted => what,
@@ -332,7 +348,7 @@ fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> 
         node.parent_from_local = transform(&at)?;
     }
     if let Some(at) = object.get("transfers") {
-        for at in at.list()? {
+        for at in at.list(MOST_TRANSFERS)? {
             node.transfers.extend(transfers(&at, &node)?);
         }
     }
@@ -344,14 +360,27 @@ fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> 
 
 /// One or several moves, the first of which is made first.
 fn transform(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
-    if at.value.is_array() {
-        let steps = at.list()?;
-        return steps.iter().try_fold(DAffine3::IDENTITY, |sum, step| Ok(transform(step)? * sum));
+    if at.value.is_list() {
+        let mut sum = DAffine3::IDENTITY;
+        for step in at.list(MOST_MOVES)? {
+            sum = transform(&step)? * sum;
+        }
+        return moved(at, sum);
     }
+    one_move(at)
+}
+
+/// A transform that a scene may hold, or why it may not.
+fn moved(at: &Cursor<'_>, transform: DAffine3) -> Result<DAffine3, SceneFileError> {
+    check_transform(&transform).map_err(|e| at.error(e.to_string()))?;
+    Ok(transform)
+}
+
+fn one_move(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
     let object = at.object(&["scale", "rotate", "translate", "matrix"])?;
     let mut sum = DAffine3::IDENTITY;
     if let Some(at) = object.get("matrix") {
-        let rows = at.list()?;
+        let rows = at.list(usize::MAX)?;
         let [x, y, z] = rows.as_slice() else {
             return Err(at.expected("three rows of four numbers"));
         };
@@ -379,7 +408,7 @@ fn transform(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
             at.error("this transform flattens space: no scale may be 0, no row of a matrix may repeat")
         );
     }
-    Ok(sum)
+    moved(at, sum)
 }
 
 fn material(at: &Cursor<'_>) -> Result<Material, SceneFileError> {
@@ -434,7 +463,7 @@ fn transfer_input(at: &Cursor<'_>, node: &Node) -> Result<(Channel, (f64, f64)),
                 let all = [&["opacity", "red", "green", "blue"], &own[..]].concat();
                 let meant =
                     nearest(name, &all).map(|n| format!("; did you mean \"{n}\"?")).unwrap_or_default();
-                let all = all.join(", ");
+                let (all, name) = (listed(&all), shortened(name));
                 return Err(
                     at.error(format!("nothing here has an attribute \"{name}\"; there are {all}{meant}"))
                 );
@@ -463,7 +492,7 @@ fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(),
             let name = at.text()?;
             let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
             let index = stored.iter().position(|stored| *stored == name).ok_or_else(|| {
-                let all = [&["density"], &stored[..]].concat().join(", ");
+                let (all, name) = (listed(&[&["density"], &stored[..]].concat()), shortened(name));
                 at.error(format!("the cloud stores no \"{name}\"; it has {all}"))
             })?;
             let attribute = &header.attributes[index];
@@ -495,7 +524,7 @@ fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(),
 
 /// Whether a value is a list of lists.
 fn is_stops(at: &Cursor<'_>) -> bool {
-    at.value.as_array().and_then(|items| items.first()).is_some_and(serde_json::Value::is_array)
+    at.value.as_list().and_then(|items| items.first()).is_some_and(Json::is_list)
 }
 
 fn opacity(at: &Cursor<'_>) -> Result<OpacityRule, SceneFileError> {
@@ -503,24 +532,24 @@ fn opacity(at: &Cursor<'_>) -> Result<OpacityRule, SceneFileError> {
         return Ok(OpacityRule::Clamp);
     }
     if at.value.is_object() {
-        let kappa = at.object(&["extinction"])?.require("extinction")?.number(0.0, f64::MAX)?;
+        let kappa = at.object(&["extinction"])?.require("extinction")?.number(0.0, FARTHEST)?;
         return Ok(OpacityRule::Extinction(kappa));
     }
-    if at.value.is_array() {
+    if at.value.is_list() {
         return Ok(OpacityRule::Curve(curve(at)?));
     }
     Err(at.expected("\"clamp\", {\"extinction\": 2.5} or a curve like [[0, 0], [1, 0.5]]"))
 }
 
-/// Points of ascending values and opacities from 0 to 1.
+/// Points of values that do not descend, and opacities from 0 to 1.
 fn curve(at: &Cursor<'_>) -> Result<Vec<(f64, f64)>, SceneFileError> {
     let mut curve: Vec<(f64, f64)> = Vec::new();
-    for item in at.list()? {
+    for item in at.list(MOST_STOPS)? {
         let [value, opacity] = item.numbers::<2>()?;
         if !(0.0..=1.0).contains(&opacity) {
             return Err(item.error(format!("expected an opacity from 0 to 1, found {opacity}")));
         }
-        if curve.last().is_some_and(|last| last.0 >= value) {
+        if curve.last().is_some_and(|last| last.0 > value) {
             return Err(item.error("expected values in ascending order"));
         }
         curve.push((value, opacity));
@@ -530,7 +559,12 @@ fn curve(at: &Cursor<'_>) -> Result<Vec<(f64, f64)>, SceneFileError> {
 
 fn value_range(at: &Cursor<'_>) -> Result<(f64, f64), SceneFileError> {
     let [low, high] = at.numbers::<2>()?;
-    if low == high { Err(at.error("expected two different numbers")) } else { Ok((low, high)) }
+    let apart = (high - low).abs();
+    if apart >= SHORTEST && apart >= 1e-15 * low.abs().max(high.abs()) {
+        Ok((low, high))
+    } else {
+        Err(at.error("expected two different numbers"))
+    }
 }
 
 /// A palette by its name, or as a list of places and colours.
@@ -542,13 +576,13 @@ fn palette(at: &Cursor<'_>) -> Result<Palette, SceneFileError> {
             .map_err(|e: crate::scene::UnknownColormap| at.error(e.to_string()));
     }
     let mut stops: Vec<(f64, [f64; 3])> = Vec::new();
-    for item in at.list()? {
-        let pair = item.list()?;
+    for item in at.list(MOST_STOPS)? {
+        let pair = item.list(usize::MAX)?;
         let [place, color] = pair.as_slice() else {
             return Err(item.expected("a place from 0 to 1 and a colour, like [0.5, \"#c8b090\"]"));
         };
         let place_at = place.number(0.0, 1.0)?;
-        if stops.last().is_some_and(|last| last.0 >= place_at) {
+        if stops.last().is_some_and(|last| last.0 > place_at) {
             return Err(place.error("expected places in ascending order"));
         }
         stops.push((place_at, color.color()?.map(crate::image::srgb_from_linear)));
@@ -568,7 +602,7 @@ fn pattern(object: &Object<'_>) -> Result<Pattern, SceneFileError> {
     if at.any_object()?.require("type")?.one_of(&[("checker", true), ("gradient", false)])? {
         let object = at.object(&["type", "colors", "size"])?;
         let colors_at = object.require("colors")?;
-        let colors = colors_at.list()?;
+        let colors = colors_at.list(usize::MAX)?;
         let [first, second] = colors.as_slice() else {
             return Err(colors_at.expected("two colours"));
         };
@@ -577,7 +611,7 @@ fn pattern(object: &Object<'_>) -> Result<Pattern, SceneFileError> {
     }
     let object = at.object(&["type", "from", "to", "color", "valueRange"])?;
     let (from, to) = (object.require("from")?.vector()?, object.require("to")?.vector()?);
-    if from == to {
+    if from.distance(to) < SHORTEST {
         return Err(at.error("\"from\" and \"to\" are the same place"));
     }
     let range = object.read_or("valueRange", (0.0, 1.0), value_range)?;
@@ -586,7 +620,11 @@ fn pattern(object: &Object<'_>) -> Result<Pattern, SceneFileError> {
 
 fn positive_vector(at: &Cursor<'_>) -> Result<DVec3, SceneFileError> {
     let vector = at.vector()?;
-    if vector.min_element() > 0.0 { Ok(vector) } else { Err(at.expected("three numbers above 0")) }
+    if vector.min_element() >= SHORTEST {
+        Ok(vector)
+    } else {
+        Err(at.expected(&format!("three numbers of at least {SHORTEST:e}")))
+    }
 }
 
 /// The shape of a solid, and the keys that it has of its own.

@@ -3,9 +3,9 @@
 use std::collections::HashSet;
 
 /// One step from a value to a value inside it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Step {
-    Key(String),
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step<'k> {
+    Key(&'k str),
     Index(usize),
 }
 
@@ -24,7 +24,7 @@ pub(super) enum Part {
 }
 
 /// Finds the value at the end of a path in a text that is known to be JSON, or its key.
-pub(super) fn locate(text: &str, path: &[Step], part: Part) -> Place {
+pub(super) fn locate(text: &str, path: &[Step<'_>], part: Part) -> Place {
     let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     for step in path {
         scanner.key_at = None;
@@ -131,7 +131,7 @@ impl Scanner<'_> {
     }
 
     /// Goes to a value inside the one that begins here; false where there is none.
-    fn enter(&mut self, step: &Step) -> bool {
+    fn enter(&mut self, step: &Step<'_>) -> bool {
         self.skip_space();
         match (step, self.bytes.get(self.at)) {
             (Step::Index(index), Some(b'[')) => {
@@ -168,8 +168,8 @@ mod tests {
     #[test]
     fn values_are_found_where_they_stand() {
         let text = "{\n  \"a\": [1, {\"b\": \"x]\\\"\", \"c\": 2}],\n  \"d\": true\n}";
-        let key = |k: &str| Step::Key(k.into());
-        let at = |path: &[Step]| {
+        let key = Step::Key;
+        let at = |path: &[Step<'_>]| {
             let Place { line, column } = locate(text, path, Part::Value);
             (line, column)
         };

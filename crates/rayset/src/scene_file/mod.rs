@@ -5,6 +5,7 @@
 //! threads are for whoever renders it.
 
 mod graph;
+mod json;
 mod locate;
 mod preset;
 mod reader;
@@ -15,15 +16,28 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use self::graph::GraphReader;
+use self::json::Json;
 use self::reader::{Cursor, Document, Object};
 use crate::image::Development;
-use crate::scene::{Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError};
+use crate::regular_file;
+use crate::scene::{
+    BRIGHTEST, Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError,
+};
 
 /// Version of the form that this code reads.
 pub const VERSION: u32 = 1;
 
-/// Longest file that is read.
-const LONGEST_BYTES: u64 = 64 << 20;
+/// Longest scene or preset that is read.
+const LONGEST_BYTES: u64 = 4 << 20;
+/// Most lights of a scene.
+const MOST_LIGHTS: usize = 1024;
+/// Most cameras of an animation.
+const MOST_KEYS: usize = 16_384;
+/// Most points of a curve, and stops of a colour map.
+const MOST_STOPS: usize = 4096;
+/// Most moves of a node, and most transfer functions.
+const MOST_MOVES: usize = 256;
+const MOST_TRANSFERS: usize = 16;
 
 /// What a scene file says.
 #[derive(Clone, Debug)]
@@ -40,6 +54,8 @@ pub struct SceneFile {
     pub development: Development,
     /// Files that it names: clouds, grids and colour-map presets.
     pub files: Vec<PathBuf>,
+    /// An upper bound of the memory that reading took, for a plan of the whole process: most of it is free again.
+    pub loading_bytes: u64,
 }
 
 /// What is wrong with a scene file, and where.
@@ -81,13 +97,7 @@ impl SceneFile {
     /// # Errors
     /// [`LoadError`] that names line, column, key and what was expected.
     pub fn load(path: &Path) -> Result<Self, LoadError> {
-        let wrong = |source| LoadError::Io { path: path.to_owned(), source };
-        let mut text = String::new();
-        let file = std::fs::File::open(path).map_err(wrong)?;
-        if file.take(LONGEST_BYTES + 1).read_to_string(&mut text).map_err(wrong)? as u64 > LONGEST_BYTES {
-            let what = "longer than 64 MiB; points and voxels belong into files of their own";
-            return Err(wrong(std::io::Error::new(std::io::ErrorKind::FileTooLarge, what)));
-        }
+        let text = read_text(path).map_err(|source| LoadError::Io { path: path.to_owned(), source })?;
         Ok(Self::parse(path, &text)?)
     }
 
@@ -123,7 +133,7 @@ impl SceneFile {
         let scene = Scene {
             lighting: lighting(&file)?,
             background: match file.get("background") {
-                Some(cursor) if !cursor.value.is_null() => Some(cursor.color()?.map(|v| v as f32)),
+                Some(cursor) if *cursor.value != Json::Null => Some(cursor.color()?.map(|v| v as f32)),
                 _ => None,
             },
             unit_distance: view::unit_distance(&file, &bounds)?,
@@ -133,11 +143,34 @@ impl SceneFile {
             SceneError::UnitDistance => whole.error(e.to_string()),
             _ => root_at.error(e.to_string()),
         })?;
+        scene.check_step(settings.step).map_err(|e| view::step_at(&file).error(e.to_string()))?;
         let camera = view::camera(&file, &bounds, &settings)?;
         let path = view::path(&file, &bounds, &settings)?;
         let files = document.named.take().into_iter().collect();
-        Ok(Self { scene, camera, path, settings, development, files })
+        let loading_bytes = loading_bytes(text, &value);
+        Ok(Self { scene, camera, path, settings, development, files, loading_bytes })
     }
+}
+
+/// Reads the text of a scene or a preset.
+fn read_text(path: &Path) -> std::io::Result<String> {
+    let (mut text, file) = (String::new(), regular_file::open(path)?);
+    if file.take(LONGEST_BYTES + 1).read_to_string(&mut text)? as u64 > LONGEST_BYTES {
+        let what = "longer than 4 MiB; points and voxels belong into files of their own";
+        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, what));
+    }
+    Ok(text)
+}
+
+/// An upper bound of the memory that reading a scene takes.
+fn loading_bytes(text: &str, value: &Json<'_>) -> u64 {
+    /// A place in a document, with the step to it.
+    const CURSOR_BYTES: u64 = 128;
+    /// What is remembered of a node: its name, itself, and how high it is.
+    const NODE_BYTES: u64 = 640;
+    let nodes = text.matches("\"type\"").count() + text.matches("\"ref\"").count();
+    // Lists are doubled while they grow.
+    2 * text.len() as u64 + 2 * value.bytes() + CURSOR_BYTES * value.widest_way() + NODE_BYTES * nodes as u64
 }
 
 fn check_version(file: &Object<'_>) -> Result<(), SceneFileError> {
@@ -155,10 +188,10 @@ fn lighting(file: &Object<'_>) -> Result<Lighting, SceneFileError> {
     if at.value.as_str() == Some("none") {
         return Ok(Lighting::Unlit);
     }
-    if !at.value.is_array() {
+    if !at.value.is_list() {
         return Err(at.expected("a list of lights, or \"none\""));
     }
-    Ok(Lighting::Lit(at.list()?.iter().map(light).collect::<Result<_, _>>()?))
+    Ok(Lighting::Lit(at.list(MOST_LIGHTS)?.iter().map(light).collect::<Result<_, _>>()?))
 }
 
 fn light(at: &Cursor<'_>) -> Result<Light, SceneFileError> {
@@ -182,7 +215,11 @@ fn light(at: &Cursor<'_>) -> Result<Light, SceneFileError> {
             }
         };
     let color = object.read_or("color", [1.0; 3], Cursor::color)?;
-    let intensity = object.read_or("intensity", 1.0, |at| at.number(0.0, 1e12))?;
-    let color = color.map(|v| (v * intensity) as f32);
+    let intensity = object.read_or("intensity", 1.0, |at| at.number(0.0, BRIGHTEST))?;
+    let color = color.map(|v| v * intensity);
+    if color.iter().any(|&v| v > BRIGHTEST) {
+        return Err(at.error(format!("color times intensity is above {BRIGHTEST:e}")));
+    }
+    let color = color.map(|v| v as f32);
     Ok(Light { kind, color, shadow: object.read_or("shadow", true, Cursor::boolean)? })
 }

@@ -2,11 +2,10 @@
 //! `Points` (value, opacity, midpoint, sharpness, …), as its colour map editor exports them. Colours between points lie
 //! on straight lines in RGB, whatever `ColorSpace` says; midpoints and sharpness are left out of account.
 
-use serde_json::Value;
-
-use super::SceneFileError;
-use super::reader::Cursor;
-use crate::scene::{ColorMap, Palette};
+use super::json::Json;
+use super::reader::{Cursor, listed};
+use super::{MOST_STOPS, SceneFileError, read_text};
+use crate::scene::{ColorMap, FARTHEST, Palette};
 
 /// A map of a preset file.
 pub(super) struct Preset {
@@ -21,21 +20,17 @@ impl Preset {
         let file_at = object.require("file")?;
         let path = at.document.beside(file_at.text()?);
         let wrong = |what: String| file_at.error(format!("{}: {what}", path.display()));
-        let text = std::fs::read_to_string(&path).map_err(|e| wrong(format!("cannot read it: {e}")))?;
-        let value: Value =
-            serde_json::from_str(&text).map_err(|e| wrong(format!("this is not JSON: {e}")))?;
-        let maps = match &value {
-            Value::Array(maps) => maps.as_slice(),
-            one => std::slice::from_ref(one),
-        };
+        let text = read_text(&path).map_err(|e| wrong(format!("cannot read it: {e}")))?;
+        let value = Json::parse(&text).map_err(|e| wrong(format!("this is not JSON: {e}")))?;
+        let maps = value.as_list().unwrap_or(std::slice::from_ref(&value));
         let found = match object.get("name") {
             None => maps.first(),
             Some(name_at) => {
                 let name = name_at.text()?;
-                let found = maps.iter().find(|map| map["Name"].as_str() == Some(name));
-                let names: Vec<&str> = maps.iter().filter_map(|map| map["Name"].as_str()).collect();
+                let found = maps.iter().find(|map| name_of(map) == Some(name));
+                let names: Vec<&str> = maps.iter().filter_map(name_of).collect();
                 Some(found.ok_or_else(|| {
-                    name_at.error(format!("no map has this name; there are {}", names.join(", ")))
+                    name_at.error(format!("no map has this name; there are {}", listed(&names)))
                 })?)
             }
         };
@@ -47,21 +42,26 @@ impl Preset {
     }
 }
 
-/// Numbers of a list, in groups.
-fn groups<const N: usize>(list: &Value) -> Option<Vec<[f64; N]>> {
-    let numbers: Option<Vec<f64>> = list.as_array()?.iter().map(Value::as_f64).collect();
-    let numbers = numbers?;
-    let (groups, rest) = numbers.as_chunks::<N>();
-    (rest.is_empty() && !groups.is_empty()).then(|| groups.to_vec())
+fn name_of<'m>(map: &'m Json<'_>) -> Option<&'m str> {
+    map.get("Name")?.as_str()
 }
 
-fn color_map(map: &Value) -> Result<Option<ColorMap>, &'static str> {
-    const WRONG: &str = "RGBPoints is no list of ascending value, red, green, blue";
+/// Numbers of a list, in groups, each of which begins with a value that no other is above.
+fn groups<const N: usize>(list: &Json<'_>) -> Option<Vec<[f64; N]>> {
+    let numbers = list.as_list().filter(|items| items.len() <= N * MOST_STOPS)?;
+    let in_range = |v: &f64| v.abs() <= FARTHEST;
+    let numbers: Vec<f64> = numbers.iter().map(|v| v.as_f64().filter(in_range)).collect::<Option<_>>()?;
+    let (groups, rest) = numbers.as_chunks::<N>();
+    let ascending = groups.windows(2).all(|w| w[0][0] <= w[1][0]);
+    (rest.is_empty() && !groups.is_empty() && ascending).then(|| groups.to_vec())
+}
+
+fn color_map(map: &Json<'_>) -> Result<Option<ColorMap>, &'static str> {
+    const WRONG: &str = "RGBPoints is no list of ascending value, red, green, blue, of at most 4096 values";
     let Some(list) = map.get("RGBPoints") else { return Ok(None) };
     let points = groups::<4>(list).ok_or(WRONG)?;
     let (low, high) = (points[0][0], points[points.len() - 1][0]);
-    let ascending = points.windows(2).all(|w| w[0][0] < w[1][0]);
-    if !(low < high) || !ascending {
+    if !(low < high) {
         return Err(WRONG);
     }
     let stops =
@@ -69,12 +69,10 @@ fn color_map(map: &Value) -> Result<Option<ColorMap>, &'static str> {
     Ok(Some(ColorMap { palette: Palette::Stops(stops.collect()), range: (low, high) }))
 }
 
-fn opacity(map: &Value) -> Result<Option<Vec<(f64, f64)>>, &'static str> {
-    const WRONG: &str = "Points is no list of ascending value, opacity, midpoint, sharpness";
+fn opacity(map: &Json<'_>) -> Result<Option<Vec<(f64, f64)>>, &'static str> {
+    const WRONG: &str =
+        "Points is no list of ascending value, opacity, midpoint, sharpness, of at most 4096 values";
     let Some(list) = map.get("Points") else { return Ok(None) };
     let points = groups::<4>(list).ok_or(WRONG)?;
-    if points.windows(2).any(|w| w[0][0] >= w[1][0]) {
-        return Err(WRONG);
-    }
     Ok(Some(points.iter().map(|&[v, o, ..]| (v, o.clamp(0.0, 1.0))).collect()))
 }

@@ -4,13 +4,14 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-
-use serde_json::{Map, Value};
+use std::rc::Rc;
 
 use super::SceneFileError;
+use super::json::{Json, Member};
 use super::locate::{Part, Step, locate, repeated_key};
 use crate::field::linear_from_srgb;
 use crate::geometry::DVec3;
+use crate::scene::{BRIGHTEST, FARTHEST, SHORTEST};
 
 /// A document: its text, for places, and the file that it was read from.
 pub(super) struct Document<'a> {
@@ -20,7 +21,7 @@ pub(super) struct Document<'a> {
     pub(super) named: RefCell<BTreeSet<PathBuf>>,
 }
 
-impl Document<'_> {
+impl<'a> Document<'a> {
     /// The file that the scene names.
     pub(super) fn beside(&self, name: &str) -> PathBuf {
         let path = self.file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name));
@@ -29,18 +30,19 @@ impl Document<'_> {
     }
 
     /// Parses the text.
-    pub(super) fn parse(&self) -> Result<Value, SceneFileError> {
-        let value = serde_json::from_str(self.text).map_err(|e| {
+    pub(super) fn parse(&self) -> Result<Json<'a>, SceneFileError> {
+        let value = Json::parse(self.text).map_err(|e| {
             // The parser says the place at the end, which the error says by itself.
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or_default();
             let what = what.replace("EOF while parsing", "the text ends in the middle of");
-            self.error_at(
-                e.line().max(1),
-                e.column().max(1),
-                String::new(),
-                format!("this is not JSON: {what}"),
-            )
+            let what = match what.as_str() {
+                "recursion limit exceeded" => "lists and objects are nested more than 127 deep".to_owned(),
+                // The reader's own words: it is JSON, but too much.
+                _ if e.is_data() => what,
+                _ => format!("this is not JSON: {what}"),
+            };
+            self.error_at(e.line().max(1), e.column().max(1), String::new(), what)
         })?;
         if let Some((key, place)) = repeated_key(self.text) {
             let what = "this key stands twice in one object; only one can count".to_owned();
@@ -58,20 +60,27 @@ impl Document<'_> {
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {
     pub(super) document: &'a Document<'a>,
-    pub(super) value: &'a Value,
-    path: Vec<Step>,
+    pub(super) value: &'a Json<'a>,
+    /// The last step of the way here, and those before it; `None` at the whole.
+    way: Option<Rc<Way<'a>>>,
+}
+
+/// The way from the whole of a document to a value in it. Neighbours share all but the last step.
+struct Way<'a> {
+    before: Option<Rc<Self>>,
+    step: Step<'a>,
 }
 
 /// An object whose keys are all known.
 #[derive(Clone)]
 pub(super) struct Object<'a> {
     pub(super) cursor: Cursor<'a>,
-    map: &'a Map<String, Value>,
+    members: &'a [Member<'a>],
 }
 
 impl<'a> Cursor<'a> {
-    pub(super) fn root(document: &'a Document<'a>, value: &'a Value) -> Self {
-        Self { document, value, path: Vec::new() }
+    pub(super) fn root(document: &'a Document<'a>, value: &'a Json<'a>) -> Self {
+        Self { document, value, way: None }
     }
 
     /// What is wrong with this value.
@@ -80,53 +89,55 @@ impl<'a> Cursor<'a> {
     }
 
     fn error_of(&self, part: Part, what: impl Into<String>) -> SceneFileError {
-        let place = locate(self.document.text, &self.path, part);
+        let place = locate(self.document.text, &self.steps(), part);
         self.document.error_at(place.line, place.column, self.name(), what.into())
     }
 
     /// As [`error`](Self::error), with what was found instead of what was expected.
     pub(super) fn expected(&self, what: &str) -> SceneFileError {
-        let found = match self.value {
-            Value::Null => "null".into(),
-            Value::Bool(b) => b.to_string(),
-            Value::Number(n) => n.to_string(),
-            Value::String(s) => format!("{s:?}"),
-            Value::Array(items) => format!("a list of {}", items.len()),
-            Value::Object(_) => "an object".into(),
-        };
+        let found = self.value;
         self.error(format!("expected {what}, found {found}"))
+    }
+
+    /// The steps from the whole to the value.
+    fn steps(&self) -> Vec<Step<'a>> {
+        let steps = std::iter::successors(self.way.as_ref(), |way| way.before.as_ref()).map(|way| way.step);
+        let mut steps: Vec<_> = steps.collect();
+        steps.reverse();
+        steps
     }
 
     /// The way to the value, as one would write it.
     fn name(&self) -> String {
         let mut name = String::new();
-        for step in &self.path {
+        for step in self.steps() {
             match step {
-                Step::Key(key) if name.is_empty() => name.push_str(key),
-                Step::Key(key) => name = format!("{name}.{key}"),
+                Step::Key(key) => {
+                    let dot = if name.is_empty() { "" } else { "." };
+                    name.extend([dot, shortened(key)]);
+                }
                 Step::Index(index) => name = format!("{name}[{index}]"),
             }
         }
         name
     }
 
-    fn inner(&self, value: &'a Value, step: Step) -> Self {
-        let mut path = self.path.clone();
-        path.push(step);
-        Self { document: self.document, value, path }
+    fn inner(&self, value: &'a Json<'a>, step: Step<'a>) -> Self {
+        let way = Rc::new(Way { before: self.way.clone(), step });
+        Self { document: self.document, value, way: Some(way) }
     }
 
     /// An object with no keys but those that are known.
     pub(super) fn object(&self, known: &[&str]) -> Result<Object<'a>, SceneFileError> {
         let object = self.any_object()?;
-        for (key, value) in object.map {
-            if !known.contains(&key.as_str()) {
+        for (key, value) in object.members {
+            if !known.contains(&&**key) {
                 let nearest = nearest(key, known);
                 let hint = nearest.map_or_else(
                     || format!("expected one of {}", known.join(", ")),
                     |nearest| format!("did you mean \"{nearest}\"?"),
                 );
-                let unknown = self.inner(value, Step::Key(key.clone()));
+                let unknown = self.inner(value, Step::Key(key));
                 return Err(unknown.error_of(Part::Key, format!("unknown key; {hint}")));
             }
         }
@@ -136,14 +147,18 @@ impl<'a> Cursor<'a> {
     /// An object whose keys are looked at later.
     pub(super) fn any_object(&self) -> Result<Object<'a>, SceneFileError> {
         match self.value {
-            Value::Object(map) => Ok(Object { cursor: self.clone(), map }),
+            Json::Object(members) => Ok(Object { cursor: self.clone(), members }),
             _ => Err(self.expected("an object")),
         }
     }
 
-    pub(super) fn list(&self) -> Result<Vec<Self>, SceneFileError> {
+    /// The items of a list that may hold so many.
+    pub(super) fn list(&self, most: usize) -> Result<Vec<Self>, SceneFileError> {
         match self.value {
-            Value::Array(items) => {
+            Json::List(items) if items.len() > most => {
+                Err(self.error(format!("a list of {}; at most {most} are read here", items.len())))
+            }
+            Json::List(items) => {
                 Ok(items.iter().enumerate().map(|(i, item)| self.inner(item, Step::Index(i))).collect())
             }
             _ => Err(self.expected("a list")),
@@ -162,23 +177,21 @@ impl<'a> Cursor<'a> {
     pub(super) fn number(&self, least: f64, most: f64) -> Result<f64, SceneFileError> {
         let fits = |v: &f64| (least..=most).contains(v);
         self.value.as_f64().filter(fits).ok_or_else(|| {
-            let expected = match (least == f64::MIN, most == f64::MAX) {
-                (true, true) => "a number".to_owned(),
-                (false, true) if least == f64::MIN_POSITIVE => "a number above 0".to_owned(),
-                (false, true) => format!("a number of at least {least}"),
-                (true, false) => format!("a number of at most {most}"),
-                (false, false) => format!("a number from {least} to {most}"),
+            let plain = |v: f64| {
+                if (1e-4..1e6).contains(&v.abs()) || v == 0.0 { v.to_string() } else { format!("{v:e}") }
             };
-            self.expected(&expected)
+            self.expected(&format!("a number from {} to {}", plain(least), plain(most)))
         })
     }
 
+    /// A coordinate, or anything else that may have either sign.
     pub(super) fn any_number(&self) -> Result<f64, SceneFileError> {
-        self.number(f64::MIN, f64::MAX)
+        self.number(-FARTHEST, FARTHEST)
     }
 
+    /// A length.
     pub(super) fn positive(&self) -> Result<f64, SceneFileError> {
-        self.number(f64::MIN_POSITIVE, f64::MAX)
+        self.number(SHORTEST, FARTHEST)
     }
 
     /// A whole number within bounds, both included.
@@ -191,7 +204,7 @@ impl<'a> Cursor<'a> {
 
     pub(super) fn numbers<const N: usize>(&self) -> Result<[f64; N], SceneFileError> {
         let items = match self.value {
-            Value::Array(items) if items.len() == N => self.list()?,
+            Json::List(items) if items.len() == N => self.list(N)?,
             _ => return Err(self.expected(&format!("a list of {N} numbers"))),
         };
         let mut numbers = [0.0; N];
@@ -205,13 +218,17 @@ impl<'a> Cursor<'a> {
         self.numbers::<3>().map(DVec3::from_array)
     }
 
-    /// A vector that is not zero.
+    /// A vector that is long enough to have a direction.
     pub(super) fn direction(&self) -> Result<DVec3, SceneFileError> {
         let vector = self.vector()?;
-        if vector.length_squared() > 0.0 {
+        let length = vector.length();
+        if length >= SHORTEST {
             Ok(vector)
         } else {
-            Err(self.error("expected a direction, found a vector of length 0"))
+            let found = Json::Number(length);
+            Err(self.error(format!(
+                "expected a direction, at least {SHORTEST:e} long; found a vector of length {found}"
+            )))
         }
     }
 
@@ -219,16 +236,16 @@ impl<'a> Cursor<'a> {
     pub(super) fn color(&self) -> Result<[f64; 3], SceneFileError> {
         const EXPECTED: &str = "a colour like \"#c8b090\" or [0.5, 0.4, 0.3] (linear light)";
         match self.value {
-            Value::String(text) => {
+            Json::Text(text) => {
                 let hex = text.strip_prefix('#').filter(|hex| hex.len() == 6 && hex.is_ascii());
                 let value = hex.and_then(|hex| u32::from_str_radix(hex, 16).ok());
                 let value = value.ok_or_else(|| self.expected(EXPECTED))?;
                 Ok([16, 8, 0].map(|shift| linear_from_srgb(f64::from(value >> shift & 255) / 255.0)))
             }
-            Value::Array(items) if items.len() == 3 => {
+            Json::List(items) if items.len() == 3 => {
                 let mut color = [0.0; 3];
-                for (channel, item) in color.iter_mut().zip(self.list()?) {
-                    *channel = item.number(0.0, f64::MAX)?;
+                for (channel, item) in color.iter_mut().zip(self.list(3)?) {
+                    *channel = item.number(0.0, BRIGHTEST)?;
                 }
                 Ok(color)
             }
@@ -252,7 +269,8 @@ impl<'a> Cursor<'a> {
 
 impl<'a> Object<'a> {
     pub(super) fn get(&self, key: &str) -> Option<Cursor<'a>> {
-        self.map.get(key).map(|value| self.cursor.inner(value, Step::Key(key.to_owned())))
+        let (name, value) = self.members.iter().find(|(name, _)| name == key)?;
+        Some(self.cursor.inner(value, Step::Key(name)))
     }
 
     pub(super) fn require(&self, key: &str) -> Result<Cursor<'a>, SceneFileError> {
@@ -260,7 +278,7 @@ impl<'a> Object<'a> {
     }
 
     pub(super) fn entries(&self) -> impl Iterator<Item = (&'a str, Cursor<'a>)> {
-        self.map.iter().map(|(key, value)| (key.as_str(), self.cursor.inner(value, Step::Key(key.clone()))))
+        self.members.iter().map(|(key, value)| (&**key, self.cursor.inner(value, Step::Key(key))))
     }
 
     /// What `read` makes of a value, or a default where there is none.
@@ -276,8 +294,31 @@ impl<'a> Object<'a> {
 
 /// The word that is most like another, where one is like it at all.
 pub(super) fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
-    let close = known.iter().map(|k| (edits(&word.to_lowercase(), &k.to_lowercase()), *k)).min()?;
+    /// Nobody mistypes a word of more letters, and comparing takes time with the square of them.
+    const LONGEST: usize = 64;
+    if word.len() > LONGEST {
+        return None;
+    }
+    let close = known
+        .iter()
+        .filter(|k| k.len() <= LONGEST)
+        .map(|k| (edits(&word.to_lowercase(), &k.to_lowercase()), *k))
+        .min()?;
     (close.0 <= 1 + word.len() / 3).then_some(close.1)
+}
+
+/// A name as messages repeat it: the beginning of one that is too long.
+pub(super) fn shortened(name: &str) -> &str {
+    let end = name.char_indices().nth(60).map_or(name.len(), |(at, _)| at);
+    &name[..end]
+}
+
+/// Some of many words, as messages list them.
+pub(super) fn listed(words: &[&str]) -> String {
+    const MOST: usize = 24;
+    let some: Vec<&str> = words.iter().take(MOST).map(|word| shortened(word)).collect();
+    let more = if words.len() > MOST { format!(" and {} more", words.len() - MOST) } else { String::new() };
+    format!("{}{more}", some.join(", "))
 }
 
 /// Letters to insert, remove or exchange to turn one word into another (Levenshtein 1966).

@@ -1,10 +1,12 @@
 //! Camera, image and render settings of a scene file.
 
-use super::SceneFileError;
 use super::reader::{Cursor, Object};
+use super::{MOST_KEYS, SceneFileError};
 use crate::geometry::{Aabb, DVec3};
 use crate::image::{Development, ToneMapping};
-use crate::scene::{Camera, CameraPath, Phase, Projection, RenderSettings, Sampling, Shadows, Step};
+use crate::scene::{
+    Camera, CameraPath, Phase, Projection, RenderSettings, SHORTEST, Sampling, Shadows, Step,
+};
 
 /// Size of a picture where the file does not say.
 const SIZE: u32 = 512;
@@ -15,7 +17,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, Development
     if let Some(at) = file.get("image") {
         let image = at.object(&["size", "samples", "pattern", "exposure", "toneMapping"])?;
         if let Some(at) = image.get("size") {
-            let sides = at.list()?;
+            let sides = at.list(usize::MAX)?;
             let [width, height] = sides.as_slice() else {
                 return Err(at.expected("width and height, like [1024, 768]"));
             };
@@ -65,6 +67,13 @@ fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {
     }
 }
 
+/// Where the distance between samples is given, or would be.
+pub(super) fn step_at<'a>(file: &Object<'a>) -> Cursor<'a> {
+    let rendering = file.get("rendering").unwrap_or_else(|| file.cursor.clone());
+    let step = rendering.any_object().ok().and_then(|rendering| rendering.get("step"));
+    step.unwrap_or(rendering)
+}
+
 /// The length that opacities refer to: what the file says, else a hundredth of the scene's diagonal.
 pub(super) fn unit_distance(file: &Object<'_>, bounds: &Aabb) -> Result<f64, SceneFileError> {
     let rendering = file.get("rendering").map(|at| at.any_object()).transpose()?;
@@ -84,7 +93,7 @@ pub(super) fn path(
     let Some(at) = file.get("animation") else { return Ok(None) };
     let keys_at = at.object(&["keys"])?.require("keys")?;
     let mut keys: Vec<(u32, Camera)> = Vec::new();
-    for key in keys_at.list()? {
+    for key in keys_at.list(MOST_KEYS)? {
         let object = key.object(&["frame", "camera"])?;
         let frame_at = object.require("frame")?;
         let frame = frame_at.whole(0, 999_999)?;
@@ -132,7 +141,13 @@ pub(super) fn camera(
         Some(position) => {
             let position = position.vector()?;
             let direction = match (look_at, direction) {
-                (Some(at), _) => at.vector()? - position,
+                (Some(at), _) => {
+                    let toward = at.vector()? - position;
+                    if toward.length() < SHORTEST {
+                        return Err(at.error("the camera stands where it looks at"));
+                    }
+                    toward
+                }
                 (None, Some(at)) => at.direction()?,
                 (None, None) => bounds.center() - position,
             };

@@ -1,16 +1,23 @@
 //! What a render needs besides pages, so that a budget for the whole process can be kept.
 
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::block::{Block, Wants};
 use super::packet_tracer::tree_bytes;
+use super::program::PLACE_BYTES;
 use super::shadow::{BLOCK_BYTES, LightTable};
+use super::transfer::ColorTable;
 use crate::field::{LANES, SampleRow};
+use crate::geometry::DAffine3;
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
 use crate::image::LayerPixel;
 use crate::octree::Cloud;
-use crate::scene::{Lighting, MOST_ATTRIBUTES, Node, Operator, RenderSettings, Scene, Shape};
+use crate::scene::{
+    ColorRule, Lighting, MOST_ATTRIBUTES, Material, Node, OpacityRule, Operator, RenderSettings, Scene,
+    Shape, Transfer, TransferFunction,
+};
 use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
@@ -23,6 +30,8 @@ const LOOKAHEAD_BYTES: u64 = 24;
 const ALLOCATOR_PART: u64 = 32;
 /// And more where pages and blocks of shadows, of other sizes, take each other's place.
 const MIXED_ALLOCATOR_PART: u64 = 14;
+/// What a march through the graph keeps of every place: its samples, its cloud's state, its block.
+const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<Block>>()) as u64;
 /// Blocks of 16 rows of layers on their way into an OpenEXR file, for each column: six, with what compression takes.
 const EXR_BYTES: u64 = 6 * 16 * 60;
 /// Bytes of a pixel while its band is being made.
@@ -37,6 +46,8 @@ const READING_BYTES: u64 = 1 << 20;
 pub struct SceneNeeds {
     clouds: Vec<Arc<Cloud>>,
     grids: Vec<Arc<Grid>>,
+    /// The graph, as it is given and as it is compiled, and what is left of reading it.
+    scene_bytes: u64,
     thread_bytes: u64,
     /// Blocks of cached shadows.
     shadow_blocks: u64,
@@ -80,21 +91,39 @@ impl SceneNeeds {
             material: settings.layers || (lit && has(|node| node.material.is_some())),
             attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
         };
-        let picture = blocks(&scene.root) * Block::bytes(wants);
+        let census = Census::of(&scene.root);
+        let most_blocks = blocks(&scene.root) + census.shared;
+        let picture = most_blocks * Block::bytes(wants);
         let opacity_only = Wants { attributes: wants.attributes, ..Wants::default() };
-        let shadow = if scene.lighting.throws_shadows() {
-            blocks(&scene.root) * Block::bytes(opacity_only)
-        } else {
-            0
-        };
+        let shadow =
+            if scene.lighting.throws_shadows() { most_blocks * Block::bytes(opacity_only) } else { 0 };
         let passes = if shadow > 0 { 2 } else { 1 };
         let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
         // Of the field of a cloud, once for pictures and once for shadows.
         let sums = u64::from(names) * passes * (LANES * size_of::<SampleRow>()) as u64;
-        let thread_bytes =
-            THREAD_BYTES + (picture + shadow) as u64 + leaves * passes * CLOUD_BYTES + tree + sums;
+        // Shadows have a march for rays and one for tables.
+        let marches = if shadow > 0 { 3 } else { 1 };
+        let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
+        let in_shadow = lights.iter().filter(|light| light.throws_shadows()).count();
+        let thread_bytes = THREAD_BYTES
+            + (picture + shadow) as u64
+            + leaves * passes * CLOUD_BYTES
+            + tree
+            + sums
+            + marches * census.places * MARCH_BYTES
+            + (in_shadow * LANES * size_of::<SampleRow>()) as u64;
+        let scene_bytes = census.given_bytes
+            + passes * (census.places * PLACE_BYTES + census.table_bytes)
+            + 4 * size_of_val(lights) as u64;
         let shadow_blocks = LightTable::blocks_of(scene, settings.shadows);
-        Self { clouds, grids, thread_bytes, shadow_blocks, layers: settings.layers }
+        Self { clouds, grids, scene_bytes, thread_bytes, shadow_blocks, layers: settings.layers }
+    }
+
+    /// The same, with the memory that reading the scene took: little of it is free for pages again, for what stays lies in
+    /// between.
+    #[must_use]
+    pub fn with_loading(self, loading_bytes: u64) -> Self {
+        Self { scene_bytes: self.scene_bytes + loading_bytes, ..self }
     }
 
     /// Every grid of the scene, each once.
@@ -117,14 +146,116 @@ impl SceneNeeds {
     }
 }
 
-/// An upper bound of the blocks in use at a time.
+/// An upper bound of the blocks in use at a time, besides those that several operators need.
 fn blocks(node: &Node) -> usize {
     let Shape::Operator(operator, children) = &node.shape else { return 1 };
     let deepest = children.iter().map(|child| blocks(child)).max().unwrap_or(0);
-    // One more for a child that others use too.
-    let shared = children.iter().filter(|child| Arc::strong_count(child) > 1).count();
     let own = if *operator == Operator::Intersection { children.len() } else { 2 };
-    own + deepest + shared
+    own + deepest
+}
+
+/// A graph, counted.
+#[derive(Default)]
+struct Census {
+    /// Places of the world in which nodes stand.
+    places: u64,
+    /// Of these, the ones that several operators need, or one of them several times.
+    shared: usize,
+    /// Bytes of the graph itself, shared nodes once.
+    given_bytes: u64,
+    /// Bytes of tables and curves, place by place.
+    table_bytes: u64,
+}
+
+/// A node in one place, of one material: one instruction of a program.
+type Place = (*const Node, [u64; 12], [u64; 6]);
+
+impl Census {
+    fn of(root: &Arc<Node>) -> Self {
+        let mut census = Self::default();
+        let (mut known, mut nodes) = (HashMap::new(), HashSet::new());
+        census.visit(root, &DAffine3::IDENTITY, Material::default(), &mut known, &mut nodes);
+        census.places = known.len() as u64;
+        census.shared = known.values().filter(|&&uses| uses > 1).count();
+        census
+    }
+
+    fn visit(
+        &mut self,
+        node: &Arc<Node>,
+        world_from_parent: &DAffine3,
+        material: Material,
+        known: &mut HashMap<Place, u32>,
+        nodes: &mut HashSet<*const Node>,
+    ) {
+        let material = node.material.unwrap_or(material);
+        let world_from_local = *world_from_parent * node.parent_from_local;
+        let transform = world_from_local.to_cols_array().map(f64::to_bits);
+        let place = (Arc::as_ptr(node), transform, material.to_array().map(f64::to_bits));
+        let uses = known.entry(place).or_insert(0);
+        *uses += 1;
+        if *uses > 1 {
+            return;
+        }
+        self.table_bytes += tables(node);
+        if nodes.insert(Arc::as_ptr(node)) {
+            /// What allocations of a node take besides their content.
+            const BLOCKS: usize = 64;
+            let own = match &node.shape {
+                Shape::Procedural(field) => size_of_val(&**field),
+                Shape::Operator(_, children) => 2 * size_of_val(children.as_slice()),
+                Shape::Cloud(_) | Shape::Grid(_) => 0,
+            };
+            let transfers = size_of_val(node.transfers.as_slice());
+            self.given_bytes += (size_of::<Node>() + BLOCKS + own + transfers) as u64 + given(node);
+        }
+        if let Shape::Operator(_, children) = &node.shape {
+            children.iter().for_each(|child| self.visit(child, &world_from_local, material, known, nodes));
+        }
+    }
+}
+
+/// Bytes of a curve.
+fn curve_bytes(curve: &[(f64, f64)]) -> u64 {
+    // It may have grown point by point.
+    2 * size_of_val(curve) as u64
+}
+
+/// The transfer function over the values of a leaf, if it has one.
+fn transfer_of(node: &Node) -> Option<&TransferFunction> {
+    match &node.shape {
+        Shape::Cloud(object) => Some(&object.transfer),
+        Shape::Grid(object) => Some(&object.transfer),
+        Shape::Procedural(_) | Shape::Operator(..) => None,
+    }
+}
+
+/// Bytes of what a node's transfer functions are compiled to, at every place.
+fn tables(node: &Node) -> u64 {
+    let of_leaf = transfer_of(node).map_or(0, |transfer| {
+        let curve = if let OpacityRule::Curve(curve) = &transfer.opacity { curve_bytes(curve) } else { 0 };
+        curve + if let ColorRule::Map { map, .. } = &transfer.color { ColorTable::bytes(map) } else { 0 }
+    });
+    let others = node.transfers.iter().map(|transfer| match transfer {
+        Transfer::Opacity { curve, .. } => curve_bytes(curve),
+        Transfer::Color { map, .. } => ColorTable::bytes(map),
+    });
+    // Each in a list of its own, with its input.
+    of_leaf + others.map(|bytes| bytes + 256).sum::<u64>()
+}
+
+/// Bytes of curves and palettes as a node has them.
+fn given(node: &Node) -> u64 {
+    let stops = |map: &crate::scene::ColorMap| size_of_val(&*map.palette.stops()) as u64;
+    let of_leaf = transfer_of(node).map_or(0, |transfer| {
+        let curve = if let OpacityRule::Curve(curve) = &transfer.opacity { curve_bytes(curve) } else { 0 };
+        curve + if let ColorRule::Map { map, .. } = &transfer.color { stops(map) } else { 0 }
+    });
+    let others = node.transfers.iter().map(|transfer| match transfer {
+        Transfer::Opacity { curve, .. } => curve_bytes(curve),
+        Transfer::Color { map, .. } => stops(map),
+    });
+    of_leaf + others.sum::<u64>()
 }
 
 /// How a budget is spent.
@@ -167,7 +298,8 @@ pub fn plan(
     let overhead = WorkingSet::overhead_bytes(u32::try_from(slots).unwrap_or(u32::MAX));
     let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
-    let fixed = process_bytes + threads as u64 * needs.thread_bytes + READING_BYTES + overhead + 8 * row;
+    let threads_bytes = threads as u64 * needs.thread_bytes;
+    let fixed = process_bytes + needs.scene_bytes + threads_bytes + READING_BYTES + overhead + 8 * row;
     let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
     let fixed = fixed + encoder;
     let block = BLOCK_BYTES as u64;

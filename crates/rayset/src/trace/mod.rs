@@ -197,6 +197,7 @@ fn check(
     exec: &ExecSettings,
 ) -> Result<(), RenderError> {
     scene.check()?;
+    scene.check_step(settings.step)?;
     let wrong = |setting, what: String| Err(RenderError::Setting { setting, what });
     let (width, height) = (settings.width, settings.height);
     if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {

@@ -71,6 +71,18 @@ pub(super) struct Program {
 /// A node in one place of the world, of one material.
 type Key = (*const Node, [u64; 12], usize);
 
+/// An upper bound of what a place of the graph takes in a program, besides tables and lists of the node's own.
+pub(super) const PLACE_BYTES: u64 = {
+    let largest = {
+        let (cloud, grid, field) =
+            (size_of::<CloudVolume>(), size_of::<GridVolume>(), size_of::<ProceduralVolume>());
+        let files = if cloud > grid { cloud } else { grid };
+        if files > field { files } else { field }
+    };
+    // Lists and tables are doubled while they grow, and a parent knows each child.
+    (2 * size_of::<Instruction>() + 2 * size_of::<(Key, usize)>() + largest + 4 * size_of::<usize>()) as u64
+};
+
 struct Compiler<'s> {
     scene: &'s Scene,
     simd: SimdLevel,

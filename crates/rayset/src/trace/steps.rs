@@ -3,6 +3,10 @@
 //! Automatic steps are δ₀·2^k, with k from the finest of the objects whose bounds the ray meets, and in a cloud from the
 //! smallest radius among the nodes whose bounds it meets: a function of ray and scene alone, whatever packet the ray
 //! travels in. Lattices of different k nest.
+//!
+//! Every sample in a solid, noise or a grid is evaluated, whatever is there. So what they ask for is never less than a
+//! part of the diagonal of the box around them all, and a ray that meets one of them takes a bounded number of steps
+//! through that box, however fine a cloud in it is: both functions of the scene alone.
 
 use super::RenderError;
 use super::access::{Access, Halt, NODE_PRIORITY};
@@ -11,15 +15,13 @@ use super::program::{Action, Program};
 use crate::field::RayColumns;
 use crate::geometry::{Aabb, Beam, Ray};
 use crate::octree::node::{Node, NodePage};
-use crate::scene::{RenderSettings, Step};
+use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step};
 
 /// Finest automatic step: the coarsest times 2 to the minus this.
 const FINEST: i32 = 60;
 
 /// In a grid a step is a fraction of so many distances between voxels: half of one, where it is a quarter.
 const GRID_DETAIL: f64 = 2.0;
-/// Most steps across a scene: more than anyone could wait for, few enough to be counted exactly.
-const MOST_STEPS: f64 = (1_u64 << 40) as f64;
 
 /// Rays of a tile that share a step.
 #[derive(Clone, Debug)]
@@ -36,12 +38,34 @@ pub(super) struct StepRule {
     longest: Option<f64>,
     /// Whether rays may differ.
     varies: bool,
+    floors: Floors,
+}
+
+/// What steps do not fall below.
+#[derive(Clone, Copy, Debug)]
+struct Floors {
+    /// The least length that a solid, noise or a grid asks for; world space.
+    detail: f64,
+    /// The least k of a ray.
+    exponent: i32,
+    /// And of one that meets a solid, noise or a grid.
+    exponent_in_solids: i32,
 }
 
 impl StepRule {
     pub(super) fn new(program: &Program, settings: &RenderSettings) -> Result<Self, RenderError> {
-        let details: Vec<f64> =
-            program.instructions.iter().filter_map(|i| largest_detail(&i.action)).collect();
+        let within = program.instructions[program.root()].bounds;
+        let diagonal = |bounds: Aabb| if bounds.is_empty() { 0.0 } else { bounds.size().length() };
+        let solids = program.instructions.iter().filter(|i| is_solid(&i.action));
+        let solids = solids.map(|i| i.bounds.intersection(within)).filter(|bounds| !bounds.is_empty());
+        let around_solids = diagonal(solids.fold(Aabb::EMPTY, Aabb::union));
+        let floor = around_solids * FINEST_DETAIL;
+        let details: Vec<f64> = (program.instructions.iter())
+            .filter_map(|i| {
+                let least = if is_solid(&i.action) { floor } else { 0.0 };
+                largest_detail(&i.action).map(|detail| detail.max(least))
+            })
+            .collect();
         let longest = details.iter().copied().filter(|d| d.is_finite()).fold(0.0, f64::max);
         let (coarsest, varies) = match settings.step {
             Step::Fixed(step) => (step, false),
@@ -69,7 +93,16 @@ impl StepRule {
             return Err(RenderError::Setting { setting: "step", what });
         }
         let fixed = matches!(settings.step, Step::Fixed(_));
-        Ok(Self { coarsest, longest: (!fixed).then_some(longest), varies })
+        // The least k with which steps are at least so long.
+        let exponent = |least: f64| ((least / coarsest).log2().ceil() as i32).clamp(-FINEST, FINEST);
+        let floors = Floors {
+            detail: floor,
+            exponent: exponent(diagonal(within) / MOST_STEPS),
+            exponent_in_solids: exponent(around_solids / MOST_STEPS_IN_SOLIDS),
+        };
+        // Where even the coarsest step is too fine for solids, rays that meet them differ from the others.
+        let varies = varies || floors.exponent_in_solids > 0;
+        Ok(Self { coarsest, longest: (!fixed).then_some(longest), varies, floors })
     }
 
     /// Sorts at most 64 rays into groups of the same step, finest first.
@@ -82,9 +115,12 @@ impl StepRule {
         let Some(longest) = self.longest.filter(|_| self.varies) else {
             return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
         };
-        let mut exponents = Exponents { longest, of_rays: vec![0; rays.len()] };
+        let least = vec![self.floors.exponent; rays.len()];
+        let mut exponents = Exponents { longest, floors: self.floors, of_rays: vec![0; rays.len()], least };
         exponents.lower(access, program, rays)?;
-        let exponents = exponents.of_rays;
+        exponents.hold_in_solids(program, rays);
+        let exponents: Vec<i32> =
+            exponents.of_rays.iter().zip(&exponents.least).map(|(&k, &least)| k.max(least)).collect();
         let mut distinct = exponents.clone();
         distinct.sort_unstable();
         distinct.dedup();
@@ -107,10 +143,18 @@ fn largest_detail(action: &Action) -> Option<f64> {
     }
 }
 
+/// Whether all of an object's samples are evaluated.
+fn is_solid(action: &Action) -> bool {
+    matches!(action, Action::Procedural(_) | Action::Grid(_))
+}
+
 /// k of each ray, lowered by one object after another.
 struct Exponents {
     longest: f64,
+    floors: Floors,
     of_rays: Vec<i32>,
+    /// Below which they count as this.
+    least: Vec<i32>,
 }
 
 impl Exponents {
@@ -130,11 +174,13 @@ impl Exponents {
             }
             match &instruction.action {
                 Action::Procedural(volume) => {
-                    self.lower_within(rays, &instruction.bounds, |ray| volume.detail_world(ray));
+                    let least = self.floors.detail;
+                    self.lower_within(rays, &instruction.bounds, |ray| volume.detail_world(ray).max(least));
                 }
                 Action::Grid(volume) => {
+                    let least = self.floors.detail;
                     self.lower_within(rays, &instruction.bounds, |ray| {
-                        GRID_DETAIL * volume.spacing_world(ray)
+                        (GRID_DETAIL * volume.spacing_world(ray)).max(least)
                     });
                 }
                 Action::Cloud(volume) if volume.header().radius.min() == volume.header().radius.max() => {
@@ -148,6 +194,22 @@ impl Exponents {
             }
         }
         Ok(())
+    }
+
+    /// Rays that meet the box of a solid, noise or a grid do not fall below the k of such rays.
+    fn hold_in_solids(&mut self, program: &Program, rays: &[(Ray, f64)]) {
+        let floor = self.floors.exponent_in_solids;
+        if self.of_rays.iter().all(|&k| k >= floor) {
+            return;
+        }
+        for instruction in program.instructions.iter().filter(|i| is_solid(&i.action) && !i.bounds.is_empty())
+        {
+            for (least, (ray, _)) in self.least.iter_mut().zip(rays) {
+                if *least < floor && instruction.bounds.clip(ray).is_some() {
+                    *least = floor;
+                }
+            }
+        }
     }
 
     /// Rays that meet a box take at most a fraction of a length.

@@ -1,8 +1,9 @@
 //! The judge renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
 //! brute-force fields in `f64`. Slow by design; it shares no code with what it judges beyond the description of the
-//! scene and the closed forms of procedural fields. Fields of clouds may come from elsewhere: then it is the discrete ray
+//! scene and the closed forms of procedural fields. Its steps are given to it. Fields of clouds may come from elsewhere: then it is the discrete ray
 //! tracer that another engine's samples are compared in.
 
+mod maps;
 mod tree;
 
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use crate::octree::file::ScanError;
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, GRID_ATTRIBUTE, GridObject, LightKind, Lighting,
     MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene,
-    Shape, Transfer, curve_at,
+    Shape, Transfer,
 };
 
 /// A pixel in linear light, premultiplied, and its opacity.
@@ -344,9 +345,9 @@ impl<'a> Judge<'a> {
             };
             match transfer {
                 Transfer::Opacity { input, curve } => {
-                    sample.opacity = curve_at(curve, value(input)).min(MAX_OPACITY);
+                    sample.opacity = maps::line(curve, value(input), |&o| [o])[0].min(MAX_OPACITY);
                 }
-                Transfer::Color { input, map } => sample.color = map.color(value(input)),
+                Transfer::Color { input, map } => sample.color = maps::color(map, value(input)),
             }
         }
         sample
@@ -367,8 +368,8 @@ impl<'a> Judge<'a> {
         let color = match &object.transfer.color {
             ColorRule::Uniform(c) => c.map(f64::from),
             ColorRule::Points => [mean(0), mean(1), mean(2)],
-            ColorRule::Map { map, input: MapInput::Attribute(index) } => map.color(scalar(*index)),
-            ColorRule::Map { map, input: MapInput::Density } => map.color(s.density),
+            ColorRule::Map { map, input: MapInput::Attribute(index) } => maps::color(map, scalar(*index)),
+            ColorRule::Map { map, input: MapInput::Density } => maps::color(map, s.density),
         };
         let attributes =
             self.attributes(|name| header.attributes.iter().position(|a| a.name == name).map(scalar));
@@ -422,7 +423,7 @@ impl<'a> Judge<'a> {
         let color = match &object.transfer.color {
             ColorRule::Uniform(c) => c.map(f64::from),
             ColorRule::Points => [1.0; 3],
-            ColorRule::Map { map, .. } => map.color(v),
+            ColorRule::Map { map, .. } => maps::color(map, v),
         };
         let opacity = object.transfer.opacity.opacity_of_value(v, unit);
         let attributes = self.attributes(|name| (name == GRID_ATTRIBUTE).then_some(v));

@@ -1,0 +1,66 @@
+//! Opening files that other people name: whatever is no regular file is an error, before anything is read of it. A pipe
+//! would wait for somebody to write into it, and a device may never end.
+
+use std::fs::{File, FileType, OpenOptions};
+use std::io;
+use std::path::Path;
+
+/// Opens a regular file, or a link to one, for reading.
+///
+/// # Errors
+/// As [`File::open`], and where the path is a folder, a pipe, a socket or a device.
+pub fn open(path: &Path) -> io::Result<File> {
+    check(std::fs::metadata(path)?.file_type())?;
+    let mut options = OpenOptions::new();
+    options.read(true);
+    // Between the look and the opening another file may have taken the name.
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::OpenOptionsExt;
+        options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32);
+    }
+    let file = options.open(path)?;
+    check(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+fn check(kind: FileType) -> io::Result<()> {
+    if kind.is_file() {
+        return Ok(());
+    }
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("it is {}, not a regular file", name_of(kind))))
+}
+
+fn name_of(kind: FileType) -> &'static str {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if kind.is_fifo() {
+            return "a pipe";
+        }
+        if kind.is_socket() {
+            return "a socket";
+        }
+        if kind.is_char_device() || kind.is_block_device() {
+            return "a device";
+        }
+    }
+    if kind.is_dir() { "a folder" } else { "something else" }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_and_links_to_them_open() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("file");
+        std::fs::write(&file, "text").expect("a write");
+        std::os::unix::fs::symlink(&file, folder.path().join("link")).expect("a link");
+        assert!(open(&file).is_ok() && open(&folder.path().join("link")).is_ok());
+        let said = |path: &Path| open(path).expect_err("no regular file").to_string();
+        assert_eq!(said(folder.path()), "it is a folder, not a regular file");
+        assert_eq!(said(Path::new("/dev/zero")), "it is a device, not a regular file");
+    }
+}

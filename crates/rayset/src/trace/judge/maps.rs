@@ -1,0 +1,27 @@
+//! Colour maps and curves, stop by stop.
+
+use crate::scene::ColorMap;
+
+/// The colour of a value, linear light.
+pub(super) fn color(map: &ColorMap, value: f64) -> [f64; 3] {
+    let (low, high) = map.range;
+    let place = (value - low) / (high - low);
+    let place = if place > 0.0 { place.min(1.0) } else { 0.0 };
+    let encoded = line(&map.palette.stops(), place, |color| *color);
+    encoded.map(|v| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) })
+}
+
+/// What lies at `x` on straight lines between stops, in the order of their places: the last at or before it, mixed with the
+/// first behind it.
+pub(super) fn line<T, const N: usize>(stops: &[(f64, T)], x: f64, of: impl Fn(&T) -> [f64; N]) -> [f64; N] {
+    let before = stops.iter().rev().find(|(at, _)| *at <= x);
+    let behind = stops.iter().find(|(at, _)| *at > x);
+    match (before, behind) {
+        (Some((a, from)), Some((b, to))) => {
+            let (from, to, part) = (of(from), of(to), (x - a) / (b - a));
+            std::array::from_fn(|c| (1.0 - part) * from[c] + part * to[c])
+        }
+        (Some((_, only)), None) | (None, Some((_, only))) => of(only),
+        (None, None) => [0.0; N],
+    }
+}
