@@ -21,5 +21,6 @@ mod readers;
 mod right_picture;
 mod same_picture;
 mod schema;
+mod shadows;
 mod working_set;
 mod wrong_scenes;
