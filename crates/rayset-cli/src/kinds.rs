@@ -16,7 +16,7 @@ const LEAST_BYTES: u64 = 2 * rayset::container::BLOCK_BYTES as u64;
 /// A file that rayset builds.
 pub(crate) enum Built {
     Cloud(Arc<Cloud>),
-    Grid(Grid),
+    Grid(Box<Grid>),
 }
 
 /// Opens a cloud or a grid.
@@ -47,7 +47,7 @@ pub(crate) fn open(path: &Path) -> Result<Built> {
     if is_cloud {
         Ok(Built::Cloud(Arc::new(Cloud::open(path)?)))
     } else if is_grid {
-        Ok(Built::Grid(Grid::open(path)?))
+        Ok(Built::Grid(Box::new(Grid::open(path)?)))
     } else {
         bail!("{} is neither a cloud file nor a grid file; {}", path.display(), advice(path, &head));
     }

@@ -33,6 +33,7 @@ mod right_picture;
 mod same_picture;
 mod schema;
 mod settings;
+mod shadows;
 mod tables;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;

@@ -246,7 +246,7 @@ impl Header {
         w.u32(columns.len() as u32);
         w.u32(0);
         for (role, is_stored, column) in columns {
-            let flags = STORED * u8::from(is_stored) | CLASSES * u8::from(column.is_class);
+            let flags = (STORED * u8::from(is_stored)) | (CLASSES * u8::from(column.is_class));
             w.put(&[role as u8, column.kind.code(), flags, 0]);
             w.put(&[column.name.len() as u8, column.unit.len() as u8, 0, 0]);
             w.f64(column.min);

@@ -360,7 +360,7 @@ impl Node {
         self.for_each_once(&mut |node| match &node.shape {
             Shape::Cloud(object) => {
                 for a in &object.cloud.header().attributes {
-                    add(&a.name, (f64::from(a.min), f64::from(a.max)));
+                    add(&a.name, (a.min, a.max));
                 }
             }
             Shape::Grid(object) => add(GRID_ATTRIBUTE, object.grid.header().value_range()),

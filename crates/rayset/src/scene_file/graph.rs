@@ -496,7 +496,7 @@ fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(),
                 at.error(format!("the cloud stores no \"{name}\"; it has {all}"))
             })?;
             let attribute = &header.attributes[index];
-            let (low, high) = (f64::from(attribute.min), f64::from(attribute.max));
+            let (low, high) = (attribute.min, attribute.max);
             (MapInput::Attribute(index), (low, if high > low { high } else { low + 1.0 }))
         }
     };

@@ -185,7 +185,7 @@ impl<'a> Tally<'a> {
         p.iter().for_each(|v| record.extend_from_slice(&(v + 0.0).to_le_bytes()));
         if let Some(column) = columns.radius {
             let r = batch.columns[column].get(i) * self.options.radius_scale * self.options.length_scale;
-            if !(r >= 1.0 / LIMIT && r <= LIMIT) {
+            if !(1.0 / LIMIT..=LIMIT).contains(&r) {
                 self.skipped.radius += 1;
                 if r > 0.0 && r.is_finite() {
                     self.note(if r > LIMIT { Quantity::Radius } else { Quantity::SmallRadius }, r);

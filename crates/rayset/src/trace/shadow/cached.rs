@@ -1,16 +1,20 @@
 //! Shadows from tables of the light's own rays: each block a pure function of scene, light and block, made when it is
 //! first wanted, evicted like any page and made again to the same bits.
+//!
+//! Between rays a table can only blend: it knows edges of shadows to a cell. Where the rays around a sample differ so much
+//! that its pixel would show it, the sample is left to a ray of its own, a small part of all where shadows are larger than
+//! cells. The decision is a function of sample and block alone, so no execution setting changes it.
 
 use std::io;
 use std::sync::Arc;
 
 use super::curve::{self, CurveBuilder};
-use super::map::{BLOCK_CELLS, LightMap};
+use super::map::{BLOCK_CELLS, LightMap, Texel};
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::{Aabb, DVec3, Ray};
-use crate::scene::{Light, LightKind, Lighting, Scene, Shadows};
+use crate::scene::{Light, Lighting, Scene, Shadows};
 use crate::trace::access::{Access, Halt, POINT_PRIORITY};
-use crate::trace::block::{Block, each_lane};
+use crate::trace::block::{Block, STEPS_TO_BOUNDARY, each_lane};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::March;
@@ -105,7 +109,7 @@ impl PageSource for BlockSource {
     }
 }
 
-/// Looks shadows up, and makes the blocks that are missing.
+/// Looks shadows up between the rays of a light, and makes the blocks that are missing.
 pub(super) struct ShadowTables<'a> {
     world: &'a World,
     maker: BlockMaker<'a>,
@@ -123,7 +127,8 @@ impl<'a> ShadowTables<'a> {
         Self { world, maker }
     }
 
-    /// Fills the rows of the samples that count.
+    /// Fills the rows of the samples that count. Returns those, a bit for each, that the table does not decide: the rays
+    /// around them differ, for an edge of a shadow passes between.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
         &mut self,
@@ -136,7 +141,8 @@ impl<'a> ShadowTables<'a> {
         shares: &Shares,
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
-    ) -> Result<(), Halt> {
+    ) -> Result<[u32; LANES], Halt> {
+        let mut undecided = [0_u32; LANES];
         // The block looked at last stays retained: neighbours mostly share it.
         let mut last: Option<(u32, PageGuard)> = None;
         let mut lanes = shares.lanes();
@@ -144,7 +150,7 @@ impl<'a> ShadowTables<'a> {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
             for j in (0..slab.samples).filter(|j| shares.samples[lane] >> j & 1 == 1) {
-                let (place, back) = lifted(table, light, packet, block, lane, slab.first + j as u64, j);
+                let place = super::lit_place(packet, block, lane, slab.first + j as u64, j);
                 let Some(texel) = table.map.texel(place) else {
                     rows[lane].0[j] = 1.0;
                     continue;
@@ -158,49 +164,84 @@ impl<'a> ShadowTables<'a> {
                     last = Some((texel.block, guard));
                 }
                 let Some((_, guard)) = &last else { continue };
-                let at = |i: u32, k: u32| {
-                    let ray = (texel.cell.1 + k) * CORNERS + texel.cell.0 + i;
-                    let distance = (texel.distance - back) as f32;
-                    curve::transmittance(guard, (CORNERS * CORNERS) as usize, ray as usize, distance)
-                };
-                let (u, v) = (texel.within.0 as f32, texel.within.1 as f32);
-                let (low, high) =
-                    (at(0, 0) + (at(1, 0) - at(0, 0)) * u, at(0, 1) + (at(1, 1) - at(0, 1)) * u);
-                rows[lane].0[j] = (low + (high - low) * v).clamp(0.0, 1.0);
+                let lookup = Lookup::new(light, packet, block, (lane, j), place, &texel);
+                let corners = lookup.corners(guard, &texel);
+                rows[lane].0[j] = between(corners, texel.within);
+                let doubt = spread(corners) * lookup.scattered * shares.share[lane].0[j];
+                undecided[lane] |= u32::from(doubt > LARGEST_DOUBT) << j;
             }
         }
-        Ok(())
+        Ok(undecided)
     }
 }
 
-/// Where a sample is looked up, and how far before it, toward the light. As an exact shadow ray does, the look-up leaves
-/// out what lies within ξ steps; and since a table knows surfaces between its rays only as flat, a sample at a boundary is
-/// lifted by as much as a slanting surface may deviate from that.
-fn lifted(
-    table: &LightTable,
-    light: &Light,
-    packet: &Packet,
-    block: &Block,
-    lane: usize,
-    sample: u64,
-    j: usize,
-) -> (DVec3, f64) {
-    let place = super::lit_place(packet, block, lane, sample, j);
-    let back = packet.phase(lane) * packet.step_world();
-    let at_boundary = f64::from(block.boundary[lane].0[j]).abs() <= 2.0 * packet.step_world();
-    let normal = block.normal_at(lane, j);
-    if !at_boundary || normal == DVec3::ZERO {
-        return (place, back);
+/// How much the rays around a sample may differ in what they give its pixel, as a part of what the light gives at best.
+const LARGEST_DOUBT: f32 = 1.0 / 64.0;
+/// A boundary is taken as flat from ray to ray up to this tangent of its angle to the plane across the light.
+const STEEPEST: f64 = 8.0;
+
+/// How a sample is looked up.
+struct Lookup {
+    /// Distance along the ray through the sample.
+    distance: f64,
+    /// By how much the distance grows from ray to ray, along rows and columns.
+    slope: (f64, f64),
+    /// What part of the light that arrives is scattered, before colours.
+    scattered: f32,
+}
+
+impl Lookup {
+    /// As an exact shadow ray does, the look-up leaves out what lies within ξ steps. Of a boundary each ray is looked up
+    /// where it meets the tangent plane: all are as far before the boundary as the sample, and none sees it as its own
+    /// shadow. Half a cell is what a boundary may be nearer than its tangent plane.
+    fn new(
+        light: &Light,
+        packet: &Packet,
+        block: &Block,
+        (lane, j): (usize, usize),
+        place: DVec3,
+        texel: &Texel,
+    ) -> Self {
+        let distance = texel.distance - packet.phase(lane) * packet.step_world();
+        let normal = block.normal_at(lane, j);
+        let Some((toward, _)) = super::toward(light, place).filter(|_| normal != DVec3::ZERO) else {
+            // Without a shading vector nothing is scattered.
+            return Self { distance, slope: (0.0, 0.0), scattered: 0.0 };
+        };
+        let cosine = normal.dot(toward);
+        let scattered = cosine.abs() as f32;
+        if f64::from(block.boundary[lane].0[j]).abs() > STEPS_TO_BOUNDARY * packet.step_world() {
+            return Self { distance, slope: (0.0, 0.0), scattered };
+        }
+        let gradient = (normal / cosine - toward).clamp_length_max(STEEPEST);
+        // Light that only grazes the boundary is next to none.
+        let gradient = if gradient.is_finite() { gradient } else { DVec3::ZERO };
+        let slope = (gradient.dot(texel.next.0), gradient.dot(texel.next.1));
+        Self { distance: distance - 0.5 * texel.size(), slope, scattered }
     }
-    let toward = match light.kind {
-        LightKind::Directional { direction } => -direction.normalize(),
-        LightKind::Point { position, .. } => (position - place).normalize_or(DVec3::Y),
-        LightKind::Ambient | LightKind::Headlight => return (place, back),
-    };
-    let cosine = normal.dot(toward);
-    let size = table.map.texel(place).map_or(0.0, |texel| texel.size);
-    let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-    (place + normal * (size * sine).copysign(cosine), back + 0.5 * size)
+
+    /// What is left of the light on the rays around: (0, 0), (1, 0), (0, 1), (1, 1).
+    fn corners(&self, page: &[u8], texel: &Texel) -> [f32; 4] {
+        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, k)| {
+            let ray = (texel.cell.1 + k) * CORNERS + texel.cell.0 + i;
+            let (right, up) = (f64::from(i) - texel.within.0, f64::from(k) - texel.within.1);
+            let distance = self.distance + right * self.slope.0 + up * self.slope.1;
+            curve::transmittance(page, (CORNERS * CORNERS) as usize, ray as usize, distance as f32)
+        })
+    }
+}
+
+/// Bilinear.
+fn between([a, b, c, d]: [f32; 4], (u, v): (f64, f64)) -> f32 {
+    let (u, v) = (u as f32, v as f32);
+    let (low, high) = (a + (b - a) * u, c + (d - c) * u);
+    (low + (high - low) * v).clamp(0.0, 1.0)
+}
+
+/// By how much the rays differ.
+fn spread(corners: [f32; 4]) -> f32 {
+    let (least, most) = corners.iter().fold((1.0_f32, 0.0_f32), |(a, b), &x| (a.min(x), b.max(x)));
+    most - least
 }
 
 /// Traces the rays of a light.

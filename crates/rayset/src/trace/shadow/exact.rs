@@ -1,8 +1,9 @@
-//! Shadow rays from every sample that counts: the reference, for small pictures.
+//! Shadow rays from samples: from every one that counts they are the reference, for small pictures; beside tables they
+//! decide where these cannot.
 
 use crate::field::{LANES, Packet, SampleRow, Slab};
-use crate::geometry::{DVec3, Ray};
-use crate::scene::{Light, LightKind};
+use crate::geometry::Ray;
+use crate::scene::Light;
 use crate::trace::access::{Access, Halt};
 use crate::trace::block::Block;
 use crate::trace::composite::{Absorption, RayState, Shares};
@@ -32,6 +33,8 @@ struct ToLight {
     /// Distance of the light; infinite where it is nowhere.
     light: f64,
     lane: usize,
+    /// Sample of the slab.
+    j: usize,
 }
 
 impl<'a> ShadowRays<'a> {
@@ -59,24 +62,58 @@ impl<'a> ShadowRays<'a> {
         rows: &mut [SampleRow],
     ) -> Result<(), Halt> {
         for j in 0..slab.samples {
-            let rays: Vec<ToLight> = (0..packet.len())
-                .filter(|&lane| shares.samples[lane] >> j & 1 == 1)
-                .filter_map(|lane| {
-                    let origin = lit_place(packet, block, lane, slab.first + j as u64, j);
-                    to_light(light, origin, packet.phase(lane), lane)
-                })
-                .collect();
-            if rays.is_empty() {
-                continue;
+            let mut rays = Vec::with_capacity(packet.len());
+            for lane in (0..packet.len()).filter(|&lane| shares.samples[lane] >> j & 1 == 1) {
+                match to_light(light, packet, slab, block, (lane, j)) {
+                    Some(ray) => rays.push(ray),
+                    // It lies at the light.
+                    None => rows[lane].0[j] = 1.0,
+                }
             }
-            let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.phase)).collect();
-            for group in self.world.steps.groups(access, self.program, &primary)? {
-                for members in coherent_groups(&primary, &group.members, group.step) {
-                    let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
-                    self.trace(access, &rays, group.step, counts)?;
-                    for (place, to) in rays.iter().enumerate() {
-                        rows[to.lane].0[j] = self.states[place].transmittance as f32;
-                    }
+            self.trace_all(access, &rays, counts, rows)?;
+        }
+        Ok(())
+    }
+
+    /// Fills the rows of some samples, a bit for each: few, so that rays travel together from wherever they are.
+    #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
+    pub(super) fn find_some(
+        &mut self,
+        access: Access<'_>,
+        light: &Light,
+        packet: &Packet,
+        slab: Slab,
+        block: &Block,
+        samples: &[u32; LANES],
+        counts: &mut RenderCounts,
+        rows: &mut [SampleRow],
+    ) -> Result<(), Halt> {
+        let rays: Vec<ToLight> = (0..packet.len())
+            .flat_map(|lane| (0..slab.samples).map(move |j| (lane, j)))
+            .filter(|&(lane, j)| samples[lane] >> j & 1 == 1)
+            .filter_map(|at| to_light(light, packet, slab, block, at))
+            .collect();
+        rays.chunks(LANES).try_for_each(|rays| self.trace_all(access, rays, counts, rows))
+    }
+
+    /// Traces at most a packet of rays, each by itself as far as bits can tell.
+    fn trace_all(
+        &mut self,
+        access: Access<'_>,
+        rays: &[ToLight],
+        counts: &mut RenderCounts,
+        rows: &mut [SampleRow],
+    ) -> Result<(), Halt> {
+        if rays.is_empty() {
+            return Ok(());
+        }
+        let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.phase)).collect();
+        for group in self.world.steps.groups(access, self.program, &primary)? {
+            for members in coherent_groups(&primary, &group.members, group.step) {
+                let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
+                self.trace(access, &rays, group.step, counts)?;
+                for (place, to) in rays.iter().enumerate() {
+                    rows[to.lane].0[to.j] = self.states[place].transmittance as f32;
                 }
             }
         }
@@ -159,15 +196,15 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], block: &mut Block) {
     }
 }
 
-/// The ray from a place to a light; nothing where the place is the light's.
-fn to_light(light: &Light, origin: DVec3, phase: f64, lane: usize) -> Option<ToLight> {
-    let (direction, distance) = match light.kind {
-        LightKind::Directional { direction } => (-direction.normalize(), f64::INFINITY),
-        LightKind::Point { position, .. } => {
-            let toward = position - origin;
-            (toward.try_normalize()?, toward.length())
-        }
-        LightKind::Ambient | LightKind::Headlight => return None,
-    };
-    Some(ToLight { ray: Ray { origin, direction }, phase, light: distance, lane })
+/// The ray from a sample to a light; `None` where the sample lies at the light.
+fn to_light(
+    light: &Light,
+    packet: &Packet,
+    slab: Slab,
+    block: &Block,
+    (lane, j): (usize, usize),
+) -> Option<ToLight> {
+    let origin = lit_place(packet, block, lane, slab.first + j as u64, j);
+    let (direction, distance) = super::toward(light, origin)?;
+    Some(ToLight { ray: Ray { origin, direction }, phase: packet.phase(lane), light: distance, lane, j })
 }

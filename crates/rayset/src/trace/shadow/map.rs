@@ -37,8 +37,8 @@ pub(super) struct Texel {
     pub(super) within: (f64, f64),
     /// Distance along the rays.
     pub(super) distance: f64,
-    /// Size of a cell there, world space.
-    pub(super) size: f64,
+    /// From one ray to the next there, along rows and columns; world space.
+    pub(super) next: (DVec3, DVec3),
 }
 
 impl LightMap {
@@ -99,14 +99,22 @@ impl LightMap {
         let (column, row) = ((x as u32).min(self.resolution - 1), (y as u32).min(self.resolution - 1));
         let side = self.side();
         let face = &self.faces[number as usize];
-        let cell = 2.0 * face.half / resolution;
+        let depth = if face.diverges { (place - face.origin).dot(face.forward) } else { 1.0 };
+        let size = 2.0 * face.half / resolution * depth;
         Some(Texel {
             block: (number * side + row / BLOCK_CELLS) * side + column / BLOCK_CELLS,
             cell: (column % BLOCK_CELLS, row % BLOCK_CELLS),
             within: (x - f64::from(column), y - f64::from(row)),
             distance,
-            size: if face.diverges { cell * distance } else { cell },
+            next: (face.right * size, face.up * size),
         })
+    }
+}
+
+impl Texel {
+    /// Size of a cell there, world space.
+    pub(super) fn size(&self) -> f64 {
+        self.next.0.length()
     }
 }
 
@@ -163,11 +171,11 @@ mod tests {
             let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (BLOCK_CELLS + 1) + texel.cell.0 + i) as usize];
             for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let away = ray(i, j).at(texel.distance).distance(place);
-                prop_assert!(away <= 3.0 * texel.size, "{away} of {}", texel.size);
+                prop_assert!(away <= 3.0 * texel.size(), "{away} of {}", texel.size());
             }
             let (u, v) = texel.within;
             let nearest = ray(u32::from(u > 0.5), u32::from(v > 0.5)).at(texel.distance).distance(place);
-            prop_assert!(nearest <= 1.5 * texel.size, "{nearest} of {}", texel.size);
+            prop_assert!(nearest <= 1.5 * texel.size(), "{nearest} of {}", texel.size());
         }
     }
 }

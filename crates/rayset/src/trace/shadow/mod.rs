@@ -13,6 +13,7 @@ use super::shade::{Shader, ShadowRows};
 use super::world::World;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::geometry::DVec3;
+use crate::scene::{Light, LightKind};
 
 use self::cached::ShadowTables;
 pub(super) use self::cached::{BLOCK_BYTES, LightTable};
@@ -26,6 +27,18 @@ fn lit_place(packet: &Packet, block: &Block, lane: usize, sample: u64, j: usize)
         return place;
     }
     place + block.normal_at(lane, j) * depth
+}
+
+/// The direction from a place to a light and its distance, infinite where it is nowhere; `None` where no ray goes there.
+fn toward(light: &Light, place: DVec3) -> Option<(DVec3, f64)> {
+    match light.kind {
+        LightKind::Directional { direction } => Some((-direction.normalize(), f64::INFINITY)),
+        LightKind::Point { position, .. } => {
+            let toward = position - place;
+            Some((toward.try_normalize()?, toward.length()))
+        }
+        LightKind::Ambient | LightKind::Headlight => None,
+    }
 }
 
 /// The shadows of one thread.
@@ -65,7 +78,9 @@ impl<'a> Shadows<'a> {
             let Some(rows) = &mut self.rows[number] else { continue };
             match self.world.light_tables.get(number).and_then(Option::as_ref) {
                 Some(table) => {
-                    self.cached.find(access, light, table, packet, slab, block, shares, counts, rows)?;
+                    let undecided =
+                        self.cached.find(access, light, table, packet, slab, block, shares, counts, rows)?;
+                    self.exact.find_some(access, light, packet, slab, block, &undecided, counts, rows)?;
                 }
                 None => self.exact.find(access, light, packet, slab, block, shares, counts, rows)?,
             }
