@@ -225,7 +225,7 @@ impl LookArgs {
                     )
                 })?;
                 let attribute = &header.attributes[index];
-                let (low, high) = (f64::from(attribute.min), f64::from(attribute.max));
+                let (low, high) = (attribute.min, attribute.max);
                 (MapInput::Attribute(index), (low, if high > low { high } else { low + 1.0 }))
             }
         };
