@@ -20,6 +20,7 @@ mod program;
 mod readers;
 mod right_picture;
 mod same_picture;
+mod scattered;
 mod schema;
 mod working_set;
 mod wrong_scenes;
