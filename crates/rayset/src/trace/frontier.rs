@@ -87,15 +87,21 @@ struct RaySet {
     each: Option<RayColumns>,
     /// The least and the greatest step of them.
     steps: (f64, f64),
+    simd: SimdLevel,
 }
 
 impl RaySet {
     fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
         let beam = packet.beam(lanes);
         let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
-        let each = (apart && lanes != 0).then(|| RayColumns::new(simd, packet.rays(lanes)));
-        let steps = if each.is_some() { packet.step_range(lanes) } else { (0.0, 0.0) };
-        Self { lanes, beam, each, steps }
+        let set = Self { lanes, beam, each: None, steps: (0.0, 0.0), simd };
+        if apart && lanes != 0 { set.ray_by_ray(packet) } else { set }
+    }
+
+    /// The same rays, each by itself.
+    fn ray_by_ray(&self, packet: &Packet) -> Self {
+        let each = (self.lanes != 0).then(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
+        Self { each, steps: packet.step_range(self.lanes), ..*self }
     }
 
     /// The samples that may lie in a box, or nothing where none does.
@@ -443,11 +449,13 @@ fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Opt
         radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
     }
     let positions = run.positions(volume.root_cell);
+    // Between the rays of a packet there may be any number of points that none of them meets.
+    let going = rays.going.ray_by_ray(packet);
     let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
         .filter_map(|(&position, &radius)| {
             // Far more than rounding takes from a point where it is added to samples.
             let reach = f64::from(radius) * (1.0 + 1e-4);
-            rays.going.samples_in(packet, &Aabb::new(position - reach, position + reach))
+            going.samples_in(packet, &Aabb::new(position - reach, position + reach))
         })
         .collect();
     ranges.sort_unstable();
