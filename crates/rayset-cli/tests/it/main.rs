@@ -31,6 +31,7 @@ mod program;
 mod readers;
 mod right_picture;
 mod same_picture;
+mod scattered;
 mod schema;
 mod settings;
 mod shadows;

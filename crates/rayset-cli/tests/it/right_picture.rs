@@ -180,6 +180,37 @@ fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
 }
 
 #[test]
+fn densities_colours_and_opacities_are_right_with_weights_of_both_signs() {
+    let folder = folder();
+    let mut random = Random(8);
+    let mut position = Vec::new();
+    let mut columns = vec![Vec::new(); 5];
+    for _ in 0..2500 {
+        let p: [f64; 3] = std::array::from_fn(|_| 2.0 * random.unit() - 1.0);
+        // Of one sign on one side and of the other on the other, and of both in between.
+        let sign = if p[0] + 0.6 * (random.unit() - 0.5) > 0.0 { 1.0 } else { -1.0 };
+        position.push(p);
+        columns[0].push((0.35 * 2_f64.powf(-random.unit())) as f32);
+        columns[1].push((sign * (0.2 + random.unit())) as f32);
+        columns[2..].iter_mut().for_each(|column| column.push(random.unit() as f32));
+    }
+    let names = ["radius", "weight", "red", "green", "blue"];
+    let source = rayset::points::ArraySource::new(position, names.into_iter().zip(columns).collect());
+    let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &BuildOptions::default());
+    assert!(cloud.header().weight.min() < -1.0 && cloud.header().weight.max() > 1.0);
+    for simd in SimdLevel::available() {
+        check_field(&cloud, Kernel::Wyvill, simd);
+    }
+    let step = f64::from(cloud.header().radius.min()) * 0.3;
+    // What is negative shows too, in the colours of its points: their mean is one of weights of one sign.
+    let mut object = look(&cloud, Kernel::Wyvill);
+    object.transfer.opacity = OpacityRule::Curve(vec![(-2.0, 0.3), (-0.5, 0.0), (0.5, 0.0), (2.0, 0.3)]);
+    let settings = RenderSettings { step: Step::Fixed(step), ..settings(48, 48) };
+    let wrong = count_wrong_pixels(&scene_of(object, false), &settings, step, 400);
+    assert!(wrong <= 1, "{wrong} of 400 pixels beyond 1/1024");
+}
+
+#[test]
 fn automatic_steps_come_close_to_steps_eight_times_finer() {
     let folder = folder();
     let cloud = build_at(

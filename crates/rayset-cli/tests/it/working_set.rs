@@ -224,7 +224,7 @@ fn failed_reads_and_wrong_bytes_are_errors_with_their_place() {
 }
 
 #[test]
-fn a_budget_of_retained_pages_is_an_error_that_names_what_is_needed() {
+fn a_budget_below_one_page_is_an_error_that_names_what_is_needed() {
     let (set, object, _) = set(Numbers::new(8), pages(1));
     let small = WorkingSet::new(Limits::total(PAGE as u64 - 1), Arc::new(Pool::new(1)));
     let alone = small.add(Arc::new(Source(Arc::new(Numbers::new(2)))));

@@ -536,17 +536,20 @@ fn splat_wide<const GRADIENT: bool>(kernel: Kernel, wide: &WideRun, job: &mut Jo
             let across: [f64; 3] = std::array::from_fn(|axis| c[axis] - nearest * d[axis]);
             let distance_squared = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
             let inverse = wide.inverse_radius[i] * wide.inverse_radius[i];
+            if distance_squared * inverse >= 1.0 {
+                continue;
+            }
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
+            // Samples in reach, one to spare on either side. Conversions round towards 0, and numbers below it become 0.
             let number = |t: f64| t / packet.step[lane] - packet.phase[lane];
-            // Samples in reach, one to spare on either side.
-            let first = (number(nearest - half).floor() - 1.0).max(slab.first as f64) as u64;
-            let last = (number(nearest + half).ceil() + 1.0).min(slab.end() as f64 - 1.0);
-            if distance_squared * inverse >= 1.0 || last < first as f64 {
+            let first = ((number(nearest - half) - 1.0) as u64).max(slab.first);
+            let last = ((number(nearest + half) + 2.0) as u64).min(slab.end() - 1);
+            if number(nearest + half) <= -2.0 || last < first {
                 continue;
             }
             job.samples.begin::<GRADIENT>(lane);
             counts.pairs_added += 1;
-            for sample in first..=last as u64 {
+            for sample in first..=last {
                 counts.kernel_evaluations += 1;
                 let along = packet.sample_t(lane, sample) - nearest;
                 let s = (along * along + distance_squared) * inverse;

@@ -533,6 +533,8 @@ impl CloudMarch {
             let first = runs.first.max(slab.first) - slab.first;
             first < slab.samples as u64 && live & bits_between(first, runs.last - slab.first) != 0
         };
+        // Several stretches of the samples of one run are one run.
+        let mut before = None;
         let mut at = 0;
         while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
             let of_page = self.active[at..].iter().take_while(|a| a.runs.page == page);
@@ -545,7 +547,11 @@ impl CloudMarch {
             let points = PointPage::trusted(&guard, volume.header());
             while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
                 let Runs { first, end, .. } = active.runs;
-                let end = if matters(active) { end } else { first };
+                let again = before == Some(active.runs) && end - first == 1;
+                let end = if matters(active) && !again { end } else { first };
+                if first < end {
+                    before = Some(active.runs);
+                }
                 for index in usize::from(first)..usize::from(end) {
                     // One by itself has been looked at before.
                     let reaches = end - first == 1 || {

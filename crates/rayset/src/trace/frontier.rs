@@ -5,6 +5,7 @@
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::ops::Range;
 
 use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
 use super::block::{Live, each_lane};
@@ -13,7 +14,7 @@ use crate::field::{LANES, Packet, RayColumns, SLAB_SAMPLES, SimdLevel, Slab};
 use crate::geometry::{Aabb, Beam};
 use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
-use crate::octree::page::PointPage;
+use crate::octree::page::{PointPage, RUN_POINTS};
 
 /// Priority of a page that is expected on a line: pages that were released give way to it.
 const LINE_PRIORITY: u8 = POINT_PRIORITY;
@@ -21,6 +22,11 @@ const LINE_PRIORITY: u8 = POINT_PRIORITY;
 const MOST_SPREAD: f64 = 0.25;
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
 const MOST_SINGLE_RUNS: u32 = 512;
+
+/// Runs that lie along more samples of a packet than this are looked at point by point.
+const MOST_SAMPLES_AT_ONCE: u64 = 64 * SLAB_SAMPLES as u64;
+/// More stretches of samples than this are not kept for a run.
+const MOST_RANGES: usize = 32;
 
 #[derive(Clone, Copy, Debug)]
 enum Item {
@@ -81,15 +87,21 @@ struct RaySet {
     each: Option<RayColumns>,
     /// The least and the greatest step of them.
     steps: (f64, f64),
+    simd: SimdLevel,
 }
 
 impl RaySet {
     fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
         let beam = packet.beam(lanes);
         let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
-        let each = (apart && lanes != 0).then(|| RayColumns::new(simd, packet.rays(lanes)));
-        let steps = if each.is_some() { packet.step_range(lanes) } else { (0.0, 0.0) };
-        Self { lanes, beam, each, steps }
+        let set = Self { lanes, beam, each: None, steps: (0.0, 0.0), simd };
+        if apart && lanes != 0 { set.ray_by_ray(packet) } else { set }
+    }
+
+    /// The same rays, each by itself.
+    fn ray_by_ray(&self, packet: &Packet) -> Self {
+        let each = (self.lanes != 0).then(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
+        Self { each, steps: packet.step_range(self.lanes), ..*self }
     }
 
     /// The samples that may lie in a box, or nothing where none does.
@@ -378,35 +390,81 @@ impl Frontier {
     /// Looks at the bounds of a node's own runs. Their pages are needed for that, and soon again for the points.
     fn open_own(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
         let Place { access, volume, packet, rays } = place;
-        let (own, node_bounds) = (node.own, &node.bounds(volume.root_cell));
-        let (mut page, mut run, mut left) = (own.first_page, usize::from(own.first_run), own.runs as usize);
-        while left > 0 {
-            if page >= volume.first_node_page {
-                return Err(volume.broken(page).into());
-            }
-            let guard = access.retain(volume, page, POINT_PRIORITY)?;
-            let points = PointPage::trusted(&guard, volume.header());
-            let here = left.min(points.len().saturating_sub(run));
-            if here == 0 {
-                return Err(volume.broken(page).into());
-            }
-            let range = run..run + here;
-            if own.runs > MOST_SINGLE_RUNS {
+        let node_bounds = &node.bounds(volume.root_cell);
+        each_own_page(access, volume, node, |page, points, range| {
+            if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.going.samples_in(packet, node_bounds).unwrap_or((0, 0));
                 let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
                 self.heap.push(Entry { first, last, item: Item::Runs(runs) });
-            } else {
-                for index in range {
-                    let bounds = run_bounds(volume, &points, index);
-                    if let Some((first, last)) = rays.going.samples_in(packet, &bounds) {
-                        let runs = Runs { page, first: index as u16, end: index as u16 + 1 };
-                        self.heap.push(Entry { first, last, item: Item::Runs(runs) });
-                    }
-                }
+                return;
             }
-            left -= here;
-            (page, run) = (page + 1, 0);
-        }
-        Ok(())
+            for index in range {
+                let bounds = run_bounds(volume, points, index);
+                let Some((first, last)) = rays.going.samples_in(packet, &bounds) else { continue };
+                let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
+                if last - first <= MOST_SAMPLES_AT_ONCE {
+                    self.heap.push(Entry { first, last, item });
+                    continue;
+                }
+                let ranges = ranges_of_points(place, points, index).unwrap_or_else(|| vec![(first, last)]);
+                self.heap.extend(ranges.into_iter().map(|(first, last)| Entry { first, last, item }));
+            }
+        })
     }
+}
+
+/// The pages of a node's own points, with the runs in each of them that are its own.
+pub(super) fn each_own_page(
+    access: Access<'_>,
+    volume: &CloudVolume,
+    node: &Node,
+    mut visit: impl FnMut(u32, &PointPage<'_>, Range<usize>),
+) -> Result<(), Halt> {
+    let own = node.own;
+    let (mut page, mut run, mut left) = (own.first_page, usize::from(own.first_run), own.runs as usize);
+    while left > 0 {
+        if page >= volume.first_node_page {
+            return Err(volume.broken(page).into());
+        }
+        let guard = access.retain(volume, page, POINT_PRIORITY)?;
+        let points = PointPage::trusted(&guard, volume.header());
+        let here = left.min(points.len().saturating_sub(run));
+        if here == 0 {
+            return Err(volume.broken(page).into());
+        }
+        visit(page, &points, run..run + here);
+        left -= here;
+        (page, run) = (page + 1, 0);
+    }
+    Ok(())
+}
+
+/// The samples that the points of a run may reach, where these are few stretches of all that lie in its bounds: rays pass
+/// most points of a wide run by.
+fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
+    let Place { volume, packet, rays, .. } = place;
+    let run = points.run(run);
+    let mut radii = [volume.header().radius.min(); RUN_POINTS];
+    if let Some(stored) = run.radii(volume.header()) {
+        radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
+    }
+    let positions = run.positions(volume.root_cell);
+    // Between the rays of a packet there may be any number of points that none of them meets.
+    let going = rays.going.ray_by_ray(packet);
+    let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
+        .filter_map(|(&position, &radius)| {
+            // Far more than rounding takes from a point where it is added to samples.
+            let reach = f64::from(radius) * (1.0 + 1e-4);
+            going.samples_in(packet, &Aabb::new(position - reach, position + reach))
+        })
+        .collect();
+    ranges.sort_unstable();
+    ranges.dedup_by(|next, before| {
+        let one = next.0 <= before.1 + SLAB_SAMPLES as u64;
+        if one {
+            before.1 = before.1.max(next.1);
+        }
+        one
+    });
+    (ranges.len() <= MOST_RANGES).then_some(ranges)
 }

@@ -7,7 +7,7 @@ use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_la
 use super::math::ln;
 use super::transfer::ColorTable;
 use crate::container::PAGE_HEAD_BYTES;
-use crate::field::{Packet, SLAB_SAMPLES, Slab};
+use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::grid::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, MAX_OPACITY, largest_stretch};
@@ -48,6 +48,10 @@ struct Held {
     brick: Option<PageGuard>,
     first: [i64; 3],
 }
+
+/// Bits of the number of a sample in a slab of a packet: with these below its own, the number of a brick is still exact, for
+/// a file has at most 2³² pages.
+const SAMPLE_BITS: u32 = (LANES * SLAB_SAMPLES).trailing_zeros();
 
 impl GridVolume {
     /// Nothing where the grid's pages are in no working set.
@@ -116,17 +120,24 @@ impl GridVolume {
         out.touched = 0;
         let lanes = self.lanes_within(packet, slab, live);
         self.fetch(access, packet, slab, live, &lanes)?;
-        let mut held = None;
+        // Brick by brick, however the rays pass through them: each is asked for once, and a small budget need not bring it
+        // back for every ray. Samples do not know of each other, so that their order does not matter.
+        let mut samples = Vec::new();
         for (lane, first, end) in lanes {
-            for j in first..end {
-                if live.0[lane] >> j & 1 == 0 {
-                    continue;
-                }
-                let place = self.place(packet, lane, slab.first + j as u64);
-                let brick = self.hold(access, place, &mut held)?;
-                let Some(page) = &brick.brick else { continue };
-                self.fill(page, brick.first, place, lane, j, (measure, wants), out);
+            for j in (first..end).filter(|j| live.0[lane] >> j & 1 == 1) {
+                let (number, _) = self.brick_of(self.place(packet, lane, slab.first + j as u64));
+                samples.push(number << SAMPLE_BITS | (lane * SLAB_SAMPLES + j) as u64);
             }
+        }
+        samples.sort_unstable();
+        let mut held = None;
+        for sample in samples {
+            let sample = (sample & ((1 << SAMPLE_BITS) - 1)) as usize;
+            let (lane, j) = (sample / SLAB_SAMPLES, sample % SLAB_SAMPLES);
+            let place = self.place(packet, lane, slab.first + j as u64);
+            let brick = self.hold(access, place, &mut held)?;
+            let Some(page) = &brick.brick else { continue };
+            self.fill(page, brick.first, place, lane, j, (measure, wants), out);
         }
         Ok(())
     }

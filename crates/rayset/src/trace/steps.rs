@@ -7,18 +7,30 @@
 //! Every sample in a solid, noise or a grid is evaluated, whatever is there. So what they ask for is never less than a
 //! part of the diagonal of the box around them all, and a ray that meets one of them takes a bounded number of steps
 //! through that box, however fine a cloud in it is: both functions of the scene alone.
+//!
+//! What a node says of its radii is taken for its points only where these lie close together. Where they are scattered, or
+//! of very different radii, most rays that meet the node meet none of its finest points, and there the points themselves are
+//! asked: a ray is as fine as the finest sphere of influence that it passes through.
 
 use super::RenderError;
 use super::access::{Access, Halt, NODE_PRIORITY};
 use super::cloud_volume::CloudVolume;
+use super::frontier::{each_own_page, run_bounds};
 use super::program::{Action, Program};
 use crate::field::RayColumns;
-use crate::geometry::{Aabb, Beam, Ray};
+use crate::geometry::{Aabb, Beam, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
+use crate::octree::page::RUN_POINTS;
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step};
 
 /// Finest automatic step: the coarsest times 2 to the minus this.
 const FINEST: i32 = 60;
+/// And where the coarsest is not finer itself, no more steps than this across a scene, whatever radii its files name.
+const MOST_REFINED_STEPS: f64 = (1_u64 << 24) as f64;
+/// Points of a node that is wider than so many of its least radii are scattered: most rays that meet it meet none of them.
+const SCATTERED: f64 = 256.0;
+/// Where the node asks for steps 2 to the minus this times the coarsest, or finer, scattered points are asked themselves.
+const ASKED_THEMSELVES: i32 = -4;
 
 /// In a grid a step is a fraction of so many distances between voxels: half of one, where it is a quarter.
 const GRID_DETAIL: f64 = 2.0;
@@ -36,6 +48,8 @@ pub(super) struct StepRule {
     coarsest: f64,
     /// The length of which the coarsest step is the fraction asked for; nothing where steps are fixed.
     longest: Option<f64>,
+    /// The least k.
+    finest: i32,
     /// Whether rays may differ.
     varies: bool,
     floors: Floors,
@@ -102,7 +116,9 @@ impl StepRule {
         };
         // Where even the coarsest step is too fine for solids, rays that meet them differ from the others.
         let varies = varies || floors.exponent_in_solids > 0;
-        Ok(Self { coarsest, longest: (!fixed).then_some(longest), varies, floors })
+        let finest =
+            (extent / MOST_REFINED_STEPS / coarsest).log2().ceil().clamp(f64::from(-FINEST), 0.0) as i32;
+        Ok(Self { coarsest, longest: (!fixed).then_some(longest), finest, varies, floors })
     }
 
     /// Sorts at most 64 rays into groups of the same step, finest first.
@@ -115,8 +131,13 @@ impl StepRule {
         let Some(longest) = self.longest.filter(|_| self.varies) else {
             return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
         };
-        let least = vec![self.floors.exponent; rays.len()];
-        let mut exponents = Exponents { longest, floors: self.floors, of_rays: vec![0; rays.len()], least };
+        let mut exponents = Exponents {
+            longest,
+            finest: self.finest,
+            floors: self.floors,
+            of_rays: vec![0; rays.len()],
+            least: vec![self.floors.exponent; rays.len()],
+        };
         exponents.lower(access, program, rays)?;
         exponents.hold_in_solids(program, rays);
         let exponents: Vec<i32> =
@@ -152,6 +173,7 @@ fn is_solid(action: &Action) -> bool {
 struct Exponents {
     longest: f64,
     floors: Floors,
+    finest: i32,
     of_rays: Vec<i32>,
     /// Below which they count as this.
     least: Vec<i32>,
@@ -162,7 +184,7 @@ impl Exponents {
     fn of(&self, length: f64) -> i32 {
         // Rounding in a transform must not halve the steps of rays at random.
         let share = length / self.longest * (1.0 + 1e-6);
-        (share.log2().floor() as i32).clamp(-FINEST, 0)
+        (share.log2().floor() as i32).clamp(self.finest, 0)
     }
 
     fn lower(&mut self, access: Access<'_>, program: &Program, rays: &[(Ray, f64)]) -> Result<(), Halt> {
@@ -183,7 +205,7 @@ impl Exponents {
                         (GRID_DETAIL * volume.spacing_world(ray)).max(least)
                     });
                 }
-                Action::Cloud(volume) if volume.header().radius.min() == volume.header().radius.max() => {
+                Action::Cloud(volume) if self.is_one_by_bounds(volume) => {
                     let radius = f64::from(volume.header().radius.max());
                     self.lower_within(rays, &instruction.bounds, |ray| {
                         radius / volume.stretch_along(ray.direction)
@@ -210,6 +232,15 @@ impl Exponents {
                 }
             }
         }
+    }
+
+    /// Whether the bounds of a cloud say all that is asked of it: its points have one radius, and are not far finer than
+    /// everything else and scattered.
+    fn is_one_by_bounds(&self, volume: &CloudVolume) -> bool {
+        let header = volume.header();
+        let (least, radius) = (f64::from(header.radius.min()), f64::from(header.radius.max()));
+        let scattered = header.bounds.size().max_element() > SCATTERED * radius;
+        least == radius && !(scattered && self.of(volume.largest_radius_world()) <= ASKED_THEMSELVES)
     }
 
     /// Rays that meet a box take at most a fraction of a length.
@@ -257,11 +288,21 @@ impl Exponents {
             if let Some(own) = own {
                 let near = columns.cross(&bounds, 0.0).near;
                 let same = (least == most).then(|| self.of(own / least));
+                let scattered = bounds.size().max_element() > SCATTERED * own;
+                let mut ask_points = 0;
                 for (i, ray) in rays.iter().enumerate().filter(|(i, _)| near >> i & 1 == 1) {
                     let k = same.unwrap_or_else(|| self.of(own / stretch[i]));
                     if k < self.of_rays[i] && bounds.clip(ray).is_some() {
-                        self.of_rays[i] = k;
+                        if scattered && k <= ASKED_THEMSELVES {
+                            ask_points |= 1 << i;
+                        } else {
+                            self.of_rays[i] = k;
+                        }
                     }
+                }
+                if ask_points != 0 {
+                    let some = LocalRays { rays: &rays, stretch: &stretch, columns: &columns };
+                    self.lower_by_points(access, volume, &node, some, ask_points)?;
                 }
             }
             if node.child_mask != 0 {
@@ -279,4 +320,55 @@ impl Exponents {
         }
         Ok(())
     }
+    /// Rays that pass through the spheres of influence of a node's own points take at most a fraction of their radii.
+    fn lower_by_points(
+        &mut self,
+        access: Access<'_>,
+        volume: &CloudVolume,
+        node: &Node,
+        local: LocalRays<'_>,
+        lanes: u64,
+    ) -> Result<(), Halt> {
+        let header = volume.header();
+        let mut radii = [header.radius.min(); RUN_POINTS];
+        let mut offsets = [[0.0; RUN_POINTS]; 3];
+        each_own_page(access, volume, node, |_, points, runs| {
+            for index in runs {
+                let near = local.columns.cross(&run_bounds(volume, points, index), 0.0).near & lanes;
+                if near == 0 {
+                    continue;
+                }
+                let run = points.run(index);
+                if let Some(stored) = run.radii(header) {
+                    radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
+                }
+                run.decode_local_f64(volume.root_cell, &mut offsets);
+                let center = run.head.position_bounds(volume.root_cell).center();
+                for (lane, ray) in local.rays.iter().enumerate().filter(|(lane, _)| near >> lane & 1 == 1) {
+                    // A length of one along the ray here, and the squared distance of a point to the ray's line.
+                    let (stretch, from) = (local.stretch[lane], center - ray.origin);
+                    let direction = ray.direction / stretch;
+                    for (i, &radius) in radii.iter().enumerate().take(run.head.len()) {
+                        let radius = f64::from(radius);
+                        let to = from + DVec3::new(offsets[0][i], offsets[1][i], offsets[2][i]);
+                        let along = to.dot(direction);
+                        let across = (to - direction * along).length_squared();
+                        if across < radius * radius && along > -radius {
+                            let k = self.of(radius / stretch);
+                            self.of_rays[lane] = self.of_rays[lane].min(k);
+                        }
+                    }
+                }
+            }
+        })
+    }
+}
+
+/// Rays as a cloud sees them.
+#[derive(Clone, Copy)]
+struct LocalRays<'a> {
+    rays: &'a [Ray],
+    /// Lengths of their directions.
+    stretch: &'a [f64],
+    columns: &'a RayColumns,
 }

@@ -4,7 +4,7 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use super::WorkingSet;
 use super::buffer::PageBuffer;
@@ -24,7 +24,7 @@ impl WorkingSet {
         counters: &Counters,
     ) -> Result<PageGuard, PageFault> {
         let result = loop {
-            let outcome = self.shared.ledger.wait_until(|| match &*object.slot(page) {
+            let outcome = self.shared.ledger.wait_until(self.shared.patience, || match &*object.slot(page) {
                 Slot::Loading => None,
                 Slot::Resident(resident) => Some(Some(Ok(self.guard(resident, priority, counters)))),
                 Slot::Failed(fault) => Some(Some(Err(fault.clone()))),
@@ -32,8 +32,9 @@ impl WorkingSet {
                 Slot::Absent => Some(None),
             });
             match outcome {
-                Some(result) => break result,
-                None => {
+                None => return Err(PageFault::Stuck { name: object.source.name(), page }),
+                Some(Some(result)) => break result,
+                Some(None) => {
                     let mut slot = object.slot(page);
                     if matches!(&*slot, Slot::Absent) {
                         *slot = Slot::Loading;
@@ -50,12 +51,17 @@ impl WorkingSet {
         result
     }
 
+    /// Waits until a page that another thread computes is there, or will not come.
+    pub(super) fn wait_while_loading(&self, object: &Object, page: u32) -> Result<(), PageFault> {
+        let is_loading = || matches!(&*object.slot(page), Slot::Loading);
+        let waited = self.shared.ledger.wait_until(self.shared.patience, || (!is_loading()).then_some(()));
+        waited.ok_or_else(|| PageFault::Stuck { name: object.source.name(), page })
+    }
+
     /// Room for a page that a thread waits for.
     pub(super) fn make_room(&self, object: &Arc<Object>, page: u32) -> Result<PageBuffer, PageFault> {
-        /// Long enough for any release or read to happen, short enough not to hang for ever.
-        const PATIENCE: Duration = Duration::from_secs(10);
         let kind = object.kind(page);
-        let (room, evicted) = self.shared.ledger.reserve(kind, object, PATIENCE);
+        let (room, evicted) = self.shared.ledger.reserve(kind, object, self.shared.patience);
         self.count_evictions(&evicted);
         room.ok_or_else(|| {
             let limits = self.shared.ledger.limits();

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
 
 use super::buffer::PageBuffer;
@@ -59,6 +60,10 @@ struct Books {
     peak_by_kind: [u64; KINDS],
     /// Pages whose room is reserved and whose bytes are on their way.
     loading: u64,
+    /// For each page that is being computed, the thread that does so.
+    computing: Vec<ThreadId>,
+    /// Those of `computing` that wait themselves, for room or for a page.
+    halted: Vec<ThreadId>,
     residents: Vec<Arc<Resident>>,
     /// Candidates for eviction from the last search, worst last, each with what it looked like then.
     candidates: Vec<(u8, u64, Arc<Object>, u32)>,
@@ -76,6 +81,21 @@ pub(super) struct Ledger {
     /// Threads that wait for room, and all that wait. Notifying costs a system call, whether anybody listens or not.
     waiting_for_room: AtomicUsize,
     waiting: AtomicUsize,
+}
+
+/// A page is being computed by the thread that holds this.
+pub(super) struct Computing<'a> {
+    ledger: &'a Ledger,
+    thread: ThreadId,
+}
+
+impl Drop for Computing<'_> {
+    fn drop(&mut self) {
+        let mut books = lock(&self.ledger.books);
+        let at = books.computing.iter().position(|&thread| thread == self.thread);
+        at.map(|at| books.computing.swap_remove(at));
+        books.loading += 1;
+    }
 }
 
 impl Drop for Ledger {
@@ -125,6 +145,8 @@ impl Ledger {
             peak: 0,
             peak_by_kind: [0; KINDS],
             loading: 0,
+            computing: Vec::new(),
+            halted: Vec::new(),
             residents: Vec::new(),
             candidates: Vec::new(),
             spare: Vec::new(),
@@ -195,7 +217,7 @@ impl Ledger {
     }
 
     /// Room for one page that a thread waits for: waits for releases if it must, but not longer than `patience` while
-    /// nothing is loading. What is loading can be evicted when it is there, however slow the disk.
+    /// no page is on its way. What is on its way can be evicted when it is there, however slow the disk.
     pub(super) fn reserve(
         &self,
         kind: Kind,
@@ -208,7 +230,7 @@ impl Ledger {
         loop {
             let (room, evicted) = books.reserve(kind, object, None);
             all_evicted.extend(evicted);
-            if books.loading > 0 {
+            if books.is_moving() {
                 deadline = Instant::now() + patience;
             }
             let left = deadline.saturating_duration_since(Instant::now());
@@ -224,23 +246,46 @@ impl Ledger {
         }
     }
 
-    fn wait<'a>(&self, books: MutexGuard<'a, Books>, limit: Duration) -> MutexGuard<'a, Books> {
+    fn wait<'a>(&self, mut books: MutexGuard<'a, Books>, limit: Duration) -> MutexGuard<'a, Books> {
+        let halted = books.halt();
         self.waiting.fetch_add(1, Ordering::SeqCst);
-        let books = self.changed.wait_timeout(books, limit).unwrap_or_else(PoisonError::into_inner).0;
+        let mut books = self.changed.wait_timeout(books, limit).unwrap_or_else(PoisonError::into_inner).0;
         self.waiting.fetch_sub(1, Ordering::SeqCst);
+        if let Some(thread) = halted {
+            books.go_on(thread);
+        }
         books
     }
 
-    /// Waits until `ready` gives something. It is asked under the lock of the books, which every change of a slot
-    /// from loading takes before it notifies: whoever waits was counted before that, so no change is missed.
-    pub(super) fn wait_until<T>(&self, ready: impl Fn() -> Option<T>) -> T {
+    /// Waits until `ready` gives something, but not longer than `patience` while no page is on its way. It is asked under
+    /// the lock of the books, which every change of a slot from loading takes before it notifies: whoever waits was
+    /// counted before that, so no change is missed.
+    pub(super) fn wait_until<T>(&self, patience: Duration, ready: impl Fn() -> Option<T>) -> Option<T> {
+        let mut deadline = Instant::now() + patience;
         let mut books = lock(&self.books);
         loop {
             if let Some(result) = ready() {
-                return result;
+                return Some(result);
             }
-            books = self.wait(books, Duration::from_secs(1));
+            if books.is_moving() {
+                deadline = Instant::now() + patience;
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return None;
+            }
+            books = self.wait(books, left.min(Duration::from_secs(1)));
         }
+    }
+
+    /// Says that the calling thread computes the page that it has reserved room for, until the guard is dropped: whatever
+    /// it waits for meanwhile, its own page does not count as on its way.
+    pub(super) fn computing(&self) -> Computing<'_> {
+        let thread = thread::current().id();
+        let mut books = lock(&self.books);
+        books.loading -= 1;
+        books.computing.push(thread);
+        Computing { ledger: self, thread }
     }
 
     /// A page is there. Returns what had to go for it, where limits have been lowered meanwhile.
@@ -303,6 +348,31 @@ impl Ledger {
 }
 
 impl Books {
+    /// Whether a page is on its way while the calling thread waits: being read, or computed by a thread that does not wait
+    /// itself. Threads that compute pages and wait for the room of each other's would else wait for ever.
+    fn is_moving(&self) -> bool {
+        let waits = |thread: &ThreadId| *thread == thread::current().id() || self.halted.contains(thread);
+        self.loading > 0 || !self.computing.iter().all(waits)
+    }
+
+    /// The calling thread is about to wait; who it is, where it computes a page.
+    fn halt(&mut self) -> Option<ThreadId> {
+        if self.computing.is_empty() {
+            return None;
+        }
+        let thread = thread::current().id();
+        let computes = self.computing.contains(&thread);
+        computes.then(|| {
+            self.halted.push(thread);
+            thread
+        })
+    }
+
+    fn go_on(&mut self, thread: ThreadId) {
+        let at = self.halted.iter().position(|&halted| halted == thread);
+        at.map(|at| self.halted.swap_remove(at));
+    }
+
     fn obstacle(&self, kind: Kind, object: &Object) -> Option<Obstacle> {
         let bytes = object.bytes();
         if self.used + bytes > self.limits.total {

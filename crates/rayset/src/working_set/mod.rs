@@ -23,10 +23,13 @@ pub mod read;
 mod slot;
 mod source;
 mod stats;
+#[cfg(test)]
+mod tests;
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 pub use self::cloud::CloudPages;
@@ -41,6 +44,10 @@ pub use self::source::{KINDS, Kind, PageFault, PageSource};
 use self::stats::Counters;
 pub use self::stats::{KindStatistics, Statistics};
 
+/// How long a thread waits for room, or for a page, while no page is on its way: long enough for any release to happen,
+/// short enough not to hang for ever.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 struct Shared {
     ledger: Ledger,
     backend: Arc<dyn ReadBackend>,
@@ -51,6 +58,7 @@ struct Shared {
     unused_hint_bytes: AtomicU64,
     /// Hints of earlier eras are forgotten.
     hint_era: AtomicU32,
+    patience: Duration,
     counters: [Counters; KINDS],
 }
 
@@ -64,6 +72,10 @@ impl WorkingSet {
     /// An empty set with a budget and something to read with.
     #[must_use]
     pub fn new(limits: Limits, backend: Arc<dyn ReadBackend>) -> Self {
+        Self::with_patience(limits, backend, PATIENCE)
+    }
+
+    fn with_patience(limits: Limits, backend: Arc<dyn ReadBackend>, patience: Duration) -> Self {
         let shared = Shared {
             ledger: Ledger::new(limits, backend.brings_memory()),
             backend,
@@ -71,6 +83,7 @@ impl WorkingSet {
             period: AtomicU32::new(1),
             unused_hint_bytes: AtomicU64::new(0),
             hint_era: AtomicU32::new(0),
+            patience,
             counters: Default::default(),
         };
         Self { shared: Arc::new(shared) }
@@ -159,8 +172,11 @@ impl WorkingSet {
     /// Retains a page that is made, not read: `compute` fills its bytes where it is absent, on the calling thread, which
     /// may retain other pages meanwhile. Another thread that wants the page waits for it, or makes it where this one fails.
     ///
+    /// Panics where `compute` panics; the page is an error from then on.
+    ///
     /// # Errors
-    /// What `compute` returns, which leaves the page absent; a [`PageFault`] where there is no room.
+    /// What `compute` returns, which leaves the page absent; a [`PageFault`] where there is no room, where an earlier
+    /// `compute` has panicked, or where the page is being made by a thread that waits for this one.
     pub fn retain_computed<E: From<PageFault>>(
         &self,
         object: &Arc<Object>,
@@ -181,8 +197,7 @@ impl WorkingSet {
                     drop(slot);
                     let started = Instant::now();
                     counters.late.fetch_add(1, Ordering::Relaxed);
-                    let is_loading = || matches!(&*object.slot(page), Slot::Loading);
-                    self.shared.ledger.wait_until(|| (!is_loading()).then_some(()));
+                    self.wait_while_loading(object, page)?;
                     counters.stalls.fetch_add(1, Ordering::Relaxed);
                     let waited = started.elapsed().as_nanos() as u64;
                     counters.stall_nanoseconds.fetch_add(waited, Ordering::Relaxed);
@@ -193,10 +208,24 @@ impl WorkingSet {
             drop(slot);
             counters.misses.fetch_add(1, Ordering::Relaxed);
             let mut buffer = self.make_room(object, page).inspect_err(|_| self.give_up(object, page))?;
-            if let Err(error) = compute(buffer.bytes_mut()) {
-                *object.slot(page) = Slot::Absent;
+            let computing = self.shared.ledger.computing();
+            let outcome = catch_unwind(AssertUnwindSafe(|| compute(buffer.bytes_mut())));
+            drop(computing);
+            let failed = |slot: Slot, buffer: PageBuffer| {
+                *object.slot(page) = slot;
                 self.shared.ledger.failed(object.kind(page), object, buffer);
-                return Err(error);
+            };
+            match outcome {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => {
+                    failed(Slot::Absent, buffer);
+                    return Err(error);
+                }
+                Err(panic) => {
+                    // Whoever waits for the page must learn that it will not come.
+                    failed(Slot::Failed(PageFault::Panicked { name: object.source.name(), page }), buffer);
+                    resume_unwind(panic);
+                }
             }
             let resident = Arc::new(Resident {
                 object: object.clone(),

@@ -90,6 +90,22 @@ pub enum PageFault {
         /// What is wrong.
         what: String,
     },
+    /// What should have made the page panicked.
+    #[error("{name}: making page {page} panicked")]
+    Panicked {
+        /// The source.
+        name: String,
+        /// The page.
+        page: u32,
+    },
+    /// The page is being made by a thread that waits itself, and nothing that could end its wait is on its way.
+    #[error("{name}: page {page} is being made by a thread that waits for others that wait for it")]
+    Stuck {
+        /// The source.
+        name: String,
+        /// The page.
+        page: u32,
+    },
     /// Everything in the budget is retained.
     #[error("the budget of {budget} bytes is full of retained pages; at least {needed} bytes are needed")]
     Full {

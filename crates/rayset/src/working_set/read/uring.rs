@@ -222,3 +222,39 @@ impl Drop for Uring {
         super::pool::join(&mut self.thread);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::sync::mpsc;
+    use std::time::Duration;
+
+    use super::*;
+    use crate::working_set::PageBuffer;
+    use crate::working_set::read::FileStorage;
+
+    #[test]
+    fn a_read_that_ends_with_the_file_is_an_error_and_no_whole_page() {
+        let Ok(ring) = Uring::new(4) else {
+            let _ = writeln!(io::stderr(), "short reads of io_uring: skipped, for there is none here");
+            return;
+        };
+        let mut file = tempfile::NamedTempFile::new().expect("a temporary file");
+        file.write_all(&[7; 6000]).expect("a write");
+        let storage = Arc::new(FileStorage::open(file.path(), false).expect("it opens"));
+        let read = |offset| {
+            let (send, receive) = mpsc::channel();
+            let done = Box::new(move |buffer: PageBuffer, outcome: io::Result<()>| {
+                let _ = send.send((buffer.bytes().to_vec(), outcome.map_err(|e| e.kind())));
+            });
+            ring.submit(vec![Read { storage: storage.clone(), offset, buffer: PageBuffer::new(4096), done }]);
+            receive.recv_timeout(Duration::from_secs(20)).expect("an answer")
+        };
+        let (bytes, outcome) = read(0);
+        assert_eq!(outcome, Ok(()));
+        assert!(bytes.iter().all(|&b| b == 7));
+        for offset in [4096, 5999, 6000, 1 << 40] {
+            assert_eq!(read(offset).1, Err(io::ErrorKind::UnexpectedEof), "at {offset}");
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! Points far apart, far smaller than others, or in one place: what rays do not meet costs them nothing, and the picture is
+//! that of the rule that `docs/scene.md` states.
+
+use std::sync::Arc;
+
+use rayset::field::Kernel;
+use rayset::geometry::{DVec3, Ray};
+use rayset::octree::Cloud;
+use rayset::octree::build::BuildOptions;
+use rayset::points::ArraySource;
+use rayset::scene::{OpacityRule, RenderSettings, Scene};
+use rayset::trace::judge::Judge;
+use rayset::trace::memory::least_pages;
+use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+
+use crate::common::{
+    Random, bits, build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
+};
+
+/// Points in a cube, all with radii between two of them, as often in each octave.
+fn cube(count: usize, smallest: f64, largest: f64, seed: u64) -> (Vec<[f64; 3]>, Vec<f32>) {
+    let mut random = Random(seed);
+    let points = (0..count).map(|_| {
+        let position: [f64; 3] = std::array::from_fn(|_| random.unit() - 0.5);
+        (position, (largest * (smallest / largest).powf(random.unit())) as f32)
+    });
+    points.unzip()
+}
+
+fn cloud(folder: &std::path::Path, (position, radius): (Vec<[f64; 3]>, Vec<f32>)) -> Arc<Cloud> {
+    let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
+    let source = ArraySource::new(position, vec![("radius", radius)]);
+    build_at(&folder.join("c.rset"), Box::new(source), &options)
+}
+
+fn counts(scene: &Scene, settings: &RenderSettings) -> RenderCounts {
+    let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
+    let mut sink = WholePicture::default();
+    render(scene, &camera(), settings, &exec, &paged(scene, 1 << 30), &mut sink).expect("a picture")
+}
+
+#[test]
+fn points_that_differ_by_100_000_cost_a_ray_no_more_than_those_that_it_meets() {
+    let folder = folder();
+    let cloud = cloud(folder.path(), cube(3000, 3e-6, 0.3, 1));
+    let counts = counts(&scene(&cloud, Kernel::Wyvill, true), &settings(32, 32));
+    // A quarter of the finest radius over the whole length of all rays would be 2 500 million samples.
+    assert!(counts.nonzero_samples > 1024, "{counts:?}");
+    assert!(counts.samples < 4_000_000, "{counts:?}");
+}
+
+#[test]
+fn one_point_of_no_size_costs_the_rays_that_miss_it_nothing() {
+    let folder = folder();
+    let (mut position, mut radius) = cube(300, 0.1, 0.1, 2);
+    let without = cloud(folder.path(), (position.clone(), radius.clone()));
+    let object = look(&without, Kernel::Wyvill);
+    let least = counts(&scene_of(object.clone(), false), &settings(32, 32));
+    position.push([0.123, 0.234, 0.345]);
+    radius.push(1e-12);
+    let with = cloud(folder.path(), (position, radius));
+    let object = rayset::scene::CloudObject { cloud: with, ..object };
+    let counts = counts(&scene_of(object, false), &settings(32, 32));
+    assert!(counts.samples <= 2 * least.samples, "{counts:?} instead of {least:?}");
+}
+
+#[test]
+fn tiny_points_far_apart_cost_a_ray_no_more_than_those_that_it_meets() {
+    let folder = folder();
+    let cloud = cloud(folder.path(), cube(3000, 1e-9, 1e-9, 3));
+    let counts = counts(&scene(&cloud, Kernel::Wyvill, false), &settings(32, 32));
+    assert!(counts.slabs < 10_000, "{counts:?}");
+}
+
+#[test]
+fn scattered_points_make_the_same_picture_for_every_tile_slab_budget_and_thread_count() {
+    let folder = folder();
+    let cloud = cloud(folder.path(), cube(6000, 1e-4, 0.2, 4));
+    let scene = scene(&cloud, Kernel::Triweight, true);
+    let settings = settings(32, 24);
+    let expected = bits(&plain_picture(&scene, &settings));
+    let page = u64::from(cloud.header().page_bytes);
+    for (threads, pages, tile_pixels, slab_samples) in
+        [(1, least_pages(1), 8, 32), (3, least_pages(3), 3, 7), (2, 1000, 1, 1), (2, 10, 5, 32)]
+    {
+        let exec = ExecSettings { threads, tile_pixels, slab_samples, ..ExecSettings::default() };
+        let paged = paged(&scene, pages * page);
+        let found = picture(&scene, &camera(), &settings, &exec, &paged).expect("a picture");
+        assert!(bits(&found) == expected, "{threads} threads, {pages} pages, {tile_pixels}, {slab_samples}");
+    }
+}
+
+/// The ray through the middle of a pixel of 40 × 40, from the camera of these tests.
+fn ray_of(x: u32, y: u32) -> Ray {
+    let across = |pixel: u32| ((f64::from(pixel) + 0.5) / 20.0 - 1.0) * 22.5_f64.to_radians().tan();
+    Ray { origin: DVec3::new(0.0, 0.0, 3.0), direction: DVec3::new(across(x), -across(y), -1.0).normalize() }
+}
+
+/// The step of a ray through scattered points, by the rule of the documents.
+fn step_of(ray: &Ray, points: &[(DVec3, f64)], largest: f64) -> f64 {
+    let met = points.iter().filter(|(position, radius)| {
+        let to = *position - ray.origin;
+        (to - ray.direction * to.dot(ray.direction)).length() < *radius
+    });
+    let finest = met.map(|(_, radius)| *radius).fold(largest, f64::min);
+    0.25 * largest * 2_f64.powf((finest / largest).log2().floor())
+}
+
+#[test]
+fn a_ray_through_scattered_points_steps_by_the_finest_that_it_passes_through() {
+    let folder = folder();
+    let given = cube(3000, 2e-4, 0.2, 5);
+    let cloud = cloud(folder.path(), given);
+    let mut stored = Vec::new();
+    let header = cloud.header();
+    (cloud.for_each_run(|_, run| {
+        let radii = run.radii(header).expect("radii are stored");
+        stored.extend(run.positions(header.root_cell()).into_iter().zip(radii.map(f64::from)));
+    }))
+    .expect("the cloud reads");
+    let largest = f64::from(header.radius.max());
+    let mut object = look(&cloud, Kernel::Triweight);
+    object.transfer.opacity = OpacityRule::Extinction(0.5 / largest);
+    let scene = scene_of(object, false);
+    let settings = settings(40, 40);
+    let fast = plain_picture(&scene, &settings);
+    let judge = Judge::load(&scene).expect("it reads");
+    let (mut wrong, mut fine) = (0, 0);
+    for pixel in (0..1600).step_by(7) {
+        let (x, y) = (pixel % 40, pixel / 40);
+        let step = step_of(&ray_of(x, y), &stored, largest);
+        fine += usize::from(step < 0.05 * largest);
+        let exact = judge.pixel(&camera(), &settings, step, x, y).expect("a camera");
+        let found = fast[pixel as usize];
+        let worst = (0..4).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max);
+        wrong += usize::from(worst > 1.0 / 1024.0);
+    }
+    assert!(fine > 10, "only {fine} rays are fine");
+    assert!(wrong <= 2, "{wrong} pixels beyond 1/1024");
+}
+
+#[test]
+fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
+    // More than 512 runs of the root's own, at two ends of the cloud: no run may be taken to lie where others do.
+    let mut random = Random(6);
+    let mut position = Vec::new();
+    for _ in 0..70_000 {
+        let end = if random.unit() < 0.5 { -0.8 } else { 0.8 };
+        let p: [f64; 3] = std::array::from_fn(|_| 0.2 * (random.unit() - 0.5));
+        position.push([p[0], p[1], p[2] + end]);
+    }
+    let folder = folder();
+    let radius = vec![0.9; position.len()];
+    let cloud = cloud(folder.path(), (position, radius));
+    let mut object = look(&cloud, Kernel::Wyvill);
+    object.transfer.opacity = OpacityRule::Extinction(3e-5);
+    let scene = scene_of(object, false);
+    let settings = RenderSettings { stop_transmittance: 0.0, ..settings(24, 24) };
+    let fast = plain_picture(&scene, &settings);
+    let judge = Judge::load(&scene).expect("it reads");
+    let step = 0.25 * f64::from(cloud.header().radius.max());
+    for (x, y) in [(12, 12), (8, 12), (12, 17), (6, 6), (17, 9)] {
+        let exact = judge.pixel(&camera(), &settings, step, x, y).expect("a camera");
+        let found = fast[(y * 24 + x) as usize];
+        assert!(exact[3] > 0.05, "pixel {x}, {y} shows something");
+        for c in 0..4 {
+            assert!((f64::from(found[c]) - exact[c]).abs() <= 1.0 / 1024.0, "{x}, {y}: {found:?}, {exact:?}");
+        }
+    }
+}
