@@ -9,6 +9,7 @@ mod build_is_pure;
 mod colormaps;
 mod columns;
 mod common;
+mod corpus;
 mod edges;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod faults;

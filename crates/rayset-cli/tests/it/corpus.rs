@@ -1,0 +1,231 @@
+//! Inputs that the fuzzers begin with: small files of every kind, made by writers of ours, and read here as they are.
+//!
+//! With `RAYSET_CORPUS` they are left in that folder, one folder a target. An input for points or volumes begins with a byte
+//! that chooses the name of the file, as in `fuzz/src/lib.rs`.
+
+use std::io::Write;
+use std::path::Path;
+
+use rayset::grid::read::VolumeSource;
+use rayset::octree::build::BuildOptions;
+use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
+use rayset::scene_file::SceneFile;
+
+use crate::common::{build_at, folder, mixed_points};
+use crate::las_writer::{Chunks, LasFile};
+use crate::vti_text::{base64, vti, words};
+
+const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
+
+fn ply(format: &str) -> Vec<u8> {
+    let mut bytes = format!(
+        "ply\nformat {format} 1.0\ncomment made up\nelement vertex 3\nproperty float x\nproperty double y\nproperty \
+         float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nproperty list uchar int rest\n\
+         element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    .into_bytes();
+    for i in 0..3_u8 {
+        let v = f32::from(i) + 0.5;
+        match format {
+            "ascii" => bytes.extend(format!("{v} {i} {v} {i} 200 7 2 1 2\n").bytes()),
+            "binary_little_endian" => {
+                bytes.extend(v.to_le_bytes());
+                bytes.extend(f64::from(i * i).to_le_bytes());
+                bytes.extend(v.to_le_bytes());
+                bytes.extend([i, 200, 7, 1]);
+                bytes.extend(5_i32.to_le_bytes());
+            }
+            _ => {
+                bytes.extend(v.to_bits().to_be_bytes_of());
+                bytes.extend(f64::from(i * i).to_bits().to_be_bytes_of());
+                bytes.extend(v.to_bits().to_be_bytes_of());
+                bytes.extend([i, 200, 7, 1]);
+                bytes.extend(5_u32.to_be_bytes_of());
+            }
+        }
+    }
+    match format {
+        "ascii" => bytes.extend(b"3 0 1 2\n"),
+        "binary_little_endian" => {
+            bytes.push(3);
+            [0_i32, 1, 2].iter().for_each(|i| bytes.extend(i.to_le_bytes()));
+        }
+        _ => {
+            bytes.push(3);
+            [0_u32, 1, 2].iter().for_each(|i| bytes.extend(i.to_be_bytes_of()));
+        }
+    }
+    bytes
+}
+
+/// Big-endian bytes, for the files that have them.
+trait BigEndian {
+    fn to_be_bytes_of(self) -> Vec<u8>;
+}
+
+impl BigEndian for u32 {
+    fn to_be_bytes_of(self) -> Vec<u8> {
+        self.to_le_bytes().into_iter().rev().collect()
+    }
+}
+
+impl BigEndian for u64 {
+    fn to_be_bytes_of(self) -> Vec<u8> {
+        self.to_le_bytes().into_iter().rev().collect()
+    }
+}
+
+fn point_files() -> Vec<(&'static str, Vec<u8>)> {
+    let mut files = vec![
+        ("p.ply", ply("ascii")),
+        ("p.ply", ply("binary_little_endian")),
+        ("p.ply", ply("binary_big_endian")),
+        ("mesh.ply", ply("ascii")),
+        ("p.csv", b"x,y,z,\"a b\",r,g,b\n1,2,3,4.5,0,128,255\n4,5,6,,1,2,3\n".to_vec()),
+        ("p.csv", b"\xef\xbb\xbfx;y;z;class\n1,5;2,5;3,5;2\n4,5;5,5;6,5;6\n".to_vec()),
+        ("p.xyz", b"# made up\n1 2 3 0.5\n-1e3\t2.0D+01 3 nan\n".to_vec()),
+        ("p.txt", b"//x y z radius\n0 0 0 1\n1 1 1 2\n".to_vec()),
+        ("p.pts", b"2\n1 2 3 -100 1 2 3\n4 5 6 200 4 5 6\n1\n7 8 9 0 0 0 0\n".to_vec()),
+    ];
+    for format in 0..=10 {
+        let file = LasFile::random(format, 40, usize::from(format % 3), u64::from(format));
+        files.push(("p.las", file.las()));
+        files.push(("p.laz", file.laz(Chunks::Fixed(16))));
+    }
+    let file = LasFile::random(3, 60, 0, 3);
+    for chunks in [Chunks::Variable(&[7, 20]), Chunks::NoTable(25), Chunks::Streamed(25), Chunks::One] {
+        files.push(("p.laz", file.laz(chunks)));
+    }
+    files
+}
+
+fn gzipped(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(bytes).expect("a write");
+    encoder.finish().expect("it ends")
+}
+
+fn nifti() -> Vec<u8> {
+    let mut bytes = vec![0; 352];
+    bytes[..4].copy_from_slice(&348_i32.to_le_bytes());
+    for (i, n) in [3_i16, 5, 4, 3, 1, 1, 1, 1].into_iter().enumerate() {
+        bytes[40 + 2 * i..42 + 2 * i].copy_from_slice(&n.to_le_bytes());
+    }
+    bytes[70..72].copy_from_slice(&4_i16.to_le_bytes());
+    bytes[72..74].copy_from_slice(&16_i16.to_le_bytes());
+    for (i, v) in [1_f32, 1.0, 2.0, 3.0].into_iter().enumerate() {
+        bytes[76 + 4 * i..80 + 4 * i].copy_from_slice(&v.to_le_bytes());
+    }
+    bytes[108..112].copy_from_slice(&352_f32.to_le_bytes());
+    bytes[344..348].copy_from_slice(b"n+1\0");
+    (0..60_i16).for_each(|v| bytes.extend(v.to_le_bytes()));
+    bytes
+}
+
+fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
+    let voxels: Vec<u8> = (0..60).collect();
+    let with = |head: &str, data: &[u8]| [head.as_bytes(), data].concat();
+    let nrrd = |encoding: &str| {
+        format!(
+            "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 5 4 3\nspace: left-posterior-superior\nspace directions: \
+             (1,0,0) (0,2,0) (0,0,3)\nspace origin: (0,0,0)\nencoding: {encoding}\n\n"
+        )
+    };
+    let meta = |more: &str| {
+        format!(
+            "ObjectType = Image\nNDims = 3\nDimSize = 5 4 3\nElementSpacing = 1 2 3\nOffset = 0 0 0\n{more}ElementType = \
+             MET_UCHAR\nElementDataFile = LOCAL\n"
+        )
+    };
+    let floats: Vec<u8> = (0..60).flat_map(|i| (i as f32).to_le_bytes()).collect();
+    let inline = base64(&[words(&[floats.len() as u64], 4), floats].concat());
+    vec![
+        ("v.nrrd", with(&nrrd("raw"), &voxels)),
+        ("v.nrrd", with(&nrrd("gzip"), &gzipped(&voxels))),
+        ("v.mha", with(&meta(""), &voxels)),
+        ("v.mha", with(&meta("BinaryDataByteOrderMSB = False\n"), &voxels)),
+        ("v.nii", nifti()),
+        ("v.nii.gz", gzipped(&nifti())),
+        (
+            "v.vti",
+            vti(&format!("<DataArray type=\"Float32\" Name=\"a\" format=\"binary\">{inline}</DataArray>"), "", "")
+                .into_bytes(),
+        ),
+    ]
+}
+
+/// Leaves an input for a target, where that is asked for.
+fn keep(target: &str, number: usize, parts: &[&[u8]]) {
+    if let Some(root) = std::env::var_os("RAYSET_CORPUS") {
+        let folder = Path::new(&root).join(target);
+        std::fs::create_dir_all(&folder).expect("a folder");
+        std::fs::write(folder.join(format!("seed-{number:03}")), parts.concat()).expect("a write");
+    }
+}
+
+#[test]
+fn every_input_that_the_fuzzers_begin_with_is_read() {
+    let folder = folder();
+    for (number, (name, bytes)) in point_files().into_iter().enumerate() {
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes).expect("a write");
+        let mut source: Box<dyn PointSource> = if name == "mesh.ply" {
+            Box::new(MeshSource::open(&path, 10).expect("a mesh"))
+        } else {
+            points::open(&path, &ReadOptions::default()).unwrap_or_else(|e| panic!("{e}"))
+        };
+        let mut batch = PointBatch::default();
+        source.fill(&mut batch, 100).unwrap_or_else(|e| panic!("{e}"));
+        assert!(batch.len() > 1, "{name}");
+        let choice = POINTS.iter().position(|n| *n == name).expect("a name") as u8;
+        keep("points", number, &[&[choice], &bytes]);
+    }
+    for (number, (name, bytes)) in volume_files().into_iter().enumerate() {
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes).expect("a write");
+        let mut source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
+        let mut voxels = vec![0; source.size.iter().product::<u64>() as usize * source.kind.bytes()];
+        source.read(&mut voxels).unwrap_or_else(|e| panic!("{e}"));
+        let choice = VOLUMES.iter().position(|n| *n == name).expect("a name") as u8;
+        keep("volumes", number, &[&[choice], &bytes]);
+    }
+    files(folder.path());
+    scenes(folder.path());
+}
+
+/// Clouds and grids.
+fn files(folder: &Path) {
+    use rayset::grid::build::{GridBuildOptions, build};
+    let path = folder.join("cloud.rset");
+    for (number, points) in [0, 1, 40, 5000].into_iter().enumerate() {
+        let options = BuildOptions { attributes: vec!["weight".into()], ..BuildOptions::default() };
+        build_at(&path, Box::new(mixed_points(points, 3.0, 1)), &options);
+        let bytes = std::fs::read(&path).expect("a read");
+        if bytes.len() < 131_072 {
+            keep("files", number, &[&bytes]);
+        }
+    }
+    let raw = folder.join("voxels.raw");
+    std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
+    let source = VolumeSource::open_raw(&raw, &"10x10x10,u8".parse().expect("a layout")).expect("it opens");
+    let path = folder.join("grid.rset");
+    build(source, &path, &GridBuildOptions::default(), &mut |_, _| {}).expect("it builds");
+    keep("files", 9, &[&std::fs::read(&path).expect("a read")]);
+}
+
+fn scenes(folder: &Path) {
+    let maps = r#"[{"Name": "Fire", "RGBPoints": [0, 0, 0, 0, 1, 1, 0.5, 0], "Points": [0, 0, 0.5, 0, 1, 1, 0.5, 0]}]"#;
+    std::fs::write(folder.join("maps.json"), maps).expect("a write");
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples");
+    let mirrors = std::fs::read_to_string(examples.join("mirrors.json")).expect("an example");
+    let own = [
+        r#"{"rayset": 1, "root": {"type": "difference", "children": [{"type": "cloud", "file": "cloud.rset", "transferFunction": {"opacity": {"extinction": 3}, "color": "viridis", "input": "weight", "valueRange": [0, 1]}}, {"type": "box", "size": [1, 1, 1], "transform": [{"translate": [0.5, 0, 0]}, {"rotate": {"axis": [0, 1, 0], "degrees": 30}}]}]}}"#,
+        r#"{"rayset": 1, "camera": {"position": [9, 4, 30], "direction": [0, 0, -1]}, "lights": [{"type": "point", "position": [5, 20, 5]}, {"type": "directional", "direction": [0, -1, 0]}], "rendering": {"shadows": "exact"}, "root": {"type": "blend", "children": [{"type": "grid", "file": "grid.rset", "transferFunction": {"opacity": [[0, 0], [200, 0.9]], "preset": {"file": "maps.json", "name": "Fire"}}}, {"type": "noise", "radii": [3, 2, 1], "scale": 1}]}}"#,
+        r##"{"rayset": 1, "animation": {"keys": [{"frame": 0, "camera": {"position": [0, 0, 5]}}, {"frame": 9, "camera": {"position": [0, 5, 5]}}]}, "define": {"ball": {"type": "sphere", "radius": 1, "edge": 0.1, "color": "#ff8000", "material": {"reflectance": 0.4}}}, "root": {"type": "union", "children": [{"ref": "ball"}, {"ref": "ball", "transform": {"scale": 2, "translate": [2, 0, 0]}}, {"type": "torus", "majorRadius": 1, "minorRadius": 0.2, "material": {"refractiveIndex": 1.5}}]}}"##,
+    ];
+    for (number, text) in own.into_iter().chain([mirrors.as_str()]).enumerate() {
+        SceneFile::parse(&folder.join("scene.json"), text).unwrap_or_else(|e| panic!("{e}"));
+        keep("scenes", number, &[text.as_bytes()]);
+    }
+}
