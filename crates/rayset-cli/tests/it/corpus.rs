@@ -28,7 +28,7 @@ fn ply(format: &str) -> Vec<u8> {
     for i in 0..3_u8 {
         let v = f32::from(i) + 0.5;
         match format {
-            "ascii" => bytes.extend(format!("{v} {i} {v} {i} 200 7 2 1 2\n").bytes()),
+            "ascii" => bytes.extend(format!("{v} {} {v} {i} 200 7 2 1 2\n", i * i).bytes()),
             "binary_little_endian" => {
                 bytes.extend(v.to_le_bytes());
                 bytes.extend(f64::from(i * i).to_le_bytes());
@@ -138,8 +138,9 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
              MET_UCHAR\nElementDataFile = LOCAL\n"
         )
     };
-    let floats: Vec<u8> = (0..60).flat_map(|i| (i as f32).to_le_bytes()).collect();
-    let inline = base64(&[words(&[floats.len() as u64], 4), floats].concat());
+    let shorts: Vec<u8> = (0..60_i16).flat_map(i16::to_le_bytes).collect();
+    let inline = base64(&[words(&[shorts.len() as u64], 4), shorts].concat());
+    let ascii: Vec<String> = (0..60).map(|i| i.to_string()).collect();
     vec![
         ("v.nrrd", with(&nrrd("raw"), &voxels)),
         ("v.nrrd", with(&nrrd("gzip"), &gzipped(&voxels))),
@@ -147,11 +148,8 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
         ("v.mha", with(&meta("BinaryDataByteOrderMSB = False\n"), &voxels)),
         ("v.nii", nifti()),
         ("v.nii.gz", gzipped(&nifti())),
-        (
-            "v.vti",
-            vti(&format!("<DataArray type=\"Float32\" Name=\"a\" format=\"binary\">{inline}</DataArray>"), "", "")
-                .into_bytes(),
-        ),
+        ("v.vti", vti(&format!("format=\"ascii\">{}</DataArray>", ascii.join(" ")), "", "").into_bytes()),
+        ("v.vti", vti(&format!("format=\"binary\">{inline}</DataArray>"), "", "").into_bytes()),
     ]
 }
 

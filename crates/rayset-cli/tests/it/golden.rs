@@ -93,11 +93,27 @@ fn a_file_written_long_ago_still_opens_and_says_what_its_description_says() {
     let f32_at = |at: usize| f32::from_bits(u32_at(at));
     let f64_at = |at: usize| f64::from_bits(u64_at(at));
     assert_eq!(&bytes[..8], b"RAYSET\r\n");
-    assert_eq!((u32_at(8), u32_at(16), u32_at(20), u32_at(24)), (1, PAGE, 1, 1));
-    assert_eq!((u32_at(40), u64_at(48), u64_at(56), u64_at(72)), (1 | 2 | 4, bytes.len() as u64, 5, 1));
-    let corners: Vec<f64> = (0..6).map(|i| f64_at(128 + 8 * i)).collect();
+    assert_eq!((u32_at(8), u64_at(32), u64_at(48), u32_at(56)), (2, 0, bytes.len() as u64, PAGE));
+    let section = |letters: &[u8; 4]| {
+        let entries = (0..u32_at(60) as usize).map(|i| 64 + 32 * i);
+        let at = entries.clone().find(|&at| &bytes[at..at + 4] == letters).expect("the section");
+        (u32_at(at + 4), u64_at(at + 8) as usize)
+    };
+    assert_eq!((section(b"PNTS"), section(b"NODE")), ((1, 4096), (1, 4096 + PAGE as usize)));
+    let (_, numbers) = section(b"CLOU");
+    assert_eq!((u64_at(numbers), u64_at(numbers + 16)), (5, 1));
+    let corners: Vec<f64> = (0..6).map(|i| f64_at(numbers + 80 + 8 * i)).collect();
     assert_eq!(corners, [-1.0, 0.0, -0.5, 1.0, 1.0, 1.0]);
-    assert_eq!([200, 204, 208, 212].map(f32_at), [0.125, 1.0, 0.5, 2.0]);
+    let (_, columns) = section(b"COLS");
+    assert_eq!(u32_at(columns), 3);
+    // Radius, weight and colour have no names, so each takes 24 bytes: role, type, flags, smallest and largest value.
+    let column = |i: usize| {
+        let at = columns + 8 + 24 * i;
+        ([bytes[at], bytes[at + 1], bytes[at + 2]], [f64_at(at + 8), f64_at(at + 16)])
+    };
+    assert_eq!(column(0), ([0, 8, 1], [0.125, 1.0]));
+    assert_eq!(column(1), ([1, 8, 1], [0.5, 2.0]));
+    assert_eq!(column(2), ([2, 0, 1], [0.0, 255.0]));
     let (points, nodes) = (4096, 4096 + PAGE as usize);
     assert_eq!((u32_at(points), u32_at(points + 8), u32_at(points + 12)), (0x5054_5330, 0, 1));
     assert_eq!((u32_at(nodes), u32_at(nodes + 8), u32_at(nodes + 12)), (0x4e4f_4445, 1, 1));

@@ -56,7 +56,9 @@ impl ColorTable {
             .collect();
         // As the place of a value is defined: the index must agree with it, bit for bit.
         let place = |value: f32| (f64::from(value) - low) / (high - low);
-        let from: Vec<f32> = stops.iter().map(|&(at, _)| least_value(at, place)).collect();
+        // What lies before the range counts as its beginning, of whose stops the last counts.
+        let least = |at: f64| if at > 0.0 { least_value(at, place) } else { f32::NEG_INFINITY };
+        let from: Vec<f32> = stops.iter().map(|&(at, _)| least(at)).collect();
         let places_per_value = (PLACES as f64 / (high - low)) as f32;
         let mut table =
             Self { from, knots, index: Vec::new(), sign: sign as f32, low: low as f32, places_per_value };
@@ -92,7 +94,8 @@ impl ColorTable {
     /// The colour of a value, linear light.
     #[inline]
     pub(super) fn color(&self, value: f32) -> [f32; 3] {
-        let value = value * self.sign;
+        // What is not a number counts as before the range.
+        let value = (value * self.sign).max(f32::NEG_INFINITY);
         let place = self.place(value);
         let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
         // Knots before `first` are at most the value, those from `end` on above it.
@@ -102,7 +105,7 @@ impl ColorTable {
         }
         let Some(knot) = self.knots.get(first.max(1) - 1) else { return [0.0; 3] };
         let along = (f64::from(value) - knot.start) * knot.per_value;
-        // Before the first knot, and where the value is not a number, its own colour.
+        // Before the first knot, its own colour.
         let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
         std::array::from_fn(|c| knot.color[c] + knot.change[c] * along)
     }
