@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use rayset::geometry::DVec3;
+use rayset::grid::Grid;
 use rayset::grid::build::{self as grid_build, GridBuildOptions};
 use rayset::grid::read::VolumeSource;
-use rayset::grid::Grid;
+use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
 use rayset::octree::verify::{Depth, verify};
-use rayset::octree::Cloud;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
 use rayset::scene_file::SceneFile;
@@ -21,8 +21,7 @@ use rayset::trace::{ExecSettings, WholePicture, render};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
-pub const POINTS: [&str; 8] =
-    ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+pub const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
 /// See [`POINTS`].
 pub const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
 
@@ -159,8 +158,7 @@ pub fn files(data: &[u8]) {
             }
             let object = GridObject::plain(Arc::new(grid));
             let root = Arc::new(Node::new(Shape::Grid(object)));
-            let scene =
-                Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 1.0 };
+            let scene = Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 1.0 };
             picture(&scene, &framing(&scene), &settings);
         }
     }
@@ -169,11 +167,8 @@ pub fn files(data: &[u8]) {
 /// A camera before the whole scene.
 fn framing(scene: &Scene) -> Camera {
     let bounds = scene.root.bounds();
-    let (center, reach) = if bounds.is_empty() {
-        (DVec3::ZERO, 1.0)
-    } else {
-        (bounds.center(), bounds.size().length())
-    };
+    let (center, reach) =
+        if bounds.is_empty() { (DVec3::ZERO, 1.0) } else { (bounds.center(), bounds.size().length()) };
     Camera::look_at(center + DVec3::Z * 1.5 * reach, center, DVec3::Y, 0.8)
 }
 

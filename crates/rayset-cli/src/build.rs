@@ -182,11 +182,14 @@ pub(crate) fn name_smallest_budget(error: build::BuildError, memory: u64) -> any
                 report::bytes(needed)
             )
         }
-        build::BuildError::OutOfRange { quantity, count, records, farthest, factor } => anyhow::anyhow!(
-            "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored; say --{} {factor:e}, or \
-             --invalid skip-all if these stand for missing values",
-            quantity.option().replace('_', "-")
-        ),
+        build::BuildError::OutOfRange { quantity, count, records, farthest, factor } => {
+            let option = quantity.option().replace('_', "-");
+            let scale = factor.map_or_else(String::new, |factor| format!("--{option} {factor:e}, or "));
+            anyhow::anyhow!(
+                "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored; say {scale}--invalid \
+                 skip-all if these stand for missing values"
+            )
+        }
         other => other.into(),
     }
 }

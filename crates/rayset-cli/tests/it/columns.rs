@@ -91,8 +91,10 @@ fn numbers_too_large_to_be_stored_stop_a_build_with_the_factor_to_use() {
         };
         assert_eq!(quantity, expected);
         let scaled = match quantity {
-            Quantity::Weight => BuildOptions { weight_scale: factor, ..BuildOptions::default() },
-            _ => BuildOptions { length_scale: factor, ..BuildOptions::default() },
+            Quantity::Weight => {
+                BuildOptions { weight_scale: factor.expect("one"), ..BuildOptions::default() }
+            }
+            _ => BuildOptions { length_scale: factor.expect("one"), ..BuildOptions::default() },
         };
         let report = build::run(vec![source()], &path, &scaled, &NoProgress).expect("the factor helps");
         assert_eq!(report.points, 2, "{quantity}");

@@ -1,25 +1,35 @@
 //! The end of a file in the making: the sections behind its pages, the footer, and last of all the header.
 
+use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
 
 use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, Section, SectionKind};
 use super::identity::Identity;
 
 /// Most bytes of descriptions of sources that are kept: those of the first in the order of their texts.
-const MAX_SOURCES_BYTES: usize = 256 << 10;
+const MAX_SOURCES_BYTES: usize = 128 << 10;
 
-/// What a file says in words, besides its numbers.
-#[derive(Clone, Debug, Default)]
+/// Longest name of a reference system that is kept.
+const MAX_CRS_BYTES: usize = 64 << 10;
+
+/// What a file says in words, besides its numbers. Whatever else is in the section is ignored.
+#[derive(Clone, Debug, Default, serde::Deserialize, serde::Serialize)]
+#[serde(default)]
 pub(crate) struct Metadata {
     /// The coordinate reference system; empty where none is known.
+    #[serde(skip_serializing_if = "String::is_empty")]
     pub(crate) crs: String,
-    /// Descriptions of the sources.
+    /// Descriptions of the sources, in the order of their texts.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(crate) sources: Vec<String>,
+    /// Names of feature bits, by their numbers.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) features: BTreeMap<String, String>,
 }
 
 impl Metadata {
-    fn encode(&self) -> Vec<u8> {
-        let mut sources = self.sources.clone();
+    /// What is kept of what sources say: neither their order nor their number shows.
+    pub(crate) fn new(crs: &str, mut sources: Vec<String>) -> Self {
         sources.sort();
         sources.dedup();
         let mut bytes = 0;
@@ -27,24 +37,12 @@ impl Metadata {
             bytes += source.len();
             bytes <= MAX_SOURCES_BYTES
         });
-        let mut words = serde_json::Map::new();
-        if !self.crs.is_empty() {
-            words.insert("crs".into(), self.crs.clone().into());
-        }
-        if !sources.is_empty() {
-            words.insert("sources".into(), sources.into());
-        }
-        serde_json::Value::Object(words).to_string().into_bytes()
+        let crs = if crs.len() <= MAX_CRS_BYTES { crs.to_owned() } else { String::new() };
+        Self { crs, sources, features: BTreeMap::new() }
     }
 
-    /// What [`encode`](Self::encode) wrote; whatever is not understood is left out.
-    pub(crate) fn decode(words: &serde_json::Value) -> Self {
-        let text = |v: &serde_json::Value| v.as_str().map(str::to_owned);
-        let sources = words.get("sources").and_then(serde_json::Value::as_array);
-        Self {
-            crs: words.get("crs").and_then(text).unwrap_or_default(),
-            sources: sources.into_iter().flatten().filter_map(text).collect(),
-        }
+    fn encode(&self) -> io::Result<Vec<u8>> {
+        Ok(serde_json::to_vec(self)?)
     }
 }
 
@@ -69,7 +67,7 @@ pub(crate) fn seal_file(
         end += bytes;
     }
     output.seek(SeekFrom::Start(end))?;
-    let meta = (SectionKind::META, metadata.encode());
+    let meta = (SectionKind::META, metadata.encode()?);
     for (kind, bytes) in sections.iter().chain([&meta]) {
         let section = Section {
             kind: *kind,

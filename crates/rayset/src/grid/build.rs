@@ -93,7 +93,7 @@ pub fn build(
     let room = Room::divide(options.memory_bytes, &header)?;
     let destination = Destination::new(path)?;
     destination.require_file()?;
-    destination.refuse_inputs([source.data_path()])?;
+    destination.refuse_inputs(source.paths())?;
     let folder = options.temp_dir.clone().unwrap_or_else(|| destination.folder().to_owned());
     let temporary = |source| GridBuildError::Temporary { folder: folder.clone(), source };
     let file = OutputFile::create(&destination)?;

@@ -1,11 +1,11 @@
 //! Opening a grid: header, footer, length and descriptions are checked here, pages when they are read.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::format::{GridHeader, RANGES_PER_PAGE};
-use crate::container::{FileKind, OpenError, OpenFile, PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
+use crate::container::{
+    FileKind, OpenError, OpenFile, PAGE_HEAD_BYTES, PageError, PageHead, PageKind, SectionKind,
+};
 
 /// An open grid file: what it says of itself, checked, and the path from which its pages are read.
 #[derive(Debug)]
@@ -51,14 +51,6 @@ impl Grid {
         Ok(Self { path: path.to_owned(), header: GridHeader::read(&mut file)? })
     }
 
-    /// Whether a file says that it is a grid.
-    #[must_use]
-    pub fn is_grid(path: &Path) -> bool {
-        let mut magic = [0; 8];
-        File::open(path).and_then(|mut file| file.read_exact(&mut magic)).is_ok()
-            && magic == super::format::MAGIC
-    }
-
     /// Path of the file.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -96,7 +88,7 @@ impl Grid {
             return Err(GridScanError::Replaced { path: self.path.clone() });
         }
         file.check_sections()?;
-        file.for_each_page(|page, offset, bytes| {
+        file.for_each_page([SectionKind::VOXELS, SectionKind::RANGES], |page, offset, bytes| {
             let damaged = |source| GridScanError::Damaged { path: self.path.clone(), page, offset, source };
             self.check_page(page, bytes).map_err(damaged)?;
             visit(page, bytes);

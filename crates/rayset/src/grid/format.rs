@@ -96,7 +96,7 @@ pub struct GridHeader {
     pub space_from_voxel: DAffine3,
     /// Bytes of the whole file.
     pub file_bytes: u64,
-    /// What the sources said of themselves, sorted.
+    /// What the sources said of themselves, sorted. Readers of volumes say nothing yet.
     pub sources: Vec<String>,
 }
 
@@ -160,7 +160,7 @@ impl GridHeader {
 
     /// The section `META`.
     pub(crate) fn metadata(&self) -> Metadata {
-        Metadata { crs: String::new(), sources: self.sources.clone() }
+        Metadata::new("", self.sources.clone())
     }
 
     /// Reads and checks the sections of an open file.
@@ -169,7 +169,7 @@ impl GridHeader {
     /// [`OpenError`] where a section is missing, damaged, or out of range.
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let bytes = file.section(SectionKind::GRID)?;
-        let sources = Metadata::decode(&file.metadata()?).sources;
+        let sources = file.metadata()?.sources;
         let at = file.header().section(SectionKind::GRID).map_or(0, |s| s.offset);
         let wrong = |what| file.wrong(HeaderError::Field { at, what });
         let header = Self::decode(&bytes, file.header())

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
-use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind};
+use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, SectionKind};
 
 /// An open cloud file: what it says of itself, checked, and the path from which its pages are read.
 #[derive(Debug)]
@@ -94,7 +94,7 @@ impl Cloud {
             return Err(ScanError::Replaced { path: self.path.clone() });
         }
         file.check_sections()?;
-        file.for_each_page(|page, offset, bytes| {
+        file.for_each_page([SectionKind::POINTS, SectionKind::NODES], |page, offset, bytes| {
             let damaged = |source| ScanError::Damaged { path: self.path.clone(), page, offset, source };
             self.check_page(page, bytes).map_err(damaged)?;
             visit(page, bytes);

@@ -3,7 +3,7 @@
 //! `docs/format.md` shows the same tables in prose. The frame around them is [`crate::container`].
 
 use crate::container::{
-    BLOCK_BYTES, FileHeader, FileKind, HeaderError, Identity, MAX_PAGE_BYTES, Metadata, OpenError, OpenFile,
+    BLOCK_BYTES, FileHeader, FileKind, HeaderError, Identity, MAX_PAGE_BYTES, OpenError, OpenFile,
     PAGE_HEAD_BYTES, Reader, Section, SectionKind, Writer,
 };
 use crate::geometry::curve::MAX_LEVEL;
@@ -18,6 +18,10 @@ pub const MAGIC: [u8; 8] = *b"RAYSET\r\n";
 pub const MAX_ATTRIBUTES: usize = 32;
 /// Most bytes of an attribute's name, and of its unit.
 pub const NAME_BYTES: usize = 64;
+
+/// Radii and weights of a file keep to this, and to a little more, for they are rounded; see [`super::build`].
+const LARGEST: f32 = 1.000_001e18;
+const LEAST_RADIUS: f32 = 0.999_999e-18;
 
 /// Whether all points share a value or each has its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -166,6 +170,8 @@ pub struct Header {
     pub crs: String,
     /// What the sources said of themselves, sorted.
     pub sources: Vec<String>,
+    /// Where the columns of a run stand; follows from the columns.
+    pub(crate) columns: ColumnLayout,
 }
 
 /// What a column of the file is for.
@@ -265,13 +271,14 @@ impl Header {
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let numbers = file.section(SectionKind::CLOUD)?;
         let columns = file.section(SectionKind::COLUMNS)?;
-        let words = Metadata::decode(&file.metadata()?);
+        let words = file.metadata()?;
         let at = |kind| file.header().section(kind).map_or(0, |s: &Section| s.offset);
         let (numbers_at, columns_at) = (at(SectionKind::CLOUD), at(SectionKind::COLUMNS));
         let wrong = |at, what| file.wrong(HeaderError::Field { at, what });
         let mut header = Self::decode_numbers(&numbers, file.header())
             .ok_or_else(|| wrong(numbers_at, "the numbers of the cloud end early"))?;
         header.decode_columns(&columns).map_err(|what| wrong(columns_at, what))?;
+        header.columns = header.column_layout(header.attributes.len());
         (header.crs, header.sources) = (words.crs, words.sources);
         header.check_ranges(file.header()).map_err(|what| wrong(numbers_at, what))?;
         Ok(header)
@@ -291,7 +298,7 @@ impl Header {
             nodes: r.u64()?,
             point_data_bytes: r.u64()?,
             render_memory: r.u64()?,
-            root: NodeRef { page: r.u32()?, index: r.u32()? as u16 },
+            root: NodeRef { page: r.u32()?, index: u16::try_from(r.u32()?).ok()? },
             root_min: r.vec()?,
             root_size: r.f64()?,
             bounds: Aabb::new(r.vec()?, r.vec()?),
@@ -304,6 +311,7 @@ impl Header {
             attributes: Vec::new(),
             crs: String::new(),
             sources: Vec::new(),
+            columns: ColumnLayout::default(),
         })
     }
 
@@ -313,6 +321,7 @@ impl Header {
         let count = r.u32().ok_or(EARLY)?;
         r.u32().ok_or(EARLY)?;
         let mut seen: Option<Role> = None;
+        let (mut has_radius, mut has_weight) = (false, false);
         for _ in 0..count {
             let [role, kind, flags, _]: [u8; 4] = r.take().ok_or(EARLY)?;
             let [name, unit, _, _]: [u8; 4] = r.take().ok_or(EARLY)?;
@@ -333,14 +342,33 @@ impl Header {
                 return Err("the columns are not in the order radius, weight, colour, attributes");
             }
             seen = Some(role);
+            if !(min <= max) {
+                return Err("the smallest value of a column exceeds the largest");
+            }
+            let expected = match role {
+                Role::Radius | Role::Weight => ColumnType::F32,
+                Role::Color => ColumnType::U8,
+                Role::Attribute => kind,
+            };
+            if kind != expected || (!is_stored && matches!(role, Role::Color | Role::Attribute)) {
+                return Err(
+                    "a column of a type, or shared by all points, where its purpose does not allow it",
+                );
+            }
+            if name.len() > NAME_BYTES || unit.len() > NAME_BYTES {
+                return Err("the name or unit of a column has more than 64 bytes");
+            }
             let shared = match is_stored {
                 true => Column::Varying { min: min as f32, max: max as f32 },
                 false => Column::Constant(min as f32),
             };
             match role {
-                Role::Radius => self.radius = shared,
-                Role::Weight => self.weight = shared,
+                Role::Radius => (self.radius, has_radius) = (shared, true),
+                Role::Weight => (self.weight, has_weight) = (shared, true),
                 Role::Color => self.has_color = is_stored,
+                Role::Attribute if self.attributes.iter().any(|a| a.name == name) => {
+                    return Err("two attributes of one name");
+                }
                 Role::Attribute => {
                     let is_class = flags & CLASSES != 0;
                     self.attributes.push(AttributeInfo { name, kind, unit, is_class, min, max });
@@ -350,7 +378,7 @@ impl Header {
                 return Err("more than 32 attributes");
             }
         }
-        Ok(())
+        if has_radius && has_weight { Ok(()) } else { Err("the columns of radius and weight are missing") }
     }
 
     fn check_ranges(&self, file: &FileHeader) -> Result<(), &'static str> {
@@ -375,18 +403,30 @@ impl Header {
         if self.nodes > u64::from(self.node_pages) * nodes_per_page(self.page_bytes as usize) as u64 {
             return Err("more nodes than the pages can hold");
         }
+        let power_of_two = self.root_size.to_bits().trailing_zeros() >= 52;
+        if !power_of_two {
+            return Err("the edge of the root cell is no power of two");
+        }
+        let errors = [self.position_error, self.position_error_radii];
+        if !errors.iter().all(|e| (0.0..f64::INFINITY).contains(e)) {
+            return Err("the largest error of positions is no number");
+        }
+        let ordered = (0..3).all(|axis| self.bounds.min[axis] <= self.bounds.max[axis]);
+        if !ordered {
+            return Err("the smallest coordinate exceeds the largest");
+        }
         let finite = self.root_min.is_finite()
             && self.root_size.is_finite()
             && self.root_size > 0.0
             && (self.points == 0 || (self.bounds.min.is_finite() && self.bounds.max.is_finite()))
-            && self.radius.min() > 0.0
-            && self.radius.max() < f32::INFINITY
+            && self.radius.min() >= LEAST_RADIUS
+            && self.radius.max() <= LARGEST
             && self.radius_mean > 0.0
             && self.radius_mean.is_finite()
-            && self.weight.min().is_finite()
-            && self.weight.max().is_finite();
+            && self.weight.min() >= -LARGEST
+            && self.weight.max() <= LARGEST;
         if !finite {
-            return Err("bounds, radii or weights are not finite");
+            return Err("bounds, radii or weights are out of their ranges");
         }
         if self.attributes.iter().any(|a| !a.min.is_finite() || !a.max.is_finite()) {
             return Err("the range of an attribute is not finite");

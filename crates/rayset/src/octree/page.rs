@@ -319,7 +319,8 @@ impl<'a> PointPage<'a> {
     pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
         let head = PageHead::check(bytes, PageKind::Points, page, header.identity)?;
         let page = Self::trusted(bytes, header);
-        if page.runs != head.records as usize || PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES > bytes.len() {
+        debug_assert_eq!(page.runs, head.records as usize);
+        if PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES > bytes.len() {
             return Err(PageError::Content { what: "more runs than fit the page" });
         }
         for index in 0..page.runs {
@@ -345,7 +346,7 @@ impl<'a> PointPage<'a> {
     #[must_use]
     pub fn trusted(bytes: &'a [u8], header: &Header) -> Self {
         let runs = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
-        Self { bytes, runs, columns: header.column_layout(header.attributes.len()) }
+        Self { bytes, runs, columns: header.columns }
     }
 
     /// Number of runs.

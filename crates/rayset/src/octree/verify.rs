@@ -1,7 +1,7 @@
 //! Checking a whole file: every checksum and record, and every bound and total that a render relies on.
 
 use super::file::{Cloud, ScanError};
-use super::format::NodeRef;
+use super::format::{Header, NodeRef};
 use super::node::{Node, NodePage};
 use super::page::{PointPage, Run};
 use crate::container::PageKind;
@@ -46,6 +46,12 @@ pub enum VerifyError {
         page: u32,
         /// Record in it.
         index: u16,
+        /// What does not hold.
+        what: &'static str,
+    },
+    /// Something else that the header says does not hold.
+    #[error("what the file says of all points: {what}")]
+    Header {
         /// What does not hold.
         what: &'static str,
     },
@@ -97,13 +103,32 @@ pub fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> 
     }
     if depth == Depth::Deep && header.points > 0 {
         let seen = nodes.iter().map(|page| vec![false; page.len()]).collect();
-        let mut facts = Facts { cloud, runs, first_run_of_page, nodes, seen };
+        let taken = vec![false; runs.len()];
+        let mut facts = Facts { cloud, runs, first_run_of_page, nodes, seen, taken };
         let root = facts.check(header.root, &mut report)?;
         if root.points != header.points {
             return Err(VerifyError::Points { expected: header.points, found: root.points });
         }
+        check_header(header, &root, report.nodes).map_err(|what| VerifyError::Header { what })?;
     }
     Ok(report)
+}
+
+/// Compares what the header says with what is true of all points.
+fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'static str> {
+    if nodes != header.nodes {
+        return Err("its number of nodes is wrong");
+    }
+    if root.radius_min != header.radius.min() || root.radius_max != header.radius.max() {
+        return Err("its smallest or largest radius is wrong");
+    }
+    if root.weight_min != header.weight.min() || root.weight_max != header.weight.max() {
+        return Err("its smallest or largest weight is wrong");
+    }
+    if !header.bounds.encloses(&root.positions) {
+        return Err("a point lies outside its bounds");
+    }
+    Ok(())
 }
 
 /// What is true of some points.
@@ -111,8 +136,11 @@ pub fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> 
 struct RunFacts {
     influence: Aabb,
     points: u64,
+    positions: Aabb,
     weight_sum: f64,
     weight_size: f64,
+    weight_min: f32,
+    weight_max: f32,
     radius_min: f32,
     radius_max: f32,
     within_own_bounds: bool,
@@ -122,8 +150,11 @@ impl RunFacts {
     const NONE: Self = Self {
         influence: Aabb::EMPTY,
         points: 0,
+        positions: Aabb::EMPTY,
         weight_sum: 0.0,
         weight_size: 0.0,
+        weight_min: f32::INFINITY,
+        weight_max: f32::NEG_INFINITY,
         radius_min: f32::INFINITY,
         radius_max: 0.0,
         within_own_bounds: true,
@@ -142,6 +173,9 @@ impl RunFacts {
         for ((p, r), w) in run.positions(root).into_iter().zip(radii).zip(weights) {
             let reach = DVec3::splat(f64::from(r));
             facts.influence = facts.influence.union(Aabb::new(p - reach, p + reach));
+            facts.positions.include(p);
+            facts.weight_min = facts.weight_min.min(w);
+            facts.weight_max = facts.weight_max.max(w);
             facts.weight_sum += f64::from(w);
             facts.weight_size += f64::from(w).abs();
             facts.radius_min = facts.radius_min.min(r);
@@ -154,6 +188,9 @@ impl RunFacts {
     fn merge(&mut self, other: &Self) {
         self.influence = self.influence.union(other.influence);
         self.points += other.points;
+        self.positions = self.positions.union(other.positions);
+        self.weight_min = self.weight_min.min(other.weight_min);
+        self.weight_max = self.weight_max.max(other.weight_max);
         self.weight_sum += other.weight_sum;
         self.weight_size += other.weight_size;
         self.radius_min = self.radius_min.min(other.radius_min);
@@ -167,8 +204,9 @@ struct Facts<'a> {
     runs: Vec<RunFacts>,
     first_run_of_page: Vec<usize>,
     nodes: Vec<Vec<Node>>,
-    /// Which nodes have been met.
+    /// Which nodes have been met, and which runs have been one's own.
     seen: Vec<Vec<bool>>,
+    taken: Vec<bool>,
 }
 
 impl Facts<'_> {
@@ -188,15 +226,19 @@ impl Facts<'_> {
             let page = self.first_run_of_page.get(own.first_page as usize);
             let first = page.ok_or_else(|| wrong("its points are in no page"))? + usize::from(own.first_run);
             let range = first..first + own.runs as usize;
-            let runs = self.runs.get(range).ok_or_else(|| wrong("its runs go beyond the last page"))?;
-            runs.iter().for_each(|run| facts.merge(run));
+            let taken = self.taken.get_mut(range.clone());
+            let taken = taken.ok_or_else(|| wrong("its runs go beyond the last page"))?;
+            if std::mem::replace(&mut taken[0], true) || taken[1..].iter().any(|&taken| taken) {
+                return Err(wrong("its runs are another node's, too"));
+            }
+            taken.fill(true);
+            self.runs[range].iter().for_each(|run| facts.merge(run));
         }
         for child in 0..node.child_mask.count_ones() as u16 {
             let index = node.first_child.index.saturating_add(child);
             let below = NodeRef { page: node.first_child.page, index };
-            let level =
-                self.nodes.get(below.page as usize).and_then(|p| p.get(usize::from(index))).map(|n| n.level);
-            if level.map(u16::from) != Some(u16::from(node.level) + 1) {
+            let child = self.nodes.get(below.page as usize).and_then(|p| p.get(usize::from(index)));
+            if !child.is_some_and(|child| child.is_child_of(&node)) {
                 return Err(wrong("a child is not one level further down"));
             }
             facts.merge(&self.check(below, report)?);
@@ -213,7 +255,7 @@ impl Facts<'_> {
         if facts.radius_min != node.radius_min || facts.radius_max != node.radius_max {
             return Err(wrong("its smallest or largest radius is wrong"));
         }
-        if (facts.weight_sum - node.weight_sum).abs() > 1e-9 * facts.weight_size {
+        if !((facts.weight_sum - node.weight_sum).abs() <= 1e-9 * facts.weight_size) {
             return Err(wrong("its sum of weights is wrong"));
         }
         Ok(facts)

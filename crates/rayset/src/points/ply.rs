@@ -157,6 +157,11 @@ impl PointSource for PlySource {
         Some(self.body.path())
     }
 
+    fn memory_needed(&self) -> u64 {
+        // A buffer to read through.
+        256 << 10
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
         let axes = self.axes.iter().enumerate().map(|(axis, &place)| (place, Target::Axis(axis)));

@@ -41,6 +41,8 @@ pub use transfer::{
 pub const FARTHEST: f64 = 1e18;
 /// Lengths and directions are at least so long.
 pub const SHORTEST: f64 = 1e-18;
+/// Most stops of a colour map, and points of a curve in a scene file.
+pub const MOST_STOPS: usize = 4096;
 /// The brightest colour or light, in any channel.
 pub const BRIGHTEST: f64 = 1e12;
 /// What solids, noise and grids hold that is finer than this part of the diagonal of them all is not sampled more finely:

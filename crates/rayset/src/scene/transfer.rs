@@ -112,7 +112,8 @@ impl ColorMap {
                 let in_range = stops.iter().all(|(at, color)| {
                     (0.0..=1.0).contains(at) && color.iter().all(|v| (0.0..=1.0).contains(v))
                 });
-                if stops.is_empty() || !ascending || !in_range { Err(TransferError::Stops) } else { Ok(()) }
+                let few = (1..=super::MOST_STOPS).contains(&stops.len());
+                if !few || !ascending || !in_range { Err(TransferError::Stops) } else { Ok(()) }
             }
         }
     }

@@ -34,7 +34,7 @@ const MOST_LIGHTS: usize = 1024;
 /// Most cameras of an animation.
 const MOST_KEYS: usize = 16_384;
 /// Most points of a curve, and stops of a colour map.
-const MOST_STOPS: usize = 4096;
+pub(crate) use crate::scene::MOST_STOPS;
 /// Most moves of a node, and most transfer functions.
 const MOST_MOVES: usize = 256;
 const MOST_TRANSFERS: usize = 16;

@@ -239,6 +239,8 @@ pub(super) struct Frontier {
     heap: BinaryHeap<Entry>,
     /// Nodes looked at.
     opened: u64,
+    /// Own runs of these.
+    opened_runs: u64,
 }
 
 /// Bounds of influence of a run, a little wider than rounding can make it.
@@ -261,7 +263,7 @@ impl Frontier {
     /// Starts again at the root.
     pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
         self.heap.clear();
-        self.opened = 1;
+        (self.opened, self.opened_runs) = (1, 0);
         if let Some(root) = place.access.root(place.volume)? {
             self.push_node(place, root);
         }
@@ -390,6 +392,11 @@ impl Frontier {
     /// Looks at the bounds of a node's own runs. Their pages are needed for that, and soon again for the points.
     fn open_own(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
         let Place { access, volume, packet, rays } = place;
+        // Runs belong to one node each, and hold a point at least.
+        self.opened_runs += u64::from(node.own.runs);
+        if self.opened_runs > volume.header().points {
+            return Err(volume.broken(node.own.first_page).into());
+        }
         let node_bounds = &node.bounds(volume.root_cell);
         each_own_page(access, volume, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {

@@ -319,7 +319,8 @@ impl GridVolume {
 /// All differences are of numbers within a cell of each other, or of whole numbers: none is rounded. A place less a
 /// brick's corner would be, and fall into another cell.
 fn cell_in_brick(header: &GridHeader, place: DVec3, first: [i64; 3]) -> ([usize; 3], DVec3) {
-    let cell = place.floor().min(header.last_voxel() - 1.0);
+    // A place in a face may have been rounded to just outside.
+    let cell = place.floor().max(DVec3::ZERO).min(header.last_voxel() - 1.0);
     let in_brick = std::array::from_fn(|axis| (cell[axis] as i64 - first[axis]) as usize);
     (in_brick, place - cell)
 }

@@ -98,16 +98,16 @@ impl SceneNeeds {
         let shadow =
             if scene.lighting.throws_shadows() { most_blocks * Block::bytes(opacity_only) } else { 0 };
         let passes = if shadow > 0 { 2 } else { 1 };
-        let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
-        // Of the field of a cloud, once for pictures and once for shadows.
-        let sums = u64::from(names) * passes * (LANES * size_of::<SampleRow>()) as u64;
-        // Shadows have a march for rays and one for tables.
+        // Shadows have a march for rays and one for tables, each with blocks and clouds of its own.
         let marches = if shadow > 0 { 3 } else { 1 };
+        let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
+        // Of the field of a cloud.
+        let sums = u64::from(names) * marches * (LANES * size_of::<SampleRow>()) as u64;
         let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
         let in_shadow = lights.iter().filter(|light| light.throws_shadows()).count();
         let thread_bytes = THREAD_BYTES
-            + (picture + shadow) as u64
-            + leaves * passes * CLOUD_BYTES
+            + (picture + 2 * shadow) as u64
+            + leaves * marches * CLOUD_BYTES
             + tree
             + sums
             + marches * census.places * MARCH_BYTES

@@ -269,7 +269,7 @@ impl Exponents {
         // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
         let mut stack: Vec<Node> = access.root(volume)?.into_iter().collect();
-        let mut opened = 1;
+        let (mut opened, mut opened_runs) = (1, 0);
         while let Some(node) = stack.pop() {
             let bounds = node.bounds(volume.root_cell);
             let finest_known = self.of_rays.iter().copied().max().unwrap_or(0);
@@ -301,6 +301,11 @@ impl Exponents {
                     }
                 }
                 if ask_points != 0 {
+                    // Runs belong to one node each, and hold a point at least.
+                    opened_runs += u64::from(node.own.runs);
+                    if opened_runs > volume.header().points {
+                        return Err(volume.broken(node.own.first_page).into());
+                    }
                     let some = LocalRays { rays: &rays, stretch: &stretch, columns: &columns };
                     self.lower_by_points(access, volume, &node, some, ask_points)?;
                 }
@@ -320,6 +325,7 @@ impl Exponents {
         }
         Ok(())
     }
+
     /// Rays that pass through the spheres of influence of a node's own points take at most a fraction of their radii.
     fn lower_by_points(
         &mut self,

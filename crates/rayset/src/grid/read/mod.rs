@@ -93,6 +93,7 @@ pub struct VolumeSource {
     stored: Stored,
     big_endian: bool,
     voxels: Voxels,
+    header_path: PathBuf,
     /// Bytes of all voxels in the file, and of those read so far.
     bytes: u64,
     position: u64,
@@ -149,7 +150,7 @@ impl VolumeSource {
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
         let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
-        if ends(&[".nrrd", ".nhdr"]) {
+        let source = if ends(&[".nrrd", ".nhdr"]) {
             nrrd::open(path)
         } else if ends(&[".mha", ".mhd"]) {
             meta::open(path)
@@ -159,7 +160,8 @@ impl VolumeSource {
             vti::open(path)
         } else {
             Err(ReadError::Format { path: path.to_owned() })
-        }
+        };
+        Ok(Self { header_path: path.to_owned(), ..source? })
     }
 
     /// Opens a file of nothing but voxels.
@@ -177,10 +179,10 @@ impl VolumeSource {
         [".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz", ".vti"].iter().any(|end| name.ends_with(end))
     }
 
-    /// The file that voxels are read from; headers may stand in another.
+    /// The files that are read: that of the header, and that of the voxels, which may be the same.
     #[must_use]
-    pub fn data_path(&self) -> &Path {
-        &self.voxels.path
+    pub fn paths(&self) -> [&Path; 2] {
+        [&self.header_path, &self.voxels.path]
     }
 
     /// `bytes` are those that [`Described::check`] returned.
@@ -193,6 +195,7 @@ impl VolumeSource {
             space_from_voxel: described.space_from_voxel,
             stored: described.stored,
             big_endian: described.big_endian,
+            header_path: voxels.path.clone(),
             voxels,
             bytes,
             position: 0,

@@ -368,6 +368,7 @@ impl Assembler {
             render_memory: context.options.render_memory.unwrap_or(0),
             crs: ingested.metadata.crs.clone(),
             sources: ingested.metadata.sources.clone(),
+            columns: self.columns,
         };
         if ingested.count == 0 {
             header.bounds = crate::geometry::Aabb::new(DVec3::ZERO, DVec3::ZERO);

@@ -1,13 +1,14 @@
 //! The first pass: every record is read once, checked, and written to a temporary file with what later passes need.
 
 use super::columns::{Columns, radius_rule, weight_rule};
+use super::depths::Depths;
 use super::record::{self, RecordLayout};
 use super::{BuildError, BuildOptions, Context, InvalidPolicy, Quantity, Rule, Skipped, Stage};
 use crate::container::{Identity, Metadata, RecordSum};
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::format::AttributeInfo;
 use crate::octree::page::RootCell;
-use crate::points::{ColorDepth, PointBatch, PointSource};
+use crate::points::{PointBatch, PointSource};
 use crate::spill::{Spill, SpillWriter};
 
 /// Points read at a time.
@@ -32,8 +33,7 @@ pub(super) struct Ingested {
     pub(super) auto_scale: f64,
     pub(super) weight: f32,
     pub(super) weight_range: (f32, f32),
-    /// Factor that takes colours of unstated depth to 0–1.
-    pub(super) color_scale: f32,
+    pub(super) depths: Depths,
     pub(super) attributes: Vec<AttributeInfo>,
 }
 
@@ -51,7 +51,7 @@ pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> 
     for (input, mut source) in sources.into_iter().enumerate() {
         let selection: Vec<usize> = columns.names.iter().filter_map(|n| source.schema().find(n)).collect();
         source.select(&selection);
-        tally.color_factor = known_color_factor(source.schema().color_depth);
+        tally.depth = Depths::number(source.schema());
         let mut index = 0;
         loop {
             source.fill(&mut batch, BATCH_POINTS)?;
@@ -90,7 +90,7 @@ pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> 
         auto_scale: options.radius_scale,
         weight: if let Rule::Number(w) = weight_rule { (w * options.weight_scale) as f32 } else { 1.0 },
         weight_range: tally.weight_range,
-        color_scale: guessed_color_factor(tally.color_max),
+        depths: tally.depths,
         attributes: (columns.infos.iter().zip(&tally.attribute_ranges))
             .map(|(info, &(min, max))| AttributeInfo {
                 name: info.name.clone(),
@@ -123,7 +123,7 @@ fn describe(sources: &[Box<dyn PointSource>]) -> Metadata {
     let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
     let shared = sources.iter().all(|s| s.schema().crs == crs);
     let described = sources.iter().map(|s| s.schema().description.clone()).filter(|d| !d.is_empty());
-    Metadata { crs: if shared { crs.to_owned() } else { String::new() }, sources: described.collect() }
+    Metadata::new(if shared { crs } else { "" }, described.collect())
 }
 
 /// Running totals over the valid records.
@@ -138,10 +138,9 @@ struct Tally<'a> {
     bounds: Aabb,
     radius_range: (f32, f32),
     weight_range: (f32, f32),
-    /// Factor that takes colours of the source at hand to 0–1, where its depth is known.
-    color_factor: Option<f32>,
-    /// Largest colour of sources of unstated depth.
-    color_max: f32,
+    /// That of the source at hand.
+    depth: u8,
+    depths: Depths,
     attribute_ranges: Vec<(f64, f64)>,
 }
 
@@ -164,8 +163,8 @@ impl<'a> Tally<'a> {
             bounds: Aabb::EMPTY,
             radius_range: NO_RANGE,
             weight_range: NO_RANGE,
-            color_factor: None,
-            color_max: 0.0,
+            depth: 0,
+            depths: Depths::default(),
             attribute_ranges: vec![(f64::INFINITY, f64::NEG_INFINITY); columns.infos.len()],
         }
     }
@@ -205,12 +204,13 @@ impl<'a> Tally<'a> {
             }
             record.extend_from_slice(&(w as f32).to_le_bytes());
         }
-        for column in columns.color.iter().flatten() {
-            let v = batch.columns[*column].get(i) as f32;
-            // A colour that is not a number is 0. Signs: see `RecordLayout`.
-            let v = if v > 0.0 { v } else { 0.0 };
-            let stored = self.color_factor.map_or(v, |factor| -(v * factor));
-            record.extend_from_slice(&stored.to_le_bytes());
+        if let Some(color) = columns.color {
+            for column in color {
+                let v = batch.columns[column].get(i) as f32;
+                self.depths.include(self.depth, v);
+                record.extend_from_slice(&v.to_le_bytes());
+            }
+            record.push(self.depth);
         }
         for (column, info) in columns.attributes.iter().zip(&columns.infos) {
             batch.columns[*column].write_as(i, info.kind, record);
@@ -241,12 +241,6 @@ impl<'a> Tally<'a> {
         if layout.has_weight {
             extend(&mut self.weight_range, record::float(record, layout.weight_at()));
         }
-        if layout.has_color && self.color_factor.is_none() {
-            for channel in 0..3 {
-                let v = record::float(record, layout.color_at() + 4 * channel);
-                self.color_max = self.color_max.max(v);
-            }
-        }
         for (index, range) in self.attribute_ranges.iter_mut().enumerate() {
             let v = layout.attributes[index].decode(&record[layout.attribute_at(index)..]);
             if v.is_finite() {
@@ -262,7 +256,11 @@ impl<'a> Tally<'a> {
             for quantity in Quantity::ALL {
                 let (count, farthest) = self.beyond[quantity as usize];
                 if count > 0 {
-                    let factor = quantity.factor(farthest);
+                    let present = match quantity {
+                        Quantity::Weight => self.options.weight_scale,
+                        _ => self.options.length_scale,
+                    };
+                    let factor = quantity.factor(farthest, present);
                     return Err(BuildError::OutOfRange { quantity, count, records, farthest, factor });
                 }
             }
@@ -271,27 +269,6 @@ impl<'a> Tally<'a> {
             return Err(BuildError::NothingValid { records, skipped: self.skipped });
         }
         Ok(())
-    }
-}
-
-/// Factor that takes colours to 0–1, where the source states their depth.
-fn known_color_factor(depth: ColorDepth) -> Option<f32> {
-    match depth {
-        ColorDepth::Unit => Some(1.0),
-        ColorDepth::Byte => Some(1.0 / 255.0),
-        ColorDepth::Word => Some(1.0 / 65535.0),
-        ColorDepth::Guess => None,
-    }
-}
-
-/// The same for all sources that do not, from the largest colour of them all.
-fn guessed_color_factor(max: f32) -> f32 {
-    if max <= 1.0 {
-        1.0
-    } else if max <= 255.0 {
-        1.0 / 255.0
-    } else {
-        1.0 / 65535.0
     }
 }
 

@@ -7,6 +7,7 @@
 
 mod assemble;
 mod columns;
+mod depths;
 mod ingest;
 mod partition;
 mod pipeline;
@@ -81,11 +82,12 @@ impl Quantity {
         }
     }
 
-    /// A power of ten that brings `farthest` well into range.
-    fn factor(self, farthest: f64) -> f64 {
-        let exponent = farthest.log10();
+    /// What the option should be instead of `present`: a power of ten that brings `farthest` well into range. `None` where
+    /// no number does.
+    fn factor(self, farthest: f64, present: f64) -> Option<f64> {
+        let exponent = (farthest / present).log10();
         let by = if self == Self::SmallRadius { -6.0 - exponent.floor() } else { 6.0 - exponent.ceil() };
-        10_f64.powi(by as i32)
+        Some(10_f64.powi(by as i32)).filter(|factor| *factor > 0.0 && factor.is_finite())
     }
 }
 
@@ -290,8 +292,8 @@ pub enum BuildError {
     },
     /// Numbers that are finite and cannot be stored.
     #[error(
-        "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored: multiply them by \
-         {factor:e} ({}), or skip them if they stand for missing values", quantity.option()
+        "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored: {}skip them if they stand \
+         for missing values", factor.map_or(String::new(), |factor| format!("set {} to {factor:e}, or ", quantity.option()))
     )]
     OutOfRange {
         /// Which numbers.
@@ -302,8 +304,8 @@ pub enum BuildError {
         records: u64,
         /// The farthest out of range.
         farthest: f64,
-        /// A factor that would bring all of them into range.
-        factor: f64,
+        /// What [`Quantity::option`] should be to bring them into range; `None` where no number does.
+        factor: Option<f64>,
     },
     /// Not one record can be used.
     #[error(
@@ -398,8 +400,8 @@ fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Re
     if sources.is_empty() {
         return Err(BuildError::NoInput);
     }
-    // Sources are read one after another, before anything else takes much.
-    let reading = sources.iter().map(|s| s.memory_needed()).max().unwrap_or(0);
+    // Sources are read one after another, before anything else takes much, but all are open.
+    let reading: u64 = sources.iter().map(|s| s.memory_needed()).sum();
     let needed = minimum_memory(options.threads.max(1)).max(READING_BYTES + reading);
     if options.memory_bytes < needed {
         return Err(BuildError::Memory { given: options.memory_bytes, needed });

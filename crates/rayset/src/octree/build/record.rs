@@ -12,11 +12,8 @@ use crate::points::ColumnType;
 /// Bits of a place along the curve.
 const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
-/// Where the fields of a record are: position (three `f64`), radius, weight (`f32`), colour (three `f32`), attributes in
-/// their own types. Nothing is aligned.
-///
-/// Colours whose depth their source states are stored as −v, v from 0 to 1 (the sign bit is set for 0, too); colours of
-/// sources that do not state it are stored as they came, not below +0, until all of these are known.
+/// Where the fields of a record are: position (three `f64`), radius, weight (`f32`), colour (three `f32` and a byte that
+/// says of which depth they are, see [`Depths`](super::depths::Depths)), attributes in their own types. Nothing is aligned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
     pub(super) has_radius: bool,
@@ -26,6 +23,7 @@ pub(super) struct RecordLayout {
 }
 
 const POSITION_BYTES: usize = 24;
+const COLOR_BYTES: usize = 13;
 
 impl RecordLayout {
     /// Bytes of a record.
@@ -46,7 +44,7 @@ impl RecordLayout {
     /// Where an attribute is.
     pub(super) fn attribute_at(&self, index: usize) -> usize {
         let before: usize = self.attributes[..index].iter().map(|kind| kind.bytes()).sum();
-        self.color_at() + 12 * usize::from(self.has_color) + before
+        self.color_at() + COLOR_BYTES * usize::from(self.has_color) + before
     }
 
     /// The same layout with a radius in front of the other columns.

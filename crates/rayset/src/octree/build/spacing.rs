@@ -5,11 +5,11 @@
 //! the cell, so that about twenty supports overlap on a surface. A cell of fewer than 32 points measures nothing
 //! reliable and takes the geometric mean of all others. All of this is a function of the points alone.
 
-use super::ingest::Ingested;
+use super::ingest::{Ingested, LIMIT};
 use super::partition::{Assemble, Pack, Partition, Region, Sorted};
 use super::plan::Cell;
 use super::record::{self, KeyMaker};
-use super::{BuildError, Context, Stage};
+use super::{BuildError, Context, Quantity, Stage};
 use crate::geometry::curve::MAX_LEVEL;
 use crate::spill::SpillWriter;
 
@@ -107,18 +107,27 @@ struct Radii<'a> {
     log_sum: f64,
     measured: u64,
     unknown: u64,
+    /// Smallest and largest of the measured radii.
+    least: f64,
+    most: f64,
 }
 
 impl<'a> Radii<'a> {
     fn new(context: &'a Context<'a>, scale: f64) -> Result<Self, BuildError> {
         let writer = SpillWriter::new(context.spill()?, 1 << 20);
-        Ok(Self { context, writer, scale, log_sum: 0.0, measured: 0, unknown: 0 })
+        let (least, most) = (f64::INFINITY, 0.0);
+        Ok(Self { context, writer, scale, log_sum: 0.0, measured: 0, unknown: 0, least, most })
     }
 
     fn take(&mut self, measured: &Measured) -> Result<(), BuildError> {
         let mut last = (0.0_f32, 0.0);
         for (record, &radius) in measured.records.chunks_exact(measured.stride).zip(&measured.radii) {
-            let scaled = (f64::from(radius) * self.scale).clamp(0.0, 1e18) as f32;
+            let scaled = f64::from(radius) * self.scale;
+            if radius > 0.0 {
+                self.least = self.least.min(scaled);
+                self.most = self.most.max(scaled);
+            }
+            let scaled = scaled.clamp(0.0, LIMIT) as f32;
             if radius > 0.0 {
                 if last.0 != scaled {
                     last = (scaled, f64::from(scaled).ln());
@@ -138,6 +147,14 @@ impl<'a> Radii<'a> {
 
     /// Gives the unknown radii their value, where there are any, and settles the totals.
     fn finish(self, context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
+        for (quantity, farthest) in [(Quantity::SmallRadius, self.least), (Quantity::Radius, self.most)] {
+            let out = if quantity == Quantity::Radius { farthest > LIMIT } else { farthest < 1.0 / LIMIT };
+            if self.measured > 0 && out {
+                let (count, records) = (self.measured, ingested.count);
+                let factor = quantity.factor(farthest, context.options.length_scale);
+                return Err(BuildError::OutOfRange { quantity, count, records, farthest, factor });
+            }
+        }
         let mean =
             if self.measured > 0 { (self.log_sum / self.measured as f64).exp() } else { fallback(&ingested) };
         let mean = (mean.clamp(1e-18, 1e18)) as f32;

@@ -88,7 +88,8 @@ pub(super) struct Packer {
     store_radius: bool,
     store_weight: bool,
     weight: f32,
-    color_scale: f32,
+    /// Factors that take colours to 0–1, by depth.
+    color_factors: [f32; 6],
     precision: f64,
 }
 
@@ -102,7 +103,7 @@ impl Packer {
             store_radius: radius.is_stored(),
             store_weight: weight.is_stored(),
             weight: ingested.weight,
-            color_scale: ingested.color_scale,
+            color_factors: ingested.depths.factors(),
             precision: if let Precision::Relative(p) = precision { p } else { 0.0 },
         }
     }
@@ -156,10 +157,11 @@ impl Packer {
                 self.weight
             });
             if layout.has_color {
+                let at = layout.color_at();
+                let factor = self.color_factors[usize::from(r[at + 12])];
                 columns.color.push(std::array::from_fn(|c| {
-                    let v = record::float(r, layout.color_at() + 4 * c);
-                    // See `RecordLayout`: the sign bit says that the depth was known.
-                    let v = if v.is_sign_negative() { -v } else { v * self.color_scale };
+                    let v = record::float(r, at + 4 * c) * factor;
+                    // A colour that is not a number becomes 0, as the cast of NaN does.
                     (v.clamp(0.0, 1.0) * 255.0).round() as u8
                 }));
             }

@@ -205,6 +205,11 @@ impl PointSource for TextSource {
         Some(self.lines.path())
     }
 
+    fn memory_needed(&self) -> u64 {
+        // A buffer to read through.
+        256 << 10
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
     }
