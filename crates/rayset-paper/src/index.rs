@@ -8,9 +8,9 @@ use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use rayset::container::ScanError;
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
-use rayset::octree::file::ScanError;
 use rayset::working_set::read::BackendKind;
 use serde::{Deserialize, Serialize};
 

@@ -5,7 +5,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, Section, SectionKind};
-use super::page::stored_page_checksum;
+use super::page::{PageError, stored_page_checksum};
 use super::write::Metadata;
 use crate::regular_file;
 
@@ -42,6 +42,33 @@ pub enum OpenError {
         found: u64,
         /// Bytes that the header states.
         expected: u64,
+    },
+}
+
+/// Why a walk through all pages of a file stopped.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScanError {
+    /// The file cannot be read, or is not the one that was opened.
+    #[error(transparent)]
+    File(#[from] OpenError),
+    /// Another file has taken the name of the one that was opened.
+    #[error("{}: another file stands here now than the one that was opened", path.display())]
+    Replaced {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A page is damaged.
+    #[error("{}, byte {offset} (page {page}): {source}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The page.
+        page: u32,
+        /// Its place.
+        offset: u64,
+        /// What is wrong.
+        r#source: PageError,
     },
 }
 

@@ -14,7 +14,7 @@ mod page;
 mod reseal;
 mod write;
 
-pub use self::file::{OpenError, OpenFile};
+pub use self::file::{OpenError, OpenFile, ScanError};
 pub use self::header::{
     BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, MAX_PAGE_BYTES, MAX_SECTIONS, Section,
     SectionKind, VERSION,

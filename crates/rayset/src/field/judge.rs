@@ -2,9 +2,9 @@
 
 use super::kernel::Kernel;
 use super::run::{AttributeColumns, linear_from_srgb};
+use crate::container::ScanError;
 use crate::geometry::{DVec3, Ray};
 use crate::octree::Cloud;
-use crate::octree::file::ScanError;
 
 /// A point in full precision.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::format::{GridHeader, RANGES_PER_PAGE};
 use crate::container::{
-    FileKind, OpenError, OpenFile, PAGE_HEAD_BYTES, PageError, PageHead, PageKind, SectionKind,
+    FileKind, OpenError, OpenFile, PAGE_HEAD_BYTES, PageError, PageHead, PageKind, ScanError, SectionKind,
 };
 
 /// An open grid file: what it says of itself, checked, and the path from which its pages are read.
@@ -12,33 +12,6 @@ use crate::container::{
 pub struct Grid {
     path: PathBuf,
     header: GridHeader,
-}
-
-/// Why a walk through all pages of a grid stopped.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum GridScanError {
-    /// The file cannot be read, or is not the one that was opened.
-    #[error(transparent)]
-    File(#[from] OpenError),
-    /// Another file has taken the name of the one that was opened.
-    #[error("{}: another file stands here now than the one that was opened", path.display())]
-    Replaced {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A page is damaged.
-    #[error("{}, byte {offset} (page {page}): {source}", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The page.
-        page: u32,
-        /// Its place.
-        offset: u64,
-        /// What is wrong.
-        r#source: PageError,
-    },
 }
 
 impl Grid {
@@ -82,14 +55,14 @@ impl Grid {
     }
 
     /// Reads every page in order, checks it, and hands it over with its number; holds one page at a time.
-    fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), GridScanError> {
+    fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), ScanError> {
         let mut file = OpenFile::open(&self.path, FileKind::Grid)?;
         if file.header().identity != self.header.identity {
-            return Err(GridScanError::Replaced { path: self.path.clone() });
+            return Err(ScanError::Replaced { path: self.path.clone() });
         }
         file.check_sections()?;
         file.for_each_page([SectionKind::VOXELS, SectionKind::RANGES], |page, offset, bytes| {
-            let damaged = |source| GridScanError::Damaged { path: self.path.clone(), page, offset, source };
+            let damaged = |source| ScanError::Damaged { path: self.path.clone(), page, offset, source };
             self.check_page(page, bytes).map_err(damaged)?;
             visit(page, bytes);
             Ok(())
@@ -99,8 +72,8 @@ impl Grid {
     /// Reads and checks every page, and the digests of them all. Returns how many there are.
     ///
     /// # Errors
-    /// [`GridScanError`] at the first page that cannot be read or is damaged.
-    pub fn verify(&self) -> Result<u64, GridScanError> {
+    /// [`ScanError`] at the first page that cannot be read or is damaged.
+    pub fn verify(&self) -> Result<u64, ScanError> {
         self.for_each_page(|_, _| {})?;
         Ok(self.header.pages())
     }
@@ -108,8 +81,8 @@ impl Grid {
     /// Reads every voxel, x fastest, as stored: for small grids.
     ///
     /// # Errors
-    /// [`GridScanError`] at the first page that cannot be read or is damaged.
-    pub fn load(&self) -> Result<Vec<f32>, GridScanError> {
+    /// [`ScanError`] at the first page that cannot be read or is damaged.
+    pub fn load(&self) -> Result<Vec<f32>, ScanError> {
         let header = &self.header;
         let (kind, bricks) = (header.kind, header.bricks());
         let (n, cells) = (kind.brick_voxels(), kind.brick_cells());

@@ -7,5 +7,5 @@ pub mod format;
 pub mod read;
 mod slices;
 
-pub use self::file::{Grid, GridScanError};
+pub use self::file::Grid;
 pub use self::format::{GridHeader, VoxelKind};

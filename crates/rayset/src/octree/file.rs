@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
-use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, SectionKind};
+use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
 
 /// An open cloud file: what it says of itself, checked, and the path from which its pages are read.
 #[derive(Debug)]
@@ -53,33 +53,6 @@ impl Cloud {
             NodePage::check(bytes, page, &self.header).map(|_| ())
         }
     }
-}
-
-/// Why a walk through all pages of a file stopped.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ScanError {
-    /// The file cannot be read, or is not the one that was opened.
-    #[error(transparent)]
-    File(#[from] OpenError),
-    /// Another file has taken the name of the one that was opened.
-    #[error("{}: another file stands here now than the one that was opened", path.display())]
-    Replaced {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A page is damaged.
-    #[error("{}, byte {offset} (page {page}): {source}", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The page.
-        page: u32,
-        /// Its place.
-        offset: u64,
-        /// What is wrong.
-        r#source: PageError,
-    },
 }
 
 impl Cloud {

@@ -1,10 +1,10 @@
 //! Checking a whole file: every checksum and record, and every bound and total that a render relies on.
 
-use super::file::{Cloud, ScanError};
+use super::file::Cloud;
 use super::format::{Header, NodeRef};
 use super::node::{Node, NodePage};
 use super::page::{PointPage, Run};
-use crate::container::PageKind;
+use crate::container::{PageKind, ScanError};
 use crate::geometry::{Aabb, DVec3};
 
 /// How much to check.

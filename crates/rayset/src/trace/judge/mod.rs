@@ -8,11 +8,10 @@ mod tree;
 
 use std::sync::Arc;
 
+use crate::container::ScanError;
 use crate::field::AttributeColumns;
 use crate::field::judge::{JudgeField, JudgeSample};
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
-use crate::grid::GridScanError;
-use crate::octree::file::ScanError;
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, GRID_ATTRIBUTE, GridObject, LightKind, Lighting,
     MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene,
@@ -68,12 +67,9 @@ pub struct Judge<'a> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JudgeError {
-    /// A cloud.
+    /// A cloud or a grid cannot be read.
     #[error(transparent)]
-    Cloud(#[from] ScanError),
-    /// A grid.
-    #[error(transparent)]
-    Grid(#[from] GridScanError),
+    File(#[from] ScanError),
 }
 
 /// A node at one place.
