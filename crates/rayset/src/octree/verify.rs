@@ -125,7 +125,9 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
     if root.weight_min != header.weight.min() || root.weight_max != header.weight.max() {
         return Err("its smallest or largest weight is wrong");
     }
-    if !header.bounds.encloses(&root.positions) {
+    // Sums of coordinates are rounded.
+    let reach = header.bounds.min.abs().max(header.bounds.max.abs()).max_element();
+    if !header.bounds.inflated(4.0 * f64::EPSILON * reach).encloses(&root.positions) {
         return Err("a point lies outside its bounds");
     }
     Ok(())
