@@ -1,7 +1,7 @@
 //! Temporary files: few, large, beside the output, and gone after any exit.
 //!
-//! On Unix a temporary file loses its name as soon as it is open, so that nothing of it survives the process, not
-//! even one that is killed. Elsewhere it is removed when dropped, and a later build of the same output removes what
+//! On Linux a temporary file never has a name, where the file system knows such files; on other Unix systems it loses its
+//! name as soon as it is open. So nothing of it survives the process, not even one that is killed. Elsewhere it is removed when dropped, and a later build of the same output removes what
 //! a killed one left.
 
 use std::fs::File;
@@ -20,8 +20,20 @@ pub(crate) struct Spill {
     path: PathBuf,
 }
 
+/// A file in a folder that never has a name; an error where the file system knows no such files.
+#[cfg(target_os = "linux")]
+fn without_name(folder: &Path) -> io::Result<File> {
+    use std::os::unix::fs::OpenOptionsExt;
+    let flags = rustix::fs::OFlags::TMPFILE.bits() as i32;
+    File::options().read(true).write(true).custom_flags(flags).open(folder)
+}
+
 impl Spill {
     pub(crate) fn create(output: &Destination, temp_dir: &Path) -> io::Result<Self> {
+        #[cfg(target_os = "linux")]
+        if let Ok(file) = without_name(temp_dir) {
+            return Ok(Self { file });
+        }
         let (file, path) = create_unique(temp_dir, output.file_name(), Purpose::Temporary)?;
         #[cfg(unix)]
         if let Err(error) = std::fs::remove_file(&path) {
