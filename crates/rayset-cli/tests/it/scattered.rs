@@ -8,7 +8,7 @@ use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
 use rayset::points::ArraySource;
-use rayset::scene::{OpacityRule, RenderSettings, Scene};
+use rayset::scene::{OpacityRule, RenderSettings, Scene, Step};
 use rayset::trace::judge::Judge;
 use rayset::trace::memory::least_pages;
 use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
@@ -155,10 +155,11 @@ fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
     let mut object = look(&cloud, Kernel::Wyvill);
     object.transfer.opacity = OpacityRule::Extinction(3e-5);
     let scene = scene_of(object, false);
-    let settings = RenderSettings { stop_transmittance: 0.0, ..settings(24, 24) };
+    // Steps of which a ray takes several slabs through the cloud.
+    let step = 0.05;
+    let settings = RenderSettings { stop_transmittance: 0.0, step: Step::Fixed(step), ..settings(24, 24) };
     let fast = plain_picture(&scene, &settings);
     let judge = Judge::load(&scene).expect("it reads");
-    let step = 0.25 * f64::from(cloud.header().radius.max());
     for (x, y) in [(12, 12), (8, 12), (12, 17), (6, 6), (17, 9)] {
         let exact = judge.pixel(&camera(), &settings, step, x, y).expect("a camera");
         let found = fast[(y * 24 + x) as usize];
