@@ -22,6 +22,7 @@ mod grids;
 mod house;
 mod interrupted;
 mod las_files;
+mod las_times;
 mod las_writer;
 mod layers;
 mod limits;

@@ -1,7 +1,7 @@
 //! Compressed points: chunk after chunk, each within its own bytes.
 //!
-//! The decompressor of the `laz` crate decodes records and knows nothing of the file: what it is given ends where the
-//! chunk ends, and the sizes that it allocates by are checked before. The table of chunks is decoded along with them,
+//! The decompressor of the `laz` crate decodes records, all but their GPS times (`gps_time`), and knows nothing of the
+//! file: what it is given ends where the chunk ends, and the sizes that it allocates by are checked before. The table of chunks is decoded along with them,
 //! entry by entry, so that no number in it is ever a number of bytes of memory.
 
 use std::fs::File;
@@ -9,9 +9,10 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
-use laz::{DecompressionSelection, LazItem};
+use laz::{DecompressionSelection, LazItem, LazItemType};
 
 use super::chunk_table::ChunkTable;
+use super::gps_time::GpsTimes;
 use super::header::Header;
 use super::method::{Chunking, Method};
 use super::stretch::{BUFFER_BYTES, Input, Stretch};
@@ -59,15 +60,21 @@ impl Decoder {
     }
 
     /// Starts a chunk at the place of the input.
-    fn start(&mut self, items: &Vec<LazItem>, layers: u32) -> Result<(), laz::LasZipError> {
+    fn start(&mut self, items: &[LazItem], layers: u32) -> Result<(), laz::LasZipError> {
         match self {
             Self::Sequential(decoder) => {
                 decoder.reset();
-                decoder.set_fields_from(items)
+                for item in items {
+                    match (item.item_type(), item.version()) {
+                        (LazItemType::GpsTime, 2) => decoder.add_field_decompressor(GpsTimes::pointwise()),
+                        _ => decoder.set_fields_from(&vec![*item])?,
+                    }
+                }
+                Ok(())
             }
             Self::Layered(decoder) => {
                 decoder.reset();
-                decoder.set_fields_from(items)?;
+                decoder.set_fields_from(&items.to_vec())?;
                 decoder.set_selection(DecompressionSelection(layers));
                 Ok(())
             }
@@ -192,14 +199,19 @@ impl CompressedPoints {
                 self.start()?;
             }
             let decoded = self.decoder.next(record);
-            decoded.map_err(|e| self.cut(e))?;
+            decoded.map_err(|e| self.trouble(e))?;
             self.left -= 1;
             *done += 1;
         }
         Ok(())
     }
 
-    fn cut(&self, error: io::Error) -> Trouble {
+    /// Why a point of the chunk could not be decoded.
+    fn trouble(&self, error: io::Error) -> Trouble {
+        if error.kind() == io::ErrorKind::InvalidData && error.raw_os_error().is_none() {
+            let what = format!("in the chunk that begins here, {error}; the file is damaged");
+            return Trouble::at(self.chunk.start, what);
+        }
         let what = format!(
             "the compressed points of the chunk at byte {} go on beyond its end; the file is cut off or damaged",
             self.chunk.start
@@ -228,7 +240,7 @@ impl CompressedPoints {
         self.start()?;
         for _ in 0..passed {
             let decoded = self.decoder.next(&mut self.spare);
-            decoded.map_err(|e| self.cut(e))?;
+            decoded.map_err(|e| self.trouble(e))?;
             self.left -= 1;
         }
         Ok(())
