@@ -48,6 +48,24 @@ fn hostile_pointwise() -> Vec<u8> {
     bytes
 }
 
+/// The same in layers: of a chunk of a good file, the last layer is replaced, which is that of the times.
+fn hostile_layered() -> Vec<u8> {
+    let mut bytes = LasFile::random(6, 2, 0, 5).laz(Chunks::NoTable(2));
+    let mut layer = ArithmeticEncoder::new(Vec::new());
+    let mut model = ArithmeticModelBuilder::new(5).build();
+    (0..CHANGES).try_for_each(|_| layer.encode_symbol(&mut model, 2)).expect("it compresses");
+    layer.done().expect("it ends");
+    let layer = layer.into_inner();
+    // Behind the place of the table: a point, how many there are, and the sizes of nine layers.
+    let size = points_start(&bytes) + 8 + 30 + 4 + 8 * 4..points_start(&bytes) + 8 + 30 + 4 + 9 * 4;
+    let old = u32::from_le_bytes(bytes[size.clone()].try_into().expect("four bytes"));
+    assert!(old > 4, "the times differ");
+    bytes[size].copy_from_slice(&(layer.len() as u32).to_le_bytes());
+    bytes.truncate(bytes.len() - old as usize);
+    bytes.extend(layer);
+    bytes
+}
+
 /// A program of its own reads the file: where a stack overflows, the whole process dies.
 fn is_refused(bytes: &[u8]) {
     assert!(bytes.len() < 4000, "{} bytes hold {CHANGES} changes", bytes.len());
@@ -67,6 +85,11 @@ fn is_refused(bytes: &[u8]) {
 #[test]
 fn a_time_that_changes_its_sequence_without_end_is_an_error_and_overflows_no_stack() {
     is_refused(&hostile_pointwise());
+}
+
+#[test]
+fn a_layer_of_times_that_change_their_sequence_without_end_is_an_error_and_overflows_no_stack() {
+    is_refused(&hostile_layered());
 }
 
 /// The bits of a file's times.

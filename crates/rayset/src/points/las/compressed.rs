@@ -1,7 +1,7 @@
 //! Compressed points: chunk after chunk, each within its own bytes.
 //!
-//! The decompressor of the `laz` crate decodes records, all but their GPS times (`gps_time`), and knows nothing of the
-//! file: what it is given ends where the chunk ends, and the sizes that it allocates by are checked before. The table of chunks is decoded along with them,
+//! The decompressor of the `laz` crate decodes records, but for what has GPS times in it (`gps_time`, `point14`), and
+//! knows nothing of the file: what it is given ends where the chunk ends, and the sizes that it allocates by are checked before. The table of chunks is decoded along with them,
 //! entry by entry, so that no number in it is ever a number of bytes of memory.
 
 use std::fs::File;
@@ -15,6 +15,7 @@ use super::chunk_table::ChunkTable;
 use super::gps_time::GpsTimes;
 use super::header::Header;
 use super::method::{Chunking, Method};
+use super::point14::Point14;
 use super::stretch::{BUFFER_BYTES, Input, Stretch};
 
 /// Memory of the models of a point without extra bytes: 2.7 MB were counted where points are compressed one by one
@@ -74,7 +75,14 @@ impl Decoder {
             }
             Self::Layered(decoder) => {
                 decoder.reset();
-                decoder.set_fields_from(&items.to_vec())?;
+                for item in items {
+                    match item.item_type() {
+                        LazItemType::Point14 => {
+                            decoder.add_field_decompressor(Point14::of_version(item.version()));
+                        }
+                        _ => decoder.set_fields_from(&vec![*item])?,
+                    }
+                }
                 decoder.set_selection(DecompressionSelection(layers));
                 Ok(())
             }

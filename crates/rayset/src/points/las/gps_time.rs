@@ -86,6 +86,11 @@ impl GpsTimes {
         Self::new(0, 0)
     }
 
+    /// Times that differ from the one before, after a first one, as a layer has them.
+    pub(super) fn layered(first: i64) -> Self {
+        Self::new(first, 1)
+    }
+
     fn new(first: i64, left_out: u32) -> Self {
         let model = |symbols: u32| ArithmeticModelBuilder::new(symbols - left_out).build();
         let mut sequences = [Sequence::default(); 4];

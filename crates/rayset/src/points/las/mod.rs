@@ -2,11 +2,11 @@
 //!
 //! After the ASPRS LAS Specification 1.4 R15, and for compressed points after LASzip as its authors describe it (M.
 //! Isenburg, "LASzip: lossless compression of LiDAR data", 2013, and the layout of its record and tables in LASzip
-//! itself). Records are decompressed by the `laz` crate, but for GPS times, in which a few bytes would have it recurse
-//! until its stack overflows. What lies around them is read here, since a length in a file is a claim: each is checked
-//! against the file before anything is allocated or passed over by it. Memory does not grow with the file, its extended
-//! records or the number of its chunks. Only a chunk of points compressed in layers (point formats 6 to 10) is held
-//! whole, which [`memory_needed`](PointSource::memory_needed) counts.
+//! itself). Records are decompressed by the `laz` crate, but for what has GPS times in it, in which a few bytes would
+//! have it recurse until its stack overflows. What lies around them is read here, since a length in a file is a claim:
+//! each is checked against the file before anything is allocated or passed over by it. Memory does not grow with the
+//! file, its extended records or the number of its chunks. Only a chunk of points compressed in layers (point formats 6
+//! to 10) is held whole, which [`memory_needed`](PointSource::memory_needed) counts.
 //!
 //! Not read: waveforms, the hierarchy of COPC files (their points are read in the order of the file), and points of
 //! formats 6 to 10 that LASzip's compatibility mode disguises as others, which come as what they are disguised as.
@@ -17,6 +17,7 @@ mod fields;
 mod gps_time;
 mod header;
 mod method;
+mod point14;
 mod quiet;
 mod records;
 mod stretch;
