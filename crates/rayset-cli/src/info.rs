@@ -158,8 +158,9 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
     }
     let [x, y, z] = h.size;
     report::say(format_args!("voxels      {x} x {y} x {z} of {}", h.kind.name()));
-    report::say(format_args!("values      {value_min} to {value_max}"));
-    report::say(format_args!("bounds      {}  to  {}", bounds.min, bounds.max));
+    let vector = |v: DVec3| v.to_array().map(report::number).join(" ");
+    report::say(format_args!("values      {} to {}", report::number(value_min), report::number(value_max)));
+    report::say(format_args!("bounds      {}  to  {}", vector(bounds.min), vector(bounds.max)));
     report::say(format_args!(
         "file        {}, {} bricks, {} pages",
         report::bytes(h.file_bytes),
@@ -171,17 +172,17 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
 
 fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
     let column = |c: Column| match c {
-        Column::Constant(v) => format!("{v} (all points)"),
-        Column::Varying { min, max } => format!("{min} to {max}"),
+        Column::Constant(v) => format!("{} (all points)", report::number(v)),
+        Column::Varying { min, max } => format!("{} to {}", report::number(min), report::number(max)),
     };
-    let vector = |v: [f64; 3]| format!("{} {} {}", v[0], v[1], v[2]);
+    let vector = |v: [f64; 3]| v.map(report::number).join(" ");
     report::say(format_args!(
         "points      {} ({} invalid records skipped)",
         report::count(info.points),
         info.skipped
     ));
     report::say(format_args!("bounds      {}  to  {}", vector(info.bounds_min), vector(info.bounds_max)));
-    report::say(format_args!("radius      {}, mean {}", column(radius), info.radius_mean));
+    report::say(format_args!("radius      {}, mean {}", column(radius), report::number(info.radius_mean)));
     report::say(format_args!("weight      {}", column(weight)));
     report::say(format_args!(
         "positions   within {:.3e} of those read, {:.3e} of a radius",
@@ -193,7 +194,10 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         let classes = if a.classes { ", classes" } else { "" };
         report::say(format_args!(
             "attribute   {}: {} to {}{unit} ({}{classes})",
-            a.name, a.min, a.max, a.kind
+            a.name,
+            report::number(a.min),
+            report::number(a.max),
+            a.kind
         ));
     }
     if !info.crs.is_empty() {

@@ -95,6 +95,21 @@ fn one_point_and_equal_points_are_balls() {
 }
 
 #[test]
+fn coordinates_too_small_for_their_squares_are_kept_within_what_the_file_says() {
+    let folder = folder();
+    for size in [1e-300, 1e-170, 1e-40, 1e-18, 1e-9] {
+        for offset in [0.0, 1e-12] {
+            let place = |i: u32| [-0.3, 0.7, 0.1].map(|v| offset + size * (2.0 + (v * f64::from(i)).sin()));
+            let source = ArraySource::new((0..40).map(place).collect(), vec![]);
+            let radius = Some(Rule::Number(size.max(1e-18)));
+            let options = BuildOptions { radius, ..BuildOptions::default() };
+            let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
+            verify(&cloud, Depth::Deep).unwrap_or_else(|e| panic!("size {size}, offset {offset}: {e}"));
+        }
+    }
+}
+
+#[test]
 fn millimetres_at_ten_million_metres_keep_their_shape() {
     let folder = folder();
     // A ring of millimetre points, near the origin and ten million metres away.

@@ -237,7 +237,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     };
     let unit = step(step_code) * encoding.extent_steps();
 
-    let mut error_squared = 0.0_f64;
+    let (mut error_squared, mut worst_axis) = (0.0_f64, 0.0_f64);
     let start = data.len();
     for axis in 0..3 {
         for p in run.position {
@@ -254,6 +254,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
             let p = DVec3::from_array(*p);
             let stored = corner + ((p - corner) / step(step_code)).round() * step(step_code);
             error_squared = error_squared.max(stored.distance_squared(p));
+            worst_axis = worst_axis.max((stored - p).abs().max_element());
         }
     }
     data.resize(start + (data.len() - start).next_multiple_of(4), 0);
@@ -283,7 +284,8 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         step_code,
         offset_words: 0,
     };
-    let position_error = error_squared.sqrt();
+    // Squares of errors below 1e-154 underflow, and an error must not be said to be zero.
+    let position_error = error_squared.sqrt().max(worst_axis);
     EncodedRun { head, position_error, position_error_radii: position_error / radius_min }
 }
 

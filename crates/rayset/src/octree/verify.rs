@@ -125,8 +125,8 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
     if root.weight_min != header.weight.min() || root.weight_max != header.weight.max() {
         return Err("its smallest or largest weight is wrong");
     }
-    // Sums of coordinates are rounded.
-    let reach = header.bounds.min.abs().max(header.bounds.max.abs()).max_element();
+    // Positions are sums of a place in the root cell and an offset, each rounded.
+    let reach = header.bounds.min.abs().max(header.bounds.max.abs()).max_element().max(header.root_size);
     if !header.bounds.inflated(4.0 * f64::EPSILON * reach).encloses(&root.positions) {
         return Err("a point lies outside its bounds");
     }
