@@ -276,6 +276,35 @@ fn attributes_travel_through_operators_as_the_judge_says() {
 }
 
 #[test]
+fn nothing_shows_where_weights_add_up_to_less_than_nothing_whatever_its_attributes() {
+    let folder = folder();
+    let mut random = Random(43);
+    let (mut position, mut columns) = (Vec::new(), vec![Vec::new(); 3]);
+    for i in 0..600 {
+        // Two heaps apart, one of either sign, so that no sum of weights is close to zero by cancellation.
+        let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+        position.push([sign * (0.4 + 0.6 * random.unit()), 2.0 * random.unit() - 1.0, random.unit()]);
+        columns[0].push(0.35);
+        columns[1].push((sign * (0.2 + random.unit())) as f32);
+        columns[2].push(random.unit() as f32);
+    }
+    let source = ArraySource::new(position, ["radius", "weight", "heat"].into_iter().zip(columns).collect());
+    let options = BuildOptions { attributes: vec!["heat".into()], ..BuildOptions::default() };
+    let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
+    let mut leaf = Node::new(Shape::Cloud(look(&cloud, Kernel::Wyvill)));
+    // Transfer functions take effect where the opacity is above 0, and it is 0 where the density is not above 0.
+    leaf.transfers = by_attribute("heat").into();
+    let scene = scene(leaf, vec![]);
+    check("weights of both signs", &scene, 2);
+    let pixels = plain_picture(&scene, &settings(32, 32));
+    let covered = |half: std::ops::Range<usize>| {
+        (0..32 * 32).filter(|i| half.contains(&(i % 32)) && pixels[*i][3] > 0.0).count()
+    };
+    assert_eq!(covered(0..14), 0);
+    assert!(covered(18..32) > 50);
+}
+
+#[test]
 fn every_light_and_exact_shadow_agrees_with_the_judge() {
     let Parts { cloud, _folder, .. } = parts();
     let small = cloud.moved(DAffine3::from_scale_rotation_translation(

@@ -202,9 +202,9 @@ fn densities_colours_and_opacities_are_right_with_weights_of_both_signs() {
         check_field(&cloud, Kernel::Wyvill, simd);
     }
     let step = f64::from(cloud.header().radius.min()) * 0.3;
-    // What is negative shows too, in the colours of its points: their mean is one of weights of one sign.
+    // Only what is positive shows; `graph` shows attributes where the sum is negative.
     let mut object = look(&cloud, Kernel::Wyvill);
-    object.transfer.opacity = OpacityRule::Curve(vec![(-2.0, 0.3), (-0.5, 0.0), (0.5, 0.0), (2.0, 0.3)]);
+    object.transfer.opacity = OpacityRule::Curve(vec![(-2.0, 0.3), (0.0, 0.0), (0.5, 0.0), (2.0, 0.3)]);
     let settings = RenderSettings { step: Step::Fixed(step), ..settings(48, 48) };
     let wrong = count_wrong_pixels(&scene_of(object, false), &settings, step, 400);
     assert!(wrong <= 1, "{wrong} of 400 pixels beyond 1/1024");

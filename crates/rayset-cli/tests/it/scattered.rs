@@ -3,10 +3,12 @@
 
 use std::sync::Arc;
 
+use rayset::container::PageKind;
 use rayset::field::Kernel;
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
+use rayset::octree::node::NodePage;
 use rayset::points::ArraySource;
 use rayset::scene::{OpacityRule, RenderSettings, Scene, Step};
 use rayset::trace::judge::Judge;
@@ -150,8 +152,19 @@ fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
         position.push([p[0], p[1], p[2] + end]);
     }
     let folder = folder();
-    let radius = vec![0.9; position.len()];
+    let radius = vec![2.5; position.len()];
     let cloud = cloud(folder.path(), (position, radius));
+    let mut most_own_runs = 0;
+    cloud
+        .for_each_page(|page, bytes| {
+            if cloud.page_kind(page) == PageKind::Octree {
+                let nodes = NodePage::trusted(bytes);
+                let own = (0..nodes.len()).filter_map(|i| nodes.get(i)).map(|node| node.own.runs);
+                most_own_runs = own.chain([most_own_runs]).max().unwrap_or(0);
+            }
+        })
+        .expect("it reads");
+    assert!(most_own_runs > 512, "{most_own_runs} runs of one node");
     let mut object = look(&cloud, Kernel::Wyvill);
     object.transfer.opacity = OpacityRule::Extinction(3e-5);
     let scene = scene_of(object, false);

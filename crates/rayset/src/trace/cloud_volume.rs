@@ -311,7 +311,7 @@ impl CloudVolume {
     /// An attribute: Σ v·ω·a / Σ v·ω.
     fn mean(&self, field: &FieldSamples, lane: usize, channel: usize) -> SampleRow {
         let (density, sum) = (&field.density[lane].0, &field.attribute[channel][lane].0);
-        let defined = |j: usize| density[j].abs() > self.least_weight;
+        let defined = |j: usize| density[j] > self.least_weight;
         SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
     }
 

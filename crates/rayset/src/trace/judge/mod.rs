@@ -357,8 +357,7 @@ impl<'a> Judge<'a> {
             Along::Nothing => JudgeSample::default(),
         };
         let least = 1e-12 * object.largest_point_density();
-        let mean =
-            |channel: usize| if s.density.abs() > least { s.attributes[channel] / s.density } else { 0.0 };
+        let mean = |channel: usize| if s.density > least { s.attributes[channel] / s.density } else { 0.0 };
         let header = object.cloud.header();
         let scalar = |index: usize| mean(index + if header.has_color { 3 } else { 0 });
         let color = match &object.transfer.color {
