@@ -163,6 +163,53 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
     }
 }
 
+/// A run of no width would be divided by, and a run that two nodes own would be seen twice.
+#[test]
+fn records_that_contradict_each_other_under_right_checksums_are_errors() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let cloud = build_at(&path, Box::new(mixed_points(9000, 8.0, 6)), &BuildOptions::default());
+    let header = cloud.header().clone();
+    let whole = std::fs::read(&path).expect("the file reads");
+    let changed = |change: &dyn Fn(&mut [u8])| {
+        let mut bytes = whole.clone();
+        change(&mut bytes);
+        reseal(&mut bytes);
+        std::fs::write(&path, &bytes).expect("a write");
+        Cloud::open(&path)
+            .map_err(|e| e.to_string())
+            .and_then(|cloud| verify(&cloud, Depth::Deep).map(|_| ()).map_err(|e| e.to_string()))
+    };
+    assert_eq!(changed(&|_| {}), Ok(()));
+    let page_bytes = header.page_bytes as usize;
+    let page_of =
+        |page: u32| header.page_offset(page) as usize..header.page_offset(page) as usize + page_bytes;
+    // The largest radius of a run, the upper half of an f32, 12 bytes into its record.
+    for radius in [0_u16, 0x7f80, 0x8000, 0xbf80] {
+        let said = changed(&|bytes| {
+            let at = page_of(0).start + PAGE_HEAD_BYTES + 12;
+            bytes[at..at + 2].copy_from_slice(&radius.to_le_bytes());
+        });
+        let said = said.expect_err("a radius of nothing");
+        assert!(said.contains("largest radius") && said.contains("c.rset"), "{said}");
+    }
+    // Two nodes with runs of their own: the second is given those of the first.
+    let said = changed(&|bytes| {
+        let range = page_of(header.point_pages);
+        let nodes = NodePage::trusted(&bytes[range.clone()]);
+        let with_runs: Vec<(usize, Node)> = (0..nodes.len())
+            .filter_map(|i| nodes.get(i).map(|node| (i, node)))
+            .filter(|(_, node)| node.own.runs > 0)
+            .collect();
+        let ((_, first), (at, second)) = (with_runs[0], with_runs[1]);
+        let own = RunRange { runs: first.own.runs.min(second.own.runs), ..first.own };
+        let record = &mut bytes[range][PAGE_HEAD_BYTES + at * NODE_BYTES..][..NODE_BYTES];
+        Node { own, ..second }.encode(record);
+    });
+    let said = said.expect_err("runs of two nodes");
+    assert!(said.contains("its runs are another node's, too"), "{said}");
+}
+
 /// Where a section of a file begins.
 pub(crate) fn section(bytes: &[u8], kind: SectionKind) -> usize {
     let block = bytes[..BLOCK_BYTES].try_into().expect("a whole block");

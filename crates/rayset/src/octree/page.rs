@@ -136,14 +136,9 @@ impl RunHead {
 
     /// Number of points, 1 to 128.
     #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "a run holds at least one point")]
     pub fn len(&self) -> usize {
         usize::from(self.count)
-    }
-
-    /// Never: a run holds at least one point.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        false
     }
 
     /// How positions are stored.
@@ -499,3 +494,6 @@ impl<'a> Run<'a> {
         &self.data[start..start + n * header.attributes[index].kind.bytes()]
     }
 }
+
+#[cfg(test)]
+mod tests;
