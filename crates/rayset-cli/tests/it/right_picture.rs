@@ -21,14 +21,15 @@ const DENSITY_BOUND: f64 = 1e-4;
 /// Pixels may differ by this in linear light, save for a few.
 const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 
-/// The densities and normals of all samples of some rays through a cloud, against the judge.
+/// The densities, weighted attributes and normals of all samples of some rays through a cloud, against the judge.
 fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
-    let judge =
-        JudgeField::load(cloud, kernel, false, &AttributeColumns::default()).expect("the cloud reads");
-    let channels = Channels { gradient: true, attributes: 0 };
+    let columns =
+        AttributeColumns { color: header.has_color, scalars: (0..header.attributes.len()).collect() };
+    let judge = JudgeField::load(cloud, kernel, false, &columns).expect("the cloud reads");
+    let channels = Channels { gradient: true, attributes: columns.channels() };
     let splatter = Splatter { kernel, channels, simd };
-    let decoder = RunDecoder::new(header, kernel, false, AttributeColumns::default());
+    let decoder = RunDecoder::new(header, kernel, false, columns);
     let mut random = Random(7);
     let rays: Vec<(Ray, f64)> = (0..24)
         .map(|_| {
@@ -40,7 +41,7 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
     let step = f64::from(header.radius.max()) * 0.25;
     let packet = Packet::new(&rays, step);
     let first = (((1e4 - 2.0) / step) as u64) / 32 * 32;
-    let (mut worst_density, mut worst_angle) = (0.0_f64, 0.0_f64);
+    let (mut worst_density, mut worst_attribute, mut worst_angle) = (0.0_f64, 0.0_f64, 0.0_f64);
     let (mut largest_density, mut largest_gradient) = (0.0_f64, 0.0_f64);
     let mut seen = Vec::new();
     for slab in 0..(4.0 / step) as u64 / 32 + 2 {
@@ -63,6 +64,9 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
                 largest_density = largest_density.max(exact.density);
                 largest_gradient = largest_gradient.max(exact.gradient.length());
                 worst_density = worst_density.max((density - exact.density).abs());
+                for (rows, exact) in samples.attribute.iter().zip(&exact.attributes) {
+                    worst_attribute = worst_attribute.max((f64::from(rows[lane].0[j]) - exact).abs());
+                }
                 seen.push((DVec3::from_array(gradient), exact.gradient));
             }
         }
@@ -73,6 +77,8 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
     assert!(largest_density > 0.1, "the rays meet the cloud");
     let bound = DENSITY_BOUND * largest_density;
     assert!(worst_density <= bound, "{kernel}, {simd}: |ΔD| = {worst_density:e}, bound {bound:e}");
+    // Attributes here are 1 at most.
+    assert!(worst_attribute <= bound, "{kernel}, {simd}: |ΔDa| = {worst_attribute:e}, bound {bound:e}");
     assert!(worst_angle <= 0.1, "{kernel}, {simd}: normals differ by {worst_angle}°");
 }
 

@@ -44,3 +44,18 @@ impl std::ops::AddAssign for RenderCounts {
         self.put_off += other.put_off;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::field::SplatCounts;
+
+    #[test]
+    fn what_is_counted_between_two_moments_is_their_difference() {
+        let before = SplatCounts { pairs_tested: 7, pairs_added: 5, kernel_evaluations: 80 };
+        let work = SplatCounts { pairs_tested: 3, pairs_added: 2, kernel_evaluations: 32 };
+        let mut after = before;
+        after += work;
+        assert_eq!(after, SplatCounts { pairs_tested: 10, pairs_added: 7, kernel_evaluations: 112 });
+        assert_eq!(after - before, work);
+    }
+}
