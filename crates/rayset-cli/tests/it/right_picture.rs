@@ -3,7 +3,7 @@
 use rayset::field::judge::JudgeField;
 use rayset::field::{
     AttributeColumns, Channels, DecodedRun, FieldSamples, Kernel, Packet, RunDecoder, SLAB_SAMPLES,
-    SimdLevel, Slab, Splatter,
+    SimdLevel, Slab, SplatCounts, Splatter,
 };
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
@@ -44,6 +44,7 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
     let (mut worst_density, mut worst_attribute, mut worst_angle) = (0.0_f64, 0.0_f64, 0.0_f64);
     let (mut largest_density, mut largest_gradient) = (0.0_f64, 0.0_f64);
     let mut seen = Vec::new();
+    let mut counts = SplatCounts::default();
     for slab in 0..(4.0 / step) as u64 / 32 + 2 {
         let slab = Slab { first: first + 32 * slab, samples: SLAB_SAMPLES };
         let mut samples = FieldSamples::new(channels);
@@ -51,7 +52,7 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
         cloud
             .for_each_run(|_, raw| {
                 decoder.decode(&raw, header, step, simd, &mut run);
-                splatter.splat(&run, &packet, slab, packet.all(), &mut samples);
+                counts += splatter.splat(&run, &packet, slab, packet.all(), &mut samples);
             })
             .expect("the cloud reads");
         for (lane, (ray, _)) in rays.iter().enumerate().filter(|(l, _)| samples.touched >> l & 1 != 0) {
@@ -75,6 +76,11 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
         worst_angle = worst_angle.max(gradient.angle_between(*exact).to_degrees());
     }
     assert!(largest_density > 0.1, "the rays meet the cloud");
+    let SplatCounts { pairs_tested, pairs_added, kernel_evaluations } = counts;
+    assert!(
+        pairs_added > 0 && pairs_added <= pairs_tested && kernel_evaluations >= pairs_added,
+        "{counts:?}"
+    );
     let bound = DENSITY_BOUND * largest_density;
     assert!(worst_density <= bound, "{kernel}, {simd}: |ΔD| = {worst_density:e}, bound {bound:e}");
     // Attributes here are 1 at most.
