@@ -404,6 +404,34 @@ fn hundreds_of_megabytes_of_extended_records_and_chunks_of_a_million_points_stay
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn a_chunk_in_layers_that_is_larger_than_the_budget_is_an_error_that_names_the_memory_it_needs() {
+    let folder = folder();
+    let mut file = LasFile::random(6, 1000, 0, 5);
+    file.points = file.points.iter().cycle().take(600_000).cloned().collect();
+    std::fs::write(folder.path().join("a.laz"), file.laz(Chunks::Fixed(600_000))).expect("a write");
+    let build = |memory: &str| {
+        Command::new(env!("CARGO_BIN_EXE_rayset"))
+            .current_dir(folder.path())
+            .args(["build", "a.laz", "-o", "c.rset", "--radius", "1", "--threads", "1", "--json"])
+            .args(["--memory", memory])
+            .output()
+            .expect("the program runs")
+    };
+    let output = build("6MiB");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    let bytes = said.split_whitespace().find_map(|word| word.parse::<u64>().ok());
+    let bytes = bytes.unwrap_or_else(|| panic!("no number of bytes in: {said}"));
+    assert!(bytes > 10 << 20, "{said}");
+    let output = build(&bytes.to_string());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let built: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let peak = built["peak_rss_bytes"].as_u64().expect("a number");
+    assert!(peak <= bytes, "{peak} bytes resident where {bytes} were allowed");
+}
+
+#[test]
 fn a_source_says_what_it_holds_of_layered_chunks_and_of_long_points() {
     let folder = folder();
     let needed = |bytes: &[u8]| {
