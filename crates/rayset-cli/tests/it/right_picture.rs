@@ -21,8 +21,9 @@ const DENSITY_BOUND: f64 = 1e-4;
 /// Pixels may differ by this in linear light, save for a few.
 const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 
-/// The densities, weighted attributes and normals of all samples of some rays through a cloud, against the judge.
-fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
+/// The densities, weighted attributes and normals of all samples of some rays through a cloud about the origin, two of a unit
+/// wide, against the judge.
+fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
     let columns =
         AttributeColumns { color: header.has_color, scalars: (0..header.attributes.len()).collect() };
@@ -34,18 +35,18 @@ fn check_field(cloud: &Cloud, kernel: Kernel, simd: SimdLevel) {
     let rays: Vec<(Ray, f64)> = (0..24)
         .map(|_| {
             let mut v = || DVec3::new(random.unit(), random.unit(), random.unit()) - 0.5;
-            let (direction, target) = (v().normalize(), v());
-            (Ray { origin: target - direction * 1e4, direction }, random.unit())
+            let (direction, target) = (v().normalize(), v() * unit);
+            (Ray { origin: target - direction * 1e4 * unit, direction }, random.unit())
         })
         .collect();
     let step = f64::from(header.radius.max()) * 0.25;
     let packet = Packet::new(&rays, step);
-    let first = (((1e4 - 2.0) / step) as u64) / 32 * 32;
+    let first = (((1e4 - 2.0) * unit / step) as u64) / 32 * 32;
     let (mut worst_density, mut worst_attribute, mut worst_angle) = (0.0_f64, 0.0_f64, 0.0_f64);
     let (mut largest_density, mut largest_gradient) = (0.0_f64, 0.0_f64);
     let mut seen = Vec::new();
     let mut counts = SplatCounts::default();
-    for slab in 0..(4.0 / step) as u64 / 32 + 2 {
+    for slab in 0..(4.0 * unit / step) as u64 / 32 + 2 {
         let slab = Slab { first: first + 32 * slab, samples: SLAB_SAMPLES };
         let mut samples = FieldSamples::new(channels);
         let mut run = DecodedRun::default();
@@ -98,7 +99,7 @@ fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
     );
     for kernel in Kernel::ALL {
         for simd in SimdLevel::available() {
-            check_field(&cloud, kernel, simd);
+            check_field(&cloud, 1.0, kernel, simd);
         }
     }
 }
@@ -106,13 +107,13 @@ fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
 #[test]
 fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
     let folder = folder();
-    let cloud = build_at(
-        &folder.path().join("c.rset"),
-        Box::new(mixed_points(2000, 17.0, 2)),
-        &BuildOptions::default(),
-    );
-    assert!(cloud.header().radius.max() / cloud.header().radius.min() > 5e4);
-    check_field(&cloud, Kernel::Triweight, SimdLevel::default());
+    for unit in [1.0, 1000.0] {
+        let options = BuildOptions { length_scale: unit, ..BuildOptions::default() };
+        let source = mixed_points(2000, 17.0, 2);
+        let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
+        assert!(cloud.header().radius.max() / cloud.header().radius.min() > 5e4);
+        check_field(&cloud, unit, Kernel::Triweight, SimdLevel::default());
+    }
 }
 
 /// Random pixels of a picture against the judge; returns how many of them differ by more than the bound.
@@ -211,7 +212,7 @@ fn densities_colours_and_opacities_are_right_with_weights_of_both_signs() {
     let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &BuildOptions::default());
     assert!(cloud.header().weight.min() < -1.0 && cloud.header().weight.max() > 1.0);
     for simd in SimdLevel::available() {
-        check_field(&cloud, Kernel::Wyvill, simd);
+        check_field(&cloud, 1.0, Kernel::Wyvill, simd);
     }
     let step = f64::from(cloud.header().radius.min()) * 0.3;
     // Only what is positive shows; `graph` shows attributes where the sum is negative.
