@@ -13,7 +13,7 @@ use rayset::trace::ExecSettings;
 use rayset::trace::judge::Judge;
 
 use crate::common::{
-    build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
+    Random, build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
 };
 
 #[test]
@@ -105,6 +105,24 @@ fn coordinates_too_small_for_their_squares_are_kept_within_what_the_file_says() 
             let options = BuildOptions { radius, ..BuildOptions::default() };
             let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
             verify(&cloud, Depth::Deep).unwrap_or_else(|e| panic!("size {size}, offset {offset}: {e}"));
+        }
+    }
+}
+
+#[test]
+fn clouds_of_few_points_at_decimal_places_are_whole() {
+    let folder = folder();
+    let mut random = Random(17);
+    for round in 0..400 {
+        let digits = 10_f64.powi(round % 4);
+        let count = 1 + round as usize / 100;
+        let mut place = || std::array::from_fn(|_| ((random.unit() - 0.3) * 50.0 * digits).round() / digits);
+        let position: Vec<[f64; 3]> = (0..count).map(|_| place()).collect();
+        for rule in [Rule::Auto, Rule::Number(1e-17)] {
+            let source = ArraySource::new(position.clone(), vec![]);
+            let options = BuildOptions { radius: Some(rule), ..BuildOptions::default() };
+            let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
+            verify(&cloud, Depth::Deep).unwrap_or_else(|e| panic!("{position:?}: {e}"));
         }
     }
 }

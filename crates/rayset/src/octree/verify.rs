@@ -125,12 +125,15 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
     if root.weight_min != header.weight.min() || root.weight_max != header.weight.max() {
         return Err("its smallest or largest weight is wrong");
     }
-    // Positions are sums of a place in the root cell and an offset, each rounded.
-    let reach = header.bounds.min.abs().max(header.bounds.max.abs()).max_element().max(header.root_size);
-    if !header.bounds.inflated(4.0 * f64::EPSILON * reach).encloses(&root.positions) {
+    if !header.bounds.inflated(rounding(header)).encloses(&root.positions) {
         return Err("a point lies outside its bounds");
     }
     Ok(())
+}
+
+/// How far rounding may take a position: it is the sum of a place in the root cell and an offset.
+fn rounding(header: &Header) -> f64 {
+    4.0 * f64::EPSILON * (header.root_min.abs().max_element() + header.root_size)
 }
 
 /// What is true of some points.
@@ -170,7 +173,7 @@ impl RunFacts {
             run.radii(header).map_or_else(|| vec![header.radius.min(); n], Iterator::collect);
         let weights: Vec<f32> =
             run.weights(header).map_or_else(|| vec![header.weight.min(); n], Iterator::collect);
-        let bounds = run.head.position_bounds(root);
+        let bounds = run.head.position_bounds(root).inflated(rounding(header));
         let mut facts = Self { points: n as u64, ..Self::NONE };
         for ((p, r), w) in run.positions(root).into_iter().zip(radii).zip(weights) {
             let reach = DVec3::splat(f64::from(r));
@@ -248,7 +251,9 @@ impl Facts<'_> {
         if !facts.within_own_bounds {
             return Err(wrong("a point lies outside the bounds of its run"));
         }
-        if !node.bounds(self.cloud.header().root_cell()).encloses(&facts.influence) {
+        let header = self.cloud.header();
+        let bounds = node.bounds(header.root_cell()).inflated(rounding(header));
+        if !bounds.encloses(&facts.influence) {
             return Err(wrong("a point reaches beyond its bounds"));
         }
         if facts.points != node.points {
