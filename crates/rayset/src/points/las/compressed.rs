@@ -1,8 +1,9 @@
 //! Compressed points: chunk after chunk, each within its own bytes.
 //!
 //! The decompressor of the `laz` crate decodes records, but for what has GPS times in it (`gps_time`, `point14`), and
-//! knows nothing of the file: what it is given ends where the chunk ends, and the sizes that it allocates by are checked before. The table of chunks is decoded along with them,
-//! entry by entry, so that no number in it is ever a number of bytes of memory.
+//! knows nothing of the file: what it is given ends where the chunk ends, and the sizes that it allocates by are checked
+//! before. The table of chunks is decoded along with them, entry by entry, so that no number in it is ever a number of
+//! bytes of memory.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
