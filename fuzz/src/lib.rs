@@ -16,8 +16,7 @@ use rayset::octree::verify::{Depth, verify};
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
 use rayset::scene_file::SceneFile;
-use rayset::trace::memory::SceneNeeds;
-use rayset::trace::{ExecSettings, WholePicture, render};
+use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
@@ -176,19 +175,13 @@ fn framing(scene: &Scene) -> Camera {
 /// Renders in little memory: a picture of numbers, or an error.
 fn picture(scene: &Scene, camera: &Camera, settings: &RenderSettings) {
     let backend = read::backend(read::BackendKind::Pool).expect("a pool");
-    let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(4 << 20), backend));
-    let needs = SceneNeeds::of(scene, settings);
-    for cloud in needs.clouds() {
-        paged.open(cloud, false).expect("it has just been opened");
-    }
-    for grid in needs.grids() {
-        paged.open_grid(grid, false).expect("it has just been opened");
-    }
+    let files = PagedFiles::new(WorkingSet::new(Limits::total(4 << 20), backend));
     let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
-    let mut picture = WholePicture::default();
-    match render(scene, camera, settings, &exec, &paged, &mut picture) {
+    match render_once(scene, camera, settings, &exec, &files) {
         Err(error) => sentence(&error),
-        Ok(_) => assert!(picture.pixels.iter().flatten().all(|v| !v.is_nan()), "a pixel that is no number"),
+        Ok((picture, _)) => {
+            assert!(picture.pixels.iter().flatten().all(|v| !v.is_nan()), "a pixel that is no number");
+        }
     }
 }
 

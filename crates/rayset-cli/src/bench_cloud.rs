@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use rayset::cancel::CancelToken;
 use rayset::field::{Kernel, SimdLevel};
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildOptions, NoProgress};
@@ -13,7 +14,7 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
 use rayset::trace::memory::least_pages;
-use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+use rayset::trace::{ExecSettings, Picture, RenderCounts, Session};
 use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
@@ -138,19 +139,20 @@ impl Prepared {
         for round in 0..=repeat.max(1) {
             for run in &mut runs {
                 let all_fit = run.budget >= self.cloud.header().file_bytes;
+                let pages = run.session.pages();
                 if !all_fit {
-                    run.paged.pages.clear();
+                    pages.clear();
                 }
-                run.paged.pages.reset_statistics();
+                pages.reset_statistics();
                 reset_peak_rss();
                 let started = Instant::now();
-                let mut picture = WholePicture::default();
-                let camera = self.camera();
-                run.counts = render(&scene, &camera, &settings, &run.exec, &run.paged, &mut picture)?;
+                let view = run.session.prepare(&scene, &settings)?.view(&self.camera())?;
+                let (whole, mut picture) = (view.region(), Picture::default());
+                run.counts = view.render_bands(&whole, u32::MAX, &CancelToken::new(), &mut picture)?;
                 if round > 0 {
                     run.seconds.push(started.elapsed().as_secs_f64());
                 }
-                run.statistics = run.paged.pages.statistics();
+                run.statistics = pages.statistics();
                 run.peak = peak_rss();
             }
         }
@@ -180,8 +182,7 @@ impl Prepared {
         let predictor = case.predictor.predictor();
         let exec = ExecSettings { threads, predictor, simd, ..ExecSettings::default() };
         Ok(Run {
-            paged,
-            exec,
+            session: Session::over(paged, exec)?,
             budget,
             seconds: Vec::new(),
             counts: RenderCounts::default(),
@@ -241,8 +242,7 @@ impl Prepared {
 }
 
 struct Run {
-    paged: PagedFiles,
-    exec: ExecSettings,
+    session: Session,
     budget: u64,
     seconds: Vec<f64>,
     counts: RenderCounts,

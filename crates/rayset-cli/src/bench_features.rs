@@ -10,7 +10,7 @@ use rayset::scene::{
     Camera, CloudObject, Form, Light, LightKind, Lighting, Material, Node, Operator, RenderSettings, Scene,
     Shadows, Shape, Solid, Step,
 };
-use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+use rayset::trace::{ExecSettings, RenderCounts, render_once};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
@@ -55,11 +55,10 @@ pub(crate) fn measure(
             let pages = WorkingSet::new(Limits::total(PAGES), read::backend(BackendKind::Auto)?);
             let mut paged = PagedFiles::new(pages);
             paged.open(cloud, false)?;
-            let (bare, mut picture) = (&features[0], WholePicture::default());
-            render(&bare.scene, camera, &bare.settings, exec, &paged, &mut picture)?;
+            let bare = &features[0];
+            render_once(&bare.scene, camera, &bare.settings, exec, &paged)?;
             let started = Instant::now();
-            let mut picture = WholePicture::default();
-            counts[i] = render(&feature.scene, camera, &feature.settings, exec, &paged, &mut picture)?;
+            (_, counts[i]) = render_once(&feature.scene, camera, &feature.settings, exec, &paged)?;
             if round > 0 {
                 seconds[i].push(started.elapsed().as_secs_f64());
             }

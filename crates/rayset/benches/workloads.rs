@@ -18,7 +18,7 @@ use rayset::points::{self, PlyWriter, PointBatch, ReadOptions, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
-use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+use rayset::trace::{ExecSettings, RenderCounts, render_once};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
@@ -103,8 +103,7 @@ impl InCore {
         let camera = Camera::look_at(view.position, view.look_at, view.up, view.fovy_degrees.to_radians());
         let settings = RenderSettings { stop_transmittance, ..RenderSettings::default() };
         let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
-        let mut picture = WholePicture::default();
-        render(&scene, &camera, &settings, &exec, &self.paged, &mut picture).expect("a picture")
+        render_once(&scene, &camera, &settings, &exec, &self.paged).expect("a picture").1
     }
 }
 

@@ -1,7 +1,7 @@
 //! Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 //!
 //! Points become a cloud file ([`octree::build`]); a [`working_set`] brings its pages into memory, never more than it
-//! may; a [`scene::Scene`] combines clouds and procedural solids by constructive operators, lit; [`trace::render`] marches
+//! may; a [`scene::Scene`] combines clouds and procedural solids by constructive operators, lit; [`trace::View::render`] marches
 //! packets of rays through it.
 //!
 //! ```
@@ -21,8 +21,7 @@
 //! // A working set of at most one mebibyte over its pages.
 //! let cloud = Arc::new(Cloud::open(&path)?);
 //! let set = WorkingSet::new(Limits::total(1 << 20), read::backend(read::BackendKind::Auto)?);
-//! let mut paged = PagedFiles::new(set);
-//! paged.open(&cloud, false)?;
+//! let session = trace::Session::over(PagedFiles::new(set), Default::default())?;
 //!
 //! // The ball with a corner cut away, in a picture of 16 × 16 pixels.
 //! let ball = Node::new(Shape::Cloud(CloudObject::plain(cloud)));
@@ -32,8 +31,7 @@
 //! let scene = Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 0.3 };
 //! let camera = Camera::look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, 1.0);
 //! let settings = RenderSettings { width: 16, height: 16, ..Default::default() };
-//! let mut picture = trace::WholePicture::default();
-//! trace::render(&scene, &camera, &settings, &Default::default(), &paged, &mut picture)?;
+//! let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
 //! assert!(picture.pixels[8 * 16 + 8][3] > 0.9 && picture.pixels[0][3] == 0.0);
 //! # std::fs::remove_dir_all(&folder)?;
 //! # Ok(())
@@ -41,6 +39,7 @@
 //! ```
 #![deny(unsafe_code)]
 
+pub mod cancel;
 pub mod container;
 pub mod field;
 pub mod geometry;
@@ -53,5 +52,6 @@ pub mod regular_file;
 pub mod scene;
 pub mod scene_file;
 mod spill;
+mod sync;
 pub mod trace;
 pub mod working_set;

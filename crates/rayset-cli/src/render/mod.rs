@@ -14,10 +14,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use rayset::cancel::CancelToken;
 use rayset::output::Destination;
 use rayset::scene::Camera;
 use rayset::trace::memory::MemoryPlan;
-use rayset::trace::{Region, render_region};
+use rayset::trace::{PreparedScene, Region};
 
 pub(crate) use self::camera::CameraArgs;
 use self::picture::{LookArgs, PictureArgs};
@@ -73,8 +74,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         .collect::<Result<Vec<_>>>()?;
     let stats = args.stats.as_ref().map(|path| outputs.add(path, None)).transpose()?;
     let (work, plan) = Work::prepare(&args.work, &shot)?;
+    let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
     for (picture, camera) in &pictures {
-        render(&shot, camera, &region, picture, stats.as_ref(), &work, &plan)?;
+        render(&shot, &prepared, camera, &region, picture, stats.as_ref(), &work, &plan)?;
     }
     Ok(())
 }
@@ -97,8 +99,10 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
 }
 
 /// Renders one picture.
+#[expect(clippy::too_many_arguments, reason = "what is seen, from where, by what means, and where it goes")]
 fn render(
     shot: &Shot,
+    prepared: &PreparedScene,
     camera: &Camera,
     region: &Region,
     output: &Destination,
@@ -108,9 +112,9 @@ fn render(
 ) -> Result<()> {
     let started = Instant::now();
     let mut sink = PictureSink::create(output, region, &shot.settings, shot.development)?;
-    work.paged.pages.reset_statistics();
-    let counts =
-        render_region(&shot.scene, camera, &shot.settings, region, &work.exec, &work.paged, &mut sink)?;
+    work.session.pages().reset_statistics();
+    let view = prepared.view(camera)?;
+    let counts = view.render_bands(region, plan.band_rows, &CancelToken::new(), &mut sink)?;
     sink.finish()?;
     let report = RenderReport::new(work, plan, counts, started.elapsed());
     if let Some(stats) = stats {

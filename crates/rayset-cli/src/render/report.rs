@@ -33,16 +33,16 @@ impl RenderReport {
     pub(super) fn new(work: &Work, plan: &MemoryPlan, counts: RenderCounts, elapsed: Duration) -> Self {
         Self {
             seconds: elapsed.as_secs_f64(),
-            threads: work.exec.threads,
-            simd: work.exec.simd.name(),
-            predictor: work.exec.predictor.name(),
+            threads: work.session.exec().threads,
+            simd: work.session.exec().simd.name(),
+            predictor: work.session.exec().predictor.name(),
             io: work.io.clone(),
             page_bytes: plan.largest_page_bytes,
             memory_bytes: work.memory,
             pages_budget_bytes: plan.page_bytes,
             peak_rss_bytes: peak_rss(),
             counts: counts.into(),
-            pages: (&work.paged.pages.statistics()).into(),
+            pages: (&work.session.pages().statistics()).into(),
         }
     }
 

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use rayset::image::{Band, Development, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::scene::RenderSettings;
-use rayset::trace::{Region, Sink};
+use rayset::trace::{BandSink, Region, SinkError};
 
 use crate::progress::Meter;
 
@@ -82,17 +82,16 @@ impl PictureSink {
     }
 }
 
-impl Sink for PictureSink {
-    fn band(&mut self, band: &Band) -> Result<(), String> {
+impl BandSink for PictureSink {
+    fn band(&mut self, band: &Band) -> Result<(), SinkError> {
         let written = match &mut self.encoder {
             Encoder::Png(png) => png.write(band).map_err(|e| e.to_string()),
             Encoder::Exr(exr) => exr.write(band).map_err(|e| e.to_string()),
         };
-        written.map_err(|e| format!("{}: {e}", self.file.destination().path().display()))
+        written.map_err(|e| format!("{}: {e}", self.file.destination().path().display()).into())
     }
 
-    fn progress(&mut self, done: u64, total: u64) -> bool {
+    fn progress(&mut self, done: u64, total: u64) {
         self.meter.show("tracing", done, total);
-        true
     }
 }

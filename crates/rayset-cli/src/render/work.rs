@@ -6,9 +6,9 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, ensure};
 use clap::{Args, ValueEnum};
 use rayset::field::SimdLevel;
-use rayset::trace::ExecSettings;
 use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
+use rayset::trace::{ExecSettings, Session};
 use rayset::working_set::read::{self, BackendKind, Delayed};
 use rayset::working_set::{Kind, Limits, PagedFiles, WorkingSet};
 
@@ -80,10 +80,9 @@ pub(crate) enum IoArg {
     Pool,
 }
 
-/// The means of a render: settings that change no pixel, and pages.
+/// The means of a render: pages and threads, and how they are used.
 pub(crate) struct Work {
-    pub(crate) exec: ExecSettings,
-    pub(crate) paged: PagedFiles,
+    pub(crate) session: Session,
     pub(crate) memory: u64,
     pub(crate) io: String,
 }
@@ -117,15 +116,7 @@ impl Work {
         }
         let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
         let limits = Limits::total(plan.page_bytes).with_kind(Kind::Shadows, plan.shadow_bytes);
-        let mut paged = PagedFiles::new(WorkingSet::new(limits, backend));
-        for cloud in needs.clouds() {
-            let opened = paged.open(cloud, args.direct);
-            opened.with_context(|| format!("cannot open {}", cloud.path().display()))?;
-        }
-        for grid in needs.grids() {
-            let opened = paged.open_grid(grid, args.direct);
-            opened.with_context(|| format!("cannot open {}", grid.path().display()))?;
-        }
+        let files = PagedFiles::new(WorkingSet::new(limits, backend));
         let predictor = args.predictor.predictor();
         let exec = ExecSettings {
             threads,
@@ -133,8 +124,8 @@ impl Work {
             simd: args.simd,
             tile_pixels: args.tile,
             slab_samples: args.slab,
-            band_rows: plan.band_rows,
+            direct: args.direct,
         };
-        Ok((Self { exec, paged, memory, io }, plan))
+        Ok((Self { session: Session::over(files, exec)?, memory, io }, plan))
     }
 }

@@ -7,7 +7,7 @@ use rayset::image::LayerPixel;
 use rayset::scene::{
     Form, LightKind, Lighting, Material, Node, Operator, Pattern, RenderSettings, Scene, Shape, Solid, Step,
 };
-use rayset::trace::{ExecSettings, WholePicture, render};
+use rayset::trace::{ExecSettings, render_once};
 
 use crate::common::{bits, camera, paged, picture, plain_picture, settings};
 use crate::graph::{Parts, check, light, parts, scene, soft, solid};
@@ -183,9 +183,8 @@ fn more_rays_than_are_held_at_a_time_give_the_same_picture_as_each_pixel_alone()
     let settings = RenderSettings { step: Step::Fixed(0.01), max_depth: 2, layers: true, ..settings(24, 16) };
     let found = |tile_pixels| {
         let exec = ExecSettings { tile_pixels, ..ExecSettings::default() };
-        let mut whole = WholePicture::default();
         let paged = paged(&scene, 1 << 20);
-        let counts = render(&scene, &camera(), &settings, &exec, &paged, &mut whole).expect("a picture");
+        let (whole, counts) = render_once(&scene, &camera(), &settings, &exec, &paged).expect("a picture");
         (bits(&whole.pixels), whole.layers, counts)
     };
     let (first, layers, counts) = found(8);

@@ -13,7 +13,7 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, Node, OpacityRule, RenderSettings, Scene, Shape,
     TransferFunction,
 };
-use rayset::trace::{ExecSettings, RenderError, WholePicture, render};
+use rayset::trace::{ExecSettings, RenderError, render_once};
 use rayset::working_set::read::{self, BackendKind, ReadBackend};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
@@ -152,9 +152,7 @@ pub(crate) fn picture(
     exec: &ExecSettings,
     paged: &PagedFiles,
 ) -> Result<Vec<[f32; 4]>, RenderError> {
-    let mut sink = WholePicture::default();
-    render(scene, camera, settings, exec, paged, &mut sink)?;
-    Ok(sink.pixels)
+    Ok(render_once(scene, camera, settings, exec, paged)?.0.pixels)
 }
 
 /// The picture with everything in memory.

@@ -72,7 +72,6 @@ fn the_same_whatever_the_means(shadows: Shadows, step_fraction: f64) {
         let waits = ExecSettings {
             threads: 3,
             predictor: std::sync::Arc::new(NoPredictor),
-            band_rows: 40,
             ..ExecSettings::default()
         };
         assert!(found(&waits, 4 << 20) == first, "figure {figure}: no predictor, three threads, bands");

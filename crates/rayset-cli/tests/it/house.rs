@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 16] = [
+    "sync",
+    "cancel",
     "geometry",
     "regular_file",
     "output",

@@ -7,7 +7,7 @@ use rayset::image::LayerPixel;
 use rayset::scene::{
     Camera, Form, Lighting, Node, OpacityRule, Operator, Projection, RenderSettings, Scene, Shape, Step,
 };
-use rayset::trace::{ExecSettings, WholePicture, render};
+use rayset::trace::{ExecSettings, Picture, render_once};
 
 use crate::common::{camera, paged, settings};
 use crate::graph::{Parts, parts, scene, soft, solid};
@@ -18,12 +18,10 @@ fn layered(
     settings: &RenderSettings,
     exec: &ExecSettings,
     pages: u64,
-) -> WholePicture {
+) -> Picture {
     let settings = RenderSettings { layers: true, ..*settings };
-    let mut whole = WholePicture::default();
     let paged = paged(scene, pages * (16 << 10));
-    render(scene, camera, &settings, exec, &paged, &mut whole).expect("a picture");
-    whole
+    render_once(scene, camera, &settings, exec, &paged).expect("a picture").0
 }
 
 /// In degrees.
@@ -128,7 +126,7 @@ fn layers_are_the_same_whatever_the_means_and_change_no_colour() {
         tile_pixels,
         ..ExecSettings::default()
     };
-    let known = |whole: &WholePicture| -> Vec<String> {
+    let known = |whole: &Picture| -> Vec<String> {
         whole.layers.iter().map(|l| format!("{:?}", LayerPixel { bytes: 0.0, ..*l })).collect()
     };
     let first = layered(&scene, &camera(), &settings, &exec(1, 32, 8), 10_000);

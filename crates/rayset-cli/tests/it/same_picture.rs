@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use rayset::cancel::CancelToken;
 use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::build::BuildOptions;
@@ -10,7 +11,7 @@ use rayset::points::ArraySource;
 use rayset::scene::{Camera, Phase, RenderSettings, Scene, Step};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
-use rayset::trace::{ExecSettings, Region, WholePicture, render, render_region};
+use rayset::trace::{ExecSettings, Picture, Region, Session, render_once};
 use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
 
 use crate::common::{
@@ -85,9 +86,9 @@ fn tiles_that_are_put_off_become_the_same_pixels() {
         let pool = read::backend(BackendKind::Pool).expect("a pool");
         let slow = Arc::new(Delayed::new(pool, Duration::from_millis(5)).expect("a thread"));
         let paged = paged_with(&scene, 1 << 30, slow, false);
-        let mut found = WholePicture::default();
-        let counts = render(&scene, &camera(), &settings, &exec(2), &paged, &mut found);
-        assert!(counts.expect("a picture").put_off > 0, "nothing was put off");
+        let rendered = render_once(&scene, &camera(), &settings, &exec(2), &paged);
+        let (found, counts) = rendered.expect("a picture");
+        assert!(counts.put_off > 0, "nothing was put off");
         assert!(bits(&found.pixels) == expected);
     }
 }
@@ -101,8 +102,7 @@ fn where_the_pages_of_a_tile_do_not_fit_looking_ahead_reads_hardly_more_than_not
         let reads = |predictor: Arc<dyn Predictor>| {
             let paged = paged(&scene, budget_pages * page);
             let exec = ExecSettings { predictor, ..exec(1) };
-            let mut found = WholePicture::default();
-            render(&scene, &camera(), &settings(16, 16), &exec, &paged, &mut found).expect("a picture");
+            render_once(&scene, &camera(), &settings(16, 16), &exec, &paged).expect("a picture");
             paged.pages.statistics().total(|kind| kind.reads)
         };
         let (without, with) = (reads(Arc::new(NoPredictor)), reads(Arc::new(PacketPredictor::default())));
@@ -122,10 +122,14 @@ fn the_picture_is_the_same_for_every_tile_slab_and_band() {
         for (tile_pixels, slab_samples, band_rows) in
             [(8, 32, 8), (1, 32, 100), (3, 16, 7), (5, 1, 100), (8, 7, 33)]
         {
-            let exec = ExecSettings { tile_pixels, slab_samples, band_rows, ..exec(2) };
-            let found = picture(&scene, &camera(), &settings, &exec, &set).expect("a picture");
+            let exec = ExecSettings { tile_pixels, slab_samples, ..exec(2) };
+            let session = Session::over(set.clone(), exec).expect("a session");
+            let prepared = session.prepare(&scene, &settings).expect("a scene");
+            let view = prepared.view(&camera()).expect("a view");
+            let mut found = Picture::default();
+            view.render_bands(&view.region(), band_rows, &CancelToken::new(), &mut found).expect("a picture");
             assert!(
-                bits(&found) == expected,
+                bits(&found.pixels) == expected,
                 "tiles of {tile_pixels}, slabs of {slab_samples}, bands of {band_rows}"
             );
         }
@@ -158,11 +162,13 @@ fn a_pixel_alone_and_a_part_of_the_picture_equal_the_whole() {
     for (scene, settings) in scenes(folder.path()) {
         let whole = bits(&plain_picture(&scene, &settings));
         let set = paged(&scene, 1 << 30);
+        let session = Session::over(set, exec(1)).expect("a session");
+        let prepared = session.prepare(&scene, &settings).expect("a scene");
+        let view = prepared.view(&camera()).expect("a view");
         for (columns, rows) in [(30..31, 20..21), (11..12, 34..35), (5..40, 17..23), (0..48, 39..40)] {
             let region = Region { columns, rows };
-            let mut sink = WholePicture::default();
-            render_region(&scene, &camera(), &settings, &region, &exec(1), &set, &mut sink)
-                .expect("a picture");
+            let mut sink = Picture::default();
+            view.render_bands(&region, u32::MAX, &CancelToken::new(), &mut sink).expect("a picture");
             let mut found = bits(&sink.pixels).into_iter();
             for y in region.rows.clone() {
                 for x in region.columns.clone() {

@@ -13,7 +13,7 @@ use rayset::points::ArraySource;
 use rayset::scene::{OpacityRule, RenderSettings, Scene, Step};
 use rayset::trace::judge::Judge;
 use rayset::trace::memory::least_pages;
-use rayset::trace::{ExecSettings, RenderCounts, WholePicture, render};
+use rayset::trace::{ExecSettings, RenderCounts, render_once};
 
 use crate::common::{
     Random, bits, build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
@@ -37,8 +37,7 @@ fn cloud(folder: &std::path::Path, (position, radius): (Vec<[f64; 3]>, Vec<f32>)
 
 fn counts(scene: &Scene, settings: &RenderSettings) -> RenderCounts {
     let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
-    let mut sink = WholePicture::default();
-    render(scene, &camera(), settings, &exec, &paged(scene, 1 << 30), &mut sink).expect("a picture")
+    render_once(scene, &camera(), settings, &exec, &paged(scene, 1 << 30)).expect("a picture").1
 }
 
 #[test]

@@ -12,7 +12,7 @@ use rayset::scene::{
 };
 use rayset::trace::judge::Judge;
 use rayset::trace::predict::NoPredictor;
-use rayset::trace::{ExecSettings, WholePicture, render};
+use rayset::trace::{ExecSettings, render_once};
 
 use crate::common::{Random, build_at, folder, look, paged, picture, settings};
 
@@ -194,11 +194,10 @@ fn shaded(kind: &Kind, shadows: Shadows) -> (Vec<[f32; 4]>, u64) {
     // Nothing is begun twice, so that rays can be counted.
     let exec = ExecSettings { threads: 1, predictor: Arc::new(NoPredictor), ..ExecSettings::default() };
     let paged = paged(&kind.scene, 1 << 30);
-    let mut sink = WholePicture::default();
-    let counts =
-        render(&kind.scene, &kind.camera, &settings, &exec, &paged, &mut sink).expect("the picture is made");
+    let rendered = render_once(&kind.scene, &kind.camera, &settings, &exec, &paged);
+    let (found, counts) = rendered.expect("the picture is made");
     let blocks = paged.pages.statistics().kind(rayset::working_set::Kind::Shadows).misses;
-    (sink.pixels, counts.shadow_rays.saturating_sub(64 * blocks))
+    (found.pixels, counts.shadow_rays.saturating_sub(64 * blocks))
 }
 
 /// Of the differences between two pictures in linear light: mean, 99th percentile, largest.

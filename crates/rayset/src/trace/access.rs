@@ -4,13 +4,7 @@ use std::cell::Cell;
 use std::sync::Arc;
 
 use super::RenderError;
-use crate::working_set::{Object, PageGuard, WorkingSet};
-
-/// Priority of node pages: that of point pages. Packets use the upper ones again and again, so that they stay; were all
-/// above points, those of places long gone would fill a budget that is small beside the octree.
-pub(super) const NODE_PRIORITY: u8 = 200;
-/// Priority of point pages that samples wait for.
-pub(super) const POINT_PRIORITY: u8 = 200;
+use crate::working_set::{Object, PageClient, PageGuard};
 
 /// A page that a tile waits for.
 #[derive(Clone)]
@@ -35,7 +29,7 @@ impl<E: Into<RenderError>> From<E> for Halt {
 /// The pages of a render, for one attempt.
 #[derive(Clone, Copy)]
 pub(super) struct Access<'a> {
-    pub(super) pages: &'a WorkingSet,
+    pub(super) pages: &'a PageClient,
     /// Whether it waits for pages that are absent.
     pub(super) waits: bool,
     /// Where it does not: how many slabs ahead the pages of are asked for together with one that is absent.
@@ -47,20 +41,24 @@ pub(super) struct Access<'a> {
 }
 
 impl Access<'_> {
-    pub(super) fn retain_page(
-        &self,
-        object: &Arc<Object>,
-        page: u32,
-        priority: u8,
-    ) -> Result<PageGuard, Halt> {
+    /// Ends the attempt where the render is cancelled.
+    pub(super) fn check(&self) -> Result<(), Halt> {
+        if self.pages.cancel_token().is_cancelled() {
+            return Err(Halt::Failed(RenderError::Cancelled));
+        }
+        Ok(())
+    }
+
+    pub(super) fn retain_page(&self, object: &Arc<Object>, page: u32) -> Result<PageGuard, Halt> {
+        self.check()?;
         self.asked_bytes.set(self.asked_bytes.get() + object.bytes());
         if self.waits {
-            return Ok(self.pages.retain(object, page, priority)?);
+            return Ok(self.pages.retain(object, page)?);
         }
-        match self.pages.retain_resident(object, page, priority) {
+        match self.pages.retain_resident(object, page) {
             Some(outcome) => Ok(outcome?),
             None => {
-                self.pages.hint(object, &[page], priority, u64::MAX);
+                self.pages.hint(object, &[page], u64::MAX);
                 Err(Halt::PutOff(Lacking { object: object.clone(), page }))
             }
         }

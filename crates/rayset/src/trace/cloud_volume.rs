@@ -6,7 +6,7 @@ use std::sync::Arc;
 use fearless_simd::dispatch;
 
 use super::RenderError;
-use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
+use super::access::{Access, Halt};
 use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize, numbers};
 use super::counts::RenderCounts;
 use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, bits_between, run_bounds};
@@ -391,8 +391,8 @@ fn thickness_of_opacity(opacity: &SampleRow) -> SampleRow {
 
 impl Access<'_> {
     /// A page of a cloud.
-    pub(super) fn retain(&self, volume: &CloudVolume, page: u32, priority: u8) -> Result<PageGuard, Halt> {
-        self.retain_page(&volume.pages, page, priority)
+    pub(super) fn retain(&self, volume: &CloudVolume, page: u32) -> Result<PageGuard, Halt> {
+        self.retain_page(&volume.pages, page)
     }
 
     /// The root node of a cloud, or nothing where it is empty.
@@ -402,7 +402,7 @@ impl Access<'_> {
             return Ok(None);
         }
         let place = header.root;
-        let guard = self.retain(volume, volume.first_node_page + place.page, NODE_PRIORITY)?;
+        let guard = self.retain(volume, volume.first_node_page + place.page)?;
         match NodePage::trusted(&guard).get(usize::from(place.index)) {
             Some(root) => Ok(Some(root)),
             None => Err(volume.broken(place.page).into()),
@@ -543,7 +543,7 @@ impl CloudMarch {
                 at += count;
                 continue;
             }
-            let guard = request.access.retain(volume, page, POINT_PRIORITY)?;
+            let guard = request.access.retain(volume, page)?;
             let points = PointPage::trusted(&guard, volume.header());
             while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
                 let Runs { first, end, .. } = active.runs;

@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
-use super::access::{Access, Halt, NODE_PRIORITY, POINT_PRIORITY};
+use super::access::{Access, Halt};
 use super::block::{Live, each_lane};
 use super::cloud_volume::CloudVolume;
 use crate::field::{LANES, Packet, RayColumns, SLAB_SAMPLES, SimdLevel, Slab};
@@ -16,8 +16,6 @@ use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
 use crate::octree::page::{PointPage, RUN_POINTS};
 
-/// Priority of a page that is expected on a line: pages that were released give way to it.
-const LINE_PRIORITY: u8 = POINT_PRIORITY;
 /// Rays whose directions differ by more than this along some axis are tested one by one.
 const MOST_SPREAD: f64 = 0.25;
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
@@ -323,7 +321,7 @@ impl Frontier {
                 pages.extend(volume.pages_to_open(node));
             }
         }
-        access.pages.hint(&volume.pages, &pages, POINT_PRIORITY, u64::MAX);
+        access.pages.hint(&volume.pages, &pages, u64::MAX);
     }
 
     /// Goes on from the nearest node ahead that the middle ray of the packet meets, down to where it meets it first,
@@ -336,7 +334,7 @@ impl Frontier {
             let met = nodes.filter_map(|node| enters(&node).map(|enter| (enter, node)));
             met.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, node)| node)
         };
-        let ask = |pages: &[u32]| access.pages.hint(&volume.pages, pages, LINE_PRIORITY, u64::MAX);
+        let ask = |pages: &[u32]| access.pages.hint(&volume.pages, pages, u64::MAX);
         let mut ahead = self.heap.iter().filter_map(|entry| match entry.item {
             Item::Node(node) => Some(node),
             Item::Runs(_) => None,
@@ -378,7 +376,7 @@ impl Frontier {
         }
         let Place { access, volume, .. } = place;
         let NodeRef { page, index } = node.first_child;
-        let guard = access.retain(volume, volume.first_node_page + page, NODE_PRIORITY)?;
+        let guard = access.retain(volume, volume.first_node_page + page)?;
         let nodes = NodePage::trusted(&guard);
         for k in 0..node.child_mask.count_ones() as usize {
             let child = nodes.get(usize::from(index) + k).filter(|child| child.is_child_of(node));
@@ -433,7 +431,7 @@ pub(super) fn each_own_page(
         if page >= volume.first_node_page {
             return Err(volume.broken(page).into());
         }
-        let guard = access.retain(volume, page, POINT_PRIORITY)?;
+        let guard = access.retain(volume, page)?;
         let points = PointPage::trusted(&guard, volume.header());
         let here = left.min(points.len().saturating_sub(run));
         if here == 0 {

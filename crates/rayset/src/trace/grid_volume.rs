@@ -13,10 +13,6 @@ use crate::grid::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, MAX_OPACITY, largest_stretch};
 use crate::working_set::{Object, PageGuard, PagedFiles};
 
-/// Priority of bricks that samples wait for, and of their ranges.
-const BRICK_PRIORITY: u8 = 200;
-const RANGE_PRIORITY: u8 = 250;
-
 enum Color {
     Uniform([f32; 3]),
     Map(ColorTable),
@@ -213,7 +209,7 @@ impl GridVolume {
             }
         }
         if absent.len() > 1 {
-            access.pages.hint(&self.pages, &absent, BRICK_PRIORITY, u64::MAX);
+            access.pages.hint(&self.pages, &absent, u64::MAX);
         }
         Ok(())
     }
@@ -222,7 +218,7 @@ impl GridVolume {
     fn shows(&self, access: Access<'_>, brick: u64) -> Result<bool, Halt> {
         let header = self.object.grid.header();
         let page = header.brick_pages() + brick / RANGES_PER_PAGE;
-        let guard = access.retain_page(&self.pages, page as u32, RANGE_PRIORITY)?;
+        let guard = access.retain_page(&self.pages, page as u32)?;
         let at = PAGE_HEAD_BYTES + (brick % RANGES_PER_PAGE) as usize * 8;
         let number = |at: usize| f32::from_le_bytes([guard[at], guard[at + 1], guard[at + 2], guard[at + 3]]);
         let (a, b) = (header.value(f64::from(number(at))), header.value(f64::from(number(at + 4))));
@@ -241,11 +237,7 @@ impl GridVolume {
             Some(known) => known,
             None => {
                 let shows = self.shows(access, number)?;
-                let brick = if shows {
-                    Some(access.retain_page(&self.pages, number as u32, BRICK_PRIORITY)?)
-                } else {
-                    None
-                };
+                let brick = if shows { Some(access.retain_page(&self.pages, number as u32)?) } else { None };
                 Held { number, brick, first }
             }
         };

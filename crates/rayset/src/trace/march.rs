@@ -110,6 +110,7 @@ impl<'p> March<'p> {
         counts: &mut RenderCounts,
         out: &mut Block,
     ) -> Result<(), Halt> {
+        access.check()?;
         let all = Live::of(going);
         let asked = Asked { access, packet, slab, live: &all, all: &all, going };
         let outcome = self.run(self.program.root(), asked, Measure::Thickness, counts, out);

@@ -126,12 +126,14 @@ impl Program {
         Turns::of(&used_materials(&self.instructions))
     }
 
+    /// The cloud of an instruction, if it is one.
+    pub(super) fn cloud(&self, at: usize) -> Option<&CloudVolume> {
+        if let Action::Cloud(volume) = &self.instructions[at].action { Some(volume) } else { None }
+    }
+
     /// Its clouds, each with the place of its instruction.
-    pub(super) fn clouds(&self) -> impl Iterator<Item = &CloudVolume> {
-        self.instructions.iter().filter_map(|i| match &i.action {
-            Action::Cloud(volume) => Some(&**volume),
-            _ => None,
-        })
+    pub(super) fn clouds(&self) -> impl Iterator<Item = (usize, &CloudVolume)> + Clone {
+        (0..self.instructions.len()).filter_map(|at| self.cloud(at).map(|volume| (at, volume)))
     }
 }
 

@@ -13,7 +13,7 @@
 //! asked: a ray is as fine as the finest sphere of influence that it passes through.
 
 use super::RenderError;
-use super::access::{Access, Halt, NODE_PRIORITY};
+use super::access::{Access, Halt};
 use super::cloud_volume::CloudVolume;
 use super::frontier::{each_own_page, run_bounds};
 use super::program::{Action, Program};
@@ -88,7 +88,10 @@ impl StepRule {
                     let radius = volume.header().radius;
                     radius.min() == radius.max() && volume.local_from_world().is_none()
                 };
-                (longest * fraction, details.len() > 1 || !program.clouds().all(one_radius))
+                (
+                    longest * fraction,
+                    details.len() > 1 || !program.clouds().all(|(_, volume)| one_radius(volume)),
+                )
             }
             // Nothing is there to take a step from.
             Step::Automatic { .. } => (1.0, false),
@@ -312,7 +315,7 @@ impl Exponents {
             }
             if node.child_mask != 0 {
                 let page = node.first_child.page;
-                let guard = access.retain(volume, volume.first_node_page + page, NODE_PRIORITY)?;
+                let guard = access.retain(volume, volume.first_node_page + page)?;
                 let nodes = NodePage::trusted(&guard);
                 for child in 0..node.child_mask.count_ones() as usize {
                     let index = usize::from(node.first_child.index) + child;

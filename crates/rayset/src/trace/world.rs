@@ -1,18 +1,18 @@
 //! A scene compiled for tracing: immutable, shared by all threads.
 
+use super::RenderError;
 use super::bounce::Bounces;
 use super::composite::Absorption;
 use super::program::{Program, Purpose};
 use super::shade::Shader;
 use super::shadow::LightTable;
 use super::steps::StepRule;
-use super::{ExecSettings, RenderError};
+use crate::field::SimdLevel;
 use crate::scene::{Lighting, RenderSettings, Scene, Shadows};
-use crate::working_set::{PagedFiles, WorkingSet};
+use crate::working_set::PagedFiles;
 
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World {
-    pub(super) pages: WorkingSet,
     pub(super) program: Program,
     /// The same graph, for its opacity alone; nothing where no light throws shadows.
     pub(super) shadow_program: Option<Program>,
@@ -26,10 +26,6 @@ pub(super) struct World {
     /// Whether more is asked of pixels than their colour.
     pub(super) layers: bool,
     pub(super) background: Option<[f32; 3]>,
-    /// See [`Predictor::slabs_on_a_miss`](super::predict::Predictor::slabs_on_a_miss).
-    pub(super) slabs_on_a_miss: u64,
-    /// See [`Predictor::follows_lines`](super::predict::Predictor::follows_lines).
-    pub(super) follows_lines: bool,
 }
 
 impl World {
@@ -37,14 +33,14 @@ impl World {
     pub(super) fn compile(
         scene: &Scene,
         settings: &RenderSettings,
-        exec: &ExecSettings,
+        simd: SimdLevel,
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
         let purpose = if settings.layers { Purpose::Layers } else { Purpose::Picture };
-        let program = Program::compile(scene, purpose, exec.simd, paged)?;
+        let program = Program::compile(scene, purpose, simd, paged)?;
         let shader = Shader::new(&scene.lighting, program.color, program.material);
         let shadow_program = match shader.shadow_lights().next() {
-            Some(_) => Some(Program::compile(scene, Purpose::Shadow, exec.simd, paged)?),
+            Some(_) => Some(Program::compile(scene, Purpose::Shadow, simd, paged)?),
             None => None,
         };
         let mut light_tables: Vec<Option<LightTable>> = (0..shader.lights()).map(|_| None).collect();
@@ -57,7 +53,7 @@ impl World {
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
             stop_transmittance: f64::from(settings.stop_transmittance),
-            simd: exec.simd,
+            simd,
         };
         let bounces = Bounces {
             turns: program.turns(),
@@ -67,7 +63,6 @@ impl World {
         let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
         Ok(Self {
             bounces: turn_rays.then_some(bounces),
-            pages: paged.pages.clone(),
             steps: StepRule::new(&program, settings)?,
             program,
             shadow_program,
@@ -76,8 +71,6 @@ impl World {
             absorption,
             layers: settings.layers,
             background: scene.background,
-            slabs_on_a_miss: exec.predictor.slabs_on_a_miss(),
-            follows_lines: exec.predictor.follows_lines(),
         })
     }
 }

@@ -57,6 +57,15 @@ impl PagedFiles {
         Ok(())
     }
 
+    /// Closes the files that nobody but this has: no scene, and no page in memory.
+    pub(crate) fn drop_unused(&mut self) {
+        // This list, and the source of the pages.
+        const OWN: usize = 2;
+        let pages = &self.pages;
+        self.clouds.retain(|(cloud, object)| keep(Arc::strong_count(cloud) > OWN, pages, object));
+        self.grids.retain(|(grid, object)| keep(Arc::strong_count(grid) > OWN, pages, object));
+    }
+
     /// The object of a cloud and its number.
     #[must_use]
     pub fn find(&self, cloud: &Arc<Cloud>) -> Option<(usize, &Arc<Object>)> {
@@ -69,4 +78,12 @@ impl PagedFiles {
     pub fn find_grid(&self, grid: &Arc<Grid>) -> Option<&Arc<Object>> {
         self.grids.iter().find(|(known, _)| Arc::ptr_eq(known, grid)).map(|(_, object)| object)
     }
+}
+
+/// Lets go of the pages of an object that is not used.
+fn keep(used: bool, pages: &WorkingSet, object: &Object) -> bool {
+    if !used {
+        pages.forget(object);
+    }
+    used
 }

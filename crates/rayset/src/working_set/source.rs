@@ -106,6 +106,9 @@ pub enum PageFault {
         /// The page.
         page: u32,
     },
+    /// The client was cancelled while it waited for the page.
+    #[error("cancelled")]
+    Cancelled,
     /// Everything in the budget is retained.
     #[error("the budget of {budget} bytes is full of retained pages; at least {needed} bytes are needed")]
     Full {

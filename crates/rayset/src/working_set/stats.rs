@@ -1,10 +1,11 @@
 //! What the working set did, by kind.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use super::KINDS;
 use super::Kind;
-use super::ledger::Ledger;
+use super::pool::PagePool;
+use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// Counters of one kind; all relaxed, so that counting never orders anything.
 #[derive(Debug, Default)]
@@ -20,9 +21,16 @@ pub(super) struct Counters {
     pub(super) bytes_read: AtomicU64,
     pub(super) bytes_unique: AtomicU64,
     pub(super) evictions: AtomicU64,
+    pub(super) computed: AtomicU64,
 }
 
 impl Counters {
+    /// A request has waited since `started`.
+    pub(super) fn stalled(&self, started: Instant) {
+        self.stalls.fetch_add(1, Ordering::Relaxed);
+        self.stall_nanoseconds.fetch_add(started.elapsed().as_nanos() as u64, Ordering::Relaxed);
+    }
+
     pub(super) fn reset(&self) {
         for counter in [
             &self.hits,
@@ -36,6 +44,7 @@ impl Counters {
             &self.bytes_read,
             &self.bytes_unique,
             &self.evictions,
+            &self.computed,
         ] {
             counter.store(0, Ordering::Relaxed);
         }
@@ -67,6 +76,8 @@ pub struct KindStatistics {
     pub bytes_unique: u64,
     /// Pages evicted.
     pub evictions: u64,
+    /// Pages that were computed instead of read.
+    pub computed: u64,
     /// Most bytes at any time, pages being read included.
     pub peak_bytes: u64,
 }
@@ -81,8 +92,8 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    pub(super) fn collect(counters: &[Counters; KINDS], ledger: &Ledger) -> Self {
-        let (peak_bytes, peaks) = ledger.peaks();
+    pub(super) fn collect(counters: &[Counters; KINDS], pool: &PagePool) -> Self {
+        let (peak_bytes, peaks) = pool.peaks();
         let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
         let by_kind = std::array::from_fn(|k| {
             let c = &counters[k];
@@ -98,6 +109,7 @@ impl Statistics {
                 bytes_read: get(&c.bytes_read),
                 bytes_unique: get(&c.bytes_unique),
                 evictions: get(&c.evictions),
+                computed: get(&c.computed),
                 peak_bytes: peaks[k],
             }
         });

@@ -57,12 +57,13 @@ fn set(
     room: u64,
     patience_milliseconds: u64,
     delay_milliseconds: u64,
-) -> (WorkingSet, Arc<Object>, Arc<Zeros>) {
+) -> (WorkingSet, Arc<PageClient>, Arc<Object>, Arc<Zeros>) {
     let patience = Duration::from_millis(patience_milliseconds);
     let set = WorkingSet::with_patience(Limits::total(room * PAGE), Arc::new(Pool::new(2)), patience);
     let zeros = Arc::new(Zeros { pages: 64, delay_milliseconds: delay_milliseconds.into() });
     let object = set.add(Arc::new(Source(zeros.clone())));
-    (set, object, zeros)
+    let client = Arc::new(set.client(&CancelToken::new()));
+    (set, client, object, zeros)
 }
 
 /// What `work` returns on a thread of its own, which must end in time.
@@ -74,28 +75,29 @@ fn in_time<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
 
 #[test]
 fn a_page_that_is_computed_where_its_own_page_is_the_whole_budget_is_an_error_and_no_hang() {
-    let (set, object, _) = set(1, 50, 0);
+    let (_set, client, object, _) = set(1, 50, 0);
     let outcome = in_time(move || {
-        set.retain_computed(&object, 0, 1, |_| set.retain(&object, 1, 1).map(drop)).map(drop)
+        client.retain_computed(&object, 0, |_| client.retain(&object, 1).map(drop)).map(drop)
     });
     assert!(matches!(outcome, Err(PageFault::Full { .. })), "{outcome:?}");
 }
 
 #[test]
 fn threads_that_compute_pages_and_wait_for_each_others_room_do_not_wait_for_ever() {
-    let (set, object, _) = set(4, 50, 0);
+    let (_set, client, object, _) = set(4, 50, 0);
     let threads: Vec<_> = (0..4)
         .map(|thread| {
-            let (set, object) = (set.clone(), object.clone());
+            let (client, object) = (client.clone(), object.clone());
             std::thread::spawn(move || {
-                set.retain_computed(&object, thread, 1, |_| {
-                    // Until all four have their room.
-                    while set.shared.ledger.peaks().0 < 4 * PAGE {
-                        std::thread::yield_now();
-                    }
-                    set.retain(&object, 10 + thread, 1).map(drop)
-                })
-                .map(drop)
+                client
+                    .retain_computed(&object, thread, |_| {
+                        // Until all four have their room.
+                        while client.shared.pool.peaks().0 < 4 * PAGE {
+                            std::thread::yield_now();
+                        }
+                        client.retain(&object, 10 + thread).map(drop)
+                    })
+                    .map(drop)
             })
         })
         .collect();
@@ -106,38 +108,40 @@ fn threads_that_compute_pages_and_wait_for_each_others_room_do_not_wait_for_ever
 
 #[test]
 fn pages_that_are_computed_from_each_other_are_an_error_and_no_hang() {
-    let (set, object, _) = set(8, 50, 0);
+    let (_set, client, object, _) = set(8, 50, 0);
     let outcome = in_time(move || {
-        set.retain_computed(&object, 0, 1, |_| {
-            set.retain_computed(&object, 0, 1, |_| Ok::<(), PageFault>(())).map(drop)
-        })
-        .map(drop)
+        client
+            .retain_computed(&object, 0, |_| {
+                client.retain_computed(&object, 0, |_| Ok::<(), PageFault>(())).map(drop)
+            })
+            .map(drop)
     });
     assert!(matches!(outcome, Err(PageFault::Stuck { page: 0, .. })), "{outcome:?}");
 }
 
 #[test]
 fn a_page_that_is_computed_for_long_is_waited_for() {
-    let (set, object, _) = set(1, 50, 0);
+    let (_set, client, object, _) = set(1, 50, 0);
     let begun = Arc::new(std::sync::Barrier::new(2));
     let maker = {
-        let (set, object, begun) = (set.clone(), object.clone(), begun.clone());
+        let (client, object, begun) = (client.clone(), object.clone(), begun.clone());
         std::thread::spawn(move || {
-            set.retain_computed(&object, 0, 1, |_| {
-                begun.wait();
-                std::thread::sleep(Duration::from_millis(300));
-                Ok::<(), PageFault>(())
-            })
-            .map(drop)
+            client
+                .retain_computed(&object, 0, |_| {
+                    begun.wait();
+                    std::thread::sleep(Duration::from_millis(300));
+                    Ok::<(), PageFault>(())
+                })
+                .map(drop)
         })
     };
     begun.wait();
     // One wants the page, another its room: both wait six times as long as they would for nothing.
-    let (of_set, of_object) = (set.clone(), object.clone());
+    let (of_client, of_object) = (client.clone(), object.clone());
     let same = std::thread::spawn(move || {
-        of_set.retain_computed(&of_object, 0, 1, |_| Ok::<(), PageFault>(())).map(drop)
+        of_client.retain_computed(&of_object, 0, |_| Ok::<(), PageFault>(())).map(drop)
     });
-    let outcome = in_time(move || set.retain(&object, 1, 1).map(drop));
+    let outcome = in_time(move || client.retain(&object, 1).map(drop));
     assert!(outcome.is_ok(), "{outcome:?}");
     assert!(same.join().expect("no panic").is_ok());
     assert!(maker.join().expect("no panic").is_ok());
@@ -145,60 +149,61 @@ fn a_page_that_is_computed_for_long_is_waited_for() {
 
 #[test]
 fn a_slow_read_extends_the_patience_of_those_who_wait_for_its_room() {
-    let (set, object, _) = set(1, 60, 400);
-    assert_eq!(set.hint(&object, &[0], 200, u64::MAX), 1);
-    let outcome = in_time(move || set.retain(&object, 1, 1).map(drop));
+    let (_set, client, object, _) = set(1, 60, 400);
+    assert_eq!(client.hint(&object, &[0], u64::MAX), 1);
+    let outcome = in_time(move || client.retain(&object, 1).map(drop));
     assert!(outcome.is_ok(), "a page on its way can be evicted when it is there: {outcome:?}");
 }
 
 #[test]
 fn a_panic_while_a_page_is_computed_reaches_the_caller_and_fails_the_page_for_all_who_wait() {
-    let (set, object, _) = set(4, 10_000, 0);
+    let (set, client, object, _) = set(4, 10_000, 0);
     let begun = Arc::new(std::sync::Barrier::new(2));
     let waiter = {
-        let (set, object, begun) = (set.clone(), object.clone(), begun.clone());
+        let (client, object, begun) = (client.clone(), object.clone(), begun.clone());
         std::thread::spawn(move || {
             begun.wait();
-            set.retain_computed(&object, 7, 1, |_| Ok::<(), PageFault>(())).map(drop)
+            client.retain_computed(&object, 7, |_| Ok::<(), PageFault>(())).map(drop)
         })
     };
     let compute = || {
-        set.retain_computed(&object, 7, 1, |_| -> Result<(), PageFault> {
-            begun.wait();
-            while set.statistics().total(|k| k.late) == 0 {
-                std::thread::yield_now();
-            }
-            panic!("a bug in somebody's compute")
-        })
-        .map(drop)
+        client
+            .retain_computed(&object, 7, |_| -> Result<(), PageFault> {
+                begun.wait();
+                while set.statistics().total(|k| k.late) == 0 {
+                    std::thread::yield_now();
+                }
+                panic!("a bug in somebody's compute")
+            })
+            .map(drop)
     };
     let panic = catch_unwind(AssertUnwindSafe(compute)).expect_err("the panic goes on");
     assert_eq!(panic.downcast_ref::<&str>(), Some(&"a bug in somebody's compute"));
     let waited = in_time(move || waiter.join().expect("no panic"));
     assert!(matches!(waited, Err(PageFault::Panicked { page: 7, .. })), "{waited:?}");
-    let later = set.retain(&object, 7, 1).map(drop);
+    let later = client.retain(&object, 7).map(drop);
     assert!(matches!(later, Err(PageFault::Panicked { page: 7, .. })), "{later:?}");
     // Its room is free again, and the set goes on serving everybody else.
-    let all: Vec<_> = (0..4).map(|page| set.retain(&object, page, 1).expect("there is room")).collect();
+    let all: Vec<_> = (0..4).map(|page| client.retain(&object, page).expect("there is room")).collect();
     assert_eq!(all.len(), 4);
 }
 
 #[test]
 fn a_budget_full_of_retained_pages_is_an_error_that_names_what_is_needed() {
-    let (set, object, _) = set(3, 50, 0);
-    let held: Vec<_> = (0..3).map(|page| set.retain(&object, page, 1).expect("there is room")).collect();
+    let (_set, client, object, _) = set(3, 50, 0);
+    let held: Vec<_> = (0..3).map(|page| client.retain(&object, page).expect("there is room")).collect();
     let started = Instant::now();
-    let Err(fault) = set.retain(&object, 3, 1) else { panic!("there is no room") };
+    let Err(fault) = client.retain(&object, 3) else { panic!("there is no room") };
     assert!(started.elapsed() >= Duration::from_millis(50), "it waits for a release first");
     let PageFault::Full { budget, needed } = fault else { panic!("{fault}") };
     assert_eq!((budget, needed), (3 * PAGE, 4 * PAGE), "{fault}");
     drop(held);
-    drop(set.retain(&object, 3, 1).expect("released pages give way"));
+    drop(client.retain(&object, 3).expect("released pages give way"));
 }
 
 /// How many of 40 hints are taken up where unused ones may take eight pages.
-fn hints_taken(set: &WorkingSet, object: &Arc<Object>) -> usize {
-    set.hint(object, &(20..60).collect::<Vec<_>>(), 100, 8 * PAGE)
+fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {
+    client.hint(object, &(20..60).collect::<Vec<_>>(), 8 * PAGE)
 }
 
 fn until_resident(set: &WorkingSet, object: &Object, pages: std::ops::Range<u32>) {
@@ -211,29 +216,29 @@ fn until_resident(set: &WorkingSet, object: &Object, pages: std::ops::Range<u32>
 
 #[test]
 fn hints_that_are_forgotten_retired_or_evicted_no_longer_count_as_unused() {
-    type Settle = fn(&WorkingSet, &Arc<Object>);
+    type Settle = fn(&WorkingSet, &PageClient, &Arc<Object>);
     let ways: [(&str, Settle, usize); 5] = [
-        ("kept", |_, _| {}, 3),
-        ("forgotten", |set, _| set.forget_hints(), 8),
-        ("retired", |set, object| set.retire(object, &[0, 1, 2, 3, 4]), 8),
-        ("retired, unused", |set, object| set.retire_unused(object, &[0, 1, 2, 3, 4]), 8),
-        ("evicted", |set, _| set.clear(), 8),
+        ("kept", |_, _, _| {}, 3),
+        ("forgotten", |_, client, _| client.forget_hints(), 8),
+        ("retired", |_, client, object| client.retire(object, &[0, 1, 2, 3, 4]), 8),
+        ("retired, unused", |_, client, object| client.retire_unused(object, &[0, 1, 2, 3, 4]), 8),
+        ("evicted", |set, _, _| set.clear(), 8),
     ];
     for (name, settle, expected) in ways {
-        let (set, object, _) = set(64, 10_000, 0);
-        assert_eq!(set.hint(&object, &[0, 1, 2, 3, 4], 100, 8 * PAGE), 5);
+        let (set, client, object, _) = set(64, 10_000, 0);
+        assert_eq!(client.hint(&object, &[0, 1, 2, 3, 4], 8 * PAGE), 5);
         until_resident(&set, &object, 0..5);
-        settle(&set, &object);
-        assert_eq!(hints_taken(&set, &object), expected, "{name}");
+        settle(&set, &client, &object);
+        assert_eq!(hints_taken(&client, &object), expected, "{name}");
     }
 }
 
 #[test]
 fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
-    let (set, object, zeros) = set(64, 10_000, 150);
-    assert_eq!(set.hint(&object, &[0, 1, 2, 3, 4], 100, 8 * PAGE), 5);
-    set.forget_hints();
+    let (set, client, object, zeros) = set(64, 10_000, 150);
+    assert_eq!(client.hint(&object, &[0, 1, 2, 3, 4], 8 * PAGE), 5);
+    client.forget_hints();
     zeros.delay_milliseconds.store(0, Ordering::SeqCst);
     until_resident(&set, &object, 0..5);
-    assert_eq!(hints_taken(&set, &object), 8);
+    assert_eq!(hints_taken(&client, &object), 8);
 }

@@ -2,43 +2,45 @@
 //! block has gone by without them, and retired when no later block can want them.
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
-use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use super::scout::{Expected, Scout, Terrain};
 use crate::field::LANES;
-use crate::geometry::curve::hilbert_order;
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
-use crate::trace::Region;
-use crate::trace::access::NODE_PRIORITY;
 use crate::trace::cloud_volume::CloudVolume;
+use crate::trace::view::{BLOCK_PIXELS, Region, Tile};
 use crate::trace::world::World;
-use crate::working_set::Object;
-
-/// Edge, in pixels, of the blocks of tiles that are looked at together.
-const BLOCK_PIXELS: u32 = 32;
-/// Priority of a page that is expected: pages that were released give way to it.
-const HINT_PRIORITY: u8 = 200;
+use crate::working_set::{Object, PageClient};
 
 /// What is known of the picture being made: where rays will go.
+#[derive(Clone, Copy)]
 pub struct Lookahead<'a> {
-    world: &'a World,
-    /// Every cloud of the graph, and what is expected of it.
-    clouds: Vec<(&'a CloudVolume, Expected)>,
+    pub(in crate::trace) course: &'a Course,
+    pub(in crate::trace) world: &'a World,
+    pub(in crate::trace) rays: &'a RayMaker,
+    pub(in crate::trace) pages: &'a PageClient,
+}
+
+/// The way that a render takes through its picture, block after block, and what has been seen ahead on it.
+pub(in crate::trace) struct Course {
+    /// Every cloud of the graph, by its instruction, and what is expected of it.
+    clouds: Vec<(usize, Expected)>,
     /// Bytes of the largest page.
     page_bytes: u64,
-    rays: &'a RayMaker,
+    /// What the tiles cover.
     region: Region,
     threads: usize,
     columns: u32,
     rows: u32,
-    /// Blocks along the curve that tiles are taken on.
+    /// Blocks in the order in which tiles come to them; a block may come several times.
     order: Vec<(u32, u32)>,
-    /// Place of each block along the curve.
-    place: Vec<u32>,
+    /// For each tile, the place of its block in that order.
+    of_tile: Vec<u32>,
+    /// Place where each block comes last.
+    last_place: Vec<u32>,
     queue: Mutex<Queue>,
     /// Pages of the budget that the blocks being traced do not need themselves.
     spare_pages: AtomicU64,
@@ -106,60 +108,56 @@ impl Queue {
     }
 }
 
-impl<'a> Lookahead<'a> {
-    pub(in crate::trace) fn new(
-        world: &'a World,
-        rays: &'a RayMaker,
-        region: &Region,
-        threads: usize,
-    ) -> Self {
-        let blocks = |range: &Range<u32>| range.end.div_ceil(BLOCK_PIXELS) - range.start / BLOCK_PIXELS;
-        let (columns, rows) = (blocks(&region.columns), blocks(&region.rows));
-        let order = hilbert_order(columns, rows);
-        let mut place = vec![0; order.len()];
-        for (at, (i, j)) in order.iter().enumerate() {
-            place[(j * columns + i) as usize] = at as u32;
+impl Course {
+    /// The way through some tiles in their order, which is not empty.
+    pub(in crate::trace) fn new(world: &World, tiles: &[Tile], threads: usize) -> Self {
+        let region = Region::around(tiles);
+        let first = (region.columns.start / BLOCK_PIXELS, region.rows.start / BLOCK_PIXELS);
+        let columns = region.columns.end.div_ceil(BLOCK_PIXELS) - first.0;
+        let rows = region.rows.end.div_ceil(BLOCK_PIXELS) - first.1;
+        let mut order: Vec<(u32, u32)> = Vec::new();
+        let mut of_tile = Vec::with_capacity(tiles.len());
+        let mut last_place = vec![0; columns as usize * rows as usize];
+        for tile in tiles {
+            let block = (tile.x / BLOCK_PIXELS - first.0, tile.y / BLOCK_PIXELS - first.1);
+            if order.last() != Some(&block) {
+                order.push(block);
+            }
+            let place = order.len() as u32 - 1;
+            of_tile.push(place);
+            last_place[(block.1 * columns + block.0) as usize] = place;
         }
-        let region = region.clone();
-        let (queue, spare_pages) = (Mutex::default(), AtomicU64::new(0));
-        let threads = threads.max(1);
         let stop = world.absorption.stop_transmittance as f32;
-        let seen = world.program.clouds().filter(|volume| volume.header().points > 0);
-        let clouds: Vec<_> = seen.map(|volume| (volume, Expected::new(volume, stop))).collect();
-        let page_bytes = clouds.iter().map(|(v, _)| u64::from(v.header().page_bytes)).max().unwrap_or(1);
+        let seen = world.program.clouds().filter(|(_, volume)| volume.header().points > 0);
+        let page_bytes = |volume: &CloudVolume| u64::from(volume.header().page_bytes);
         Self {
-            world,
-            clouds,
-            page_bytes,
-            rays,
+            page_bytes: seen.clone().map(|(_, volume)| page_bytes(volume)).max().unwrap_or(1),
+            clouds: seen.map(|(at, volume)| (at, Expected::new(volume, stop))).collect(),
             region,
-            threads,
+            threads: threads.max(1),
             columns,
             rows,
             order,
-            place,
-            queue,
-            spare_pages,
+            of_tile,
+            last_place,
+            queue: Mutex::default(),
+            spare_pages: AtomicU64::new(0),
         }
     }
+}
 
-    fn block(&self, x: u32, y: u32) -> usize {
-        let i = x / BLOCK_PIXELS - self.region.columns.start / BLOCK_PIXELS;
-        let j = y / BLOCK_PIXELS - self.region.rows.start / BLOCK_PIXELS;
-        (j * self.columns + i) as usize
-    }
-
-    /// Looks at so many blocks beyond that of the tile at a pixel, and hints at what there is room for.
-    pub(super) fn scout(&self, x: u32, y: u32, blocks_ahead: u32) {
-        if self.clouds.is_empty() {
+impl<'a> Lookahead<'a> {
+    /// Looks at so many blocks beyond that of a tile, and hints at what there is room for.
+    pub(super) fn scout(&self, tile: usize, blocks_ahead: u32) {
+        if self.course.clouds.is_empty() {
             return;
         }
         // One thread at a time; the others have tiles to trace.
-        let Ok(mut queue) = self.queue.try_lock() else { return };
-        let here = self.place[self.block(x, y)];
+        let Ok(mut queue) = self.course.queue.try_lock() else { return };
+        let here = self.course.of_tile[tile];
         self.retire(&mut queue, here);
         queue.next = queue.next.max(here);
-        let until = here.saturating_add(1).saturating_add(blocks_ahead).min(self.order.len() as u32);
+        let until = here.saturating_add(1).saturating_add(blocks_ahead).min(self.course.order.len() as u32);
         // Of those, this block and the next are looked at in any case, to know how much room they need.
         while queue.next < until
             && (self.hint(&mut queue, here) || queue.next <= here + 1)
@@ -176,17 +174,16 @@ impl<'a> Lookahead<'a> {
         const MOST: u64 = 32;
         /// Pages that a tile may bring in before it is put off once more.
         const PAGES_EACH: u64 = 4;
-        let spare = self.spare_pages.load(Ordering::Relaxed);
-        (spare / (PAGES_EACH * self.threads as u64)).min(MOST) as usize
+        let spare = self.course.spare_pages.load(Ordering::Relaxed);
+        (spare / (PAGES_EACH * self.course.threads as u64)).min(MOST) as usize
     }
 
     /// Hints at the pages that wait; false where there was no room for some.
     fn hint(&self, queue: &mut Queue, here: u32) -> bool {
         /// More than this part of the budget would leave too little for pages to be met again by later blocks.
         const MOST_OF_BUDGET: u64 = 4;
-        let world = self.world;
-        let spare = self.spare(queue, here) * self.page_bytes;
-        let most = spare.min(world.pages.budget_bytes() / MOST_OF_BUDGET);
+        let spare = self.spare(queue, here) * self.course.page_bytes;
+        let most = spare.min(self.pages.share_bytes() / MOST_OF_BUDGET);
         if most == 0 {
             return false;
         }
@@ -194,7 +191,7 @@ impl<'a> Lookahead<'a> {
         for same_file in pages.chunk_by(|a, b| a.file == b.file) {
             let numbers: Vec<u32> = same_file.iter().map(|id| id.page).collect();
             let Some(object) = self.object(same_file[0].file) else { continue };
-            let dealt_with = world.pages.hint(object, &numbers, HINT_PRIORITY, most);
+            let dealt_with = self.pages.hint(object, &numbers, most);
             queue.dealt_with(dealt_with);
             if dealt_with < numbers.len() {
                 break;
@@ -203,12 +200,18 @@ impl<'a> Lookahead<'a> {
         queue.waiting.is_empty()
     }
 
+    fn clouds(&self) -> impl Iterator<Item = (&'a CloudVolume, &'a Expected)> + use<'a> {
+        let world = self.world;
+        let clouds = self.course.clouds.iter();
+        clouds.filter_map(|(at, expected)| world.program.cloud(*at).map(|volume| (volume, expected)))
+    }
+
     fn object(&self, file: u32) -> Option<&'a Arc<Object>> {
-        self.clouds.iter().find(|(volume, _)| volume.file == file).map(|(volume, _)| &volume.pages)
+        self.clouds().find(|(volume, _)| volume.file == file).map(|(volume, _)| &volume.pages)
     }
 
     /// Tells the working set of pages, file by file.
-    fn by_file(&self, mut pages: Vec<PageId>, tell: impl Fn(&Object, &[u32])) {
+    fn by_file(&self, mut pages: Vec<PageId>, tell: impl Fn(&Arc<Object>, &[u32])) {
         pages.sort_unstable();
         for same_file in pages.chunk_by(|a, b| a.file == b.file) {
             let numbers: Vec<u32> = same_file.iter().map(|id| id.page).collect();
@@ -223,10 +226,10 @@ impl<'a> Lookahead<'a> {
         let past = queue.demands.iter().take_while(|&&(block, _)| block < here).count();
         queue.demands.drain(..past);
         // Columns are taken over page by page, and threads may be in different ones.
-        let columns = queue.demands.iter().take(self.threads).map(|&(_, pages)| pages);
-        let budget = self.world.pages.budget_bytes() / self.page_bytes;
+        let columns = queue.demands.iter().take(self.course.threads).map(|&(_, pages)| pages);
+        let budget = self.pages.share_bytes() / self.course.page_bytes;
         let spare = budget.saturating_sub(columns.sum());
-        self.spare_pages.store(spare, Ordering::Relaxed);
+        self.course.spare_pages.store(spare, Ordering::Relaxed);
         spare
     }
 
@@ -251,8 +254,8 @@ impl<'a> Lookahead<'a> {
             }
             seen.use_by >= here
         });
-        self.by_file(unused, |object, pages| self.world.pages.retire_unused(object, pages));
-        self.by_file(finished, |object, pages| self.world.pages.retire(object, pages));
+        self.by_file(unused, |object, pages| self.pages.retire_unused(object, pages));
+        self.by_file(finished, |object, pages| self.pages.retire(object, pages));
     }
 
     /// Place along the curve of the last block whose rays may meet a box.
@@ -263,7 +266,7 @@ impl<'a> Lookahead<'a> {
                 if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] }
             };
             let Some((x, y)) = self.rays.project(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2))) else {
-                return self.order.len() as u32;
+                return self.course.order.len() as u32;
             };
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
@@ -272,21 +275,22 @@ impl<'a> Lookahead<'a> {
             let first = f64::from(start / BLOCK_PIXELS);
             (v / f64::from(BLOCK_PIXELS) - first).clamp(0.0, f64::from(count - 1)) as u32
         };
-        let columns = index(low.0, self.region.columns.start, self.columns)
-            ..=index(high.0, self.region.columns.start, self.columns);
-        let rows = index(low.1, self.region.rows.start, self.rows)
-            ..=index(high.1, self.region.rows.start, self.rows);
-        rows.flat_map(|j| columns.clone().map(move |i| self.place[(j * self.columns + i) as usize]))
+        let course = self.course;
+        let columns = index(low.0, course.region.columns.start, course.columns)
+            ..=index(high.0, course.region.columns.start, course.columns);
+        let rows = index(low.1, course.region.rows.start, course.rows)
+            ..=index(high.1, course.region.rows.start, course.rows);
+        rows.flat_map(|j| columns.clone().map(move |i| course.last_place[(j * course.columns + i) as usize]))
             .max()
             .unwrap_or(0)
     }
 
     /// Lists the pages that a block wants; false where node pages were absent, which are then on their way.
     fn look(&self, at: u32, queue: &mut Queue) -> bool {
-        let (i, j) = self.order[at as usize];
+        let (i, j) = self.course.order[at as usize];
         let rays = self.rays_of(i, j);
         let (mut complete, mut pages) = (true, 0);
-        for (volume, expected) in &self.clouds {
+        for (volume, expected) in self.clouds() {
             let mut view =
                 View { ahead: self, volume, queue, at, absent_nodes: Vec::new(), pages: 0, opened: 1 };
             let root = volume.header().root;
@@ -299,7 +303,7 @@ impl<'a> Lookahead<'a> {
             }
             pages += view.pages;
             let absent = view.absent_nodes;
-            self.world.pages.hint(&volume.pages, &absent, NODE_PRIORITY, u64::MAX);
+            self.pages.hint(&volume.pages, &absent, u64::MAX);
             complete &= absent.is_empty();
         }
         if complete {
@@ -310,11 +314,11 @@ impl<'a> Lookahead<'a> {
 
     /// Rays on the edges and within a block.
     fn rays_of(&self, i: u32, j: u32) -> [Ray; LANES] {
-        let x0 =
-            ((self.region.columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(self.region.columns.start);
-        let y0 = ((self.region.rows.start / BLOCK_PIXELS + j) * BLOCK_PIXELS).max(self.region.rows.start);
-        let x1 = (x0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.columns.end);
-        let y1 = (y0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(self.region.rows.end);
+        let Region { columns, rows } = &self.course.region;
+        let x0 = ((columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(columns.start);
+        let y0 = ((rows.start / BLOCK_PIXELS + j) * BLOCK_PIXELS).max(rows.start);
+        let x1 = (x0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(columns.end);
+        let y1 = (y0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(rows.end);
         std::array::from_fn(|lane| {
             let (u, v) = (lane % 8, lane / 8);
             let x = f64::from(x0) + f64::from(x1 - x0) * u as f64 / 7.0;
@@ -339,7 +343,7 @@ struct View<'v, 'a> {
 impl View<'_, '_> {
     /// A record, if its page is in memory.
     fn node_at(&self, page: u32, index: u16) -> Option<Node> {
-        let guard = self.ahead.world.pages.peek(&self.volume.pages, self.volume.first_node_page + page)?;
+        let guard = self.ahead.pages.peek(&self.volume.pages, self.volume.first_node_page + page)?;
         NodePage::trusted(&guard).get(usize::from(index))
     }
 }

@@ -3,12 +3,13 @@
 mod lookahead;
 mod scout;
 
+pub(super) use lookahead::Course;
 pub use lookahead::Lookahead;
 
 /// Turns known rays, or past accesses, into hints.
 pub trait Predictor: Send + Sync {
-    /// Called by a thread that is about to trace the tile at a pixel.
-    fn ahead(&self, lookahead: &Lookahead<'_>, x: u32, y: u32);
+    /// Called by a thread that is about to trace a tile, by its place in the order of the work.
+    fn ahead(&self, lookahead: Lookahead<'_>, tile: usize);
 
     /// Where a packet meets a page that is absent: how many of the slabs that come next it asks for the pages of, in one
     /// batch, before its tile is put off until they are there. Where 0, it waits for each page as it comes to it.
@@ -28,7 +29,7 @@ pub trait Predictor: Send + Sync {
 pub struct NoPredictor;
 
 impl Predictor for NoPredictor {
-    fn ahead(&self, _: &Lookahead<'_>, _: u32, _: u32) {}
+    fn ahead(&self, _: Lookahead<'_>, _: usize) {}
 
     fn slabs_on_a_miss(&self) -> u64 {
         0
@@ -45,7 +46,7 @@ impl Predictor for NoPredictor {
 pub struct LinePredictor;
 
 impl Predictor for LinePredictor {
-    fn ahead(&self, _: &Lookahead<'_>, _: u32, _: u32) {}
+    fn ahead(&self, _: Lookahead<'_>, _: usize) {}
 
     fn slabs_on_a_miss(&self) -> u64 {
         0
@@ -78,8 +79,8 @@ impl Default for PacketPredictor {
 }
 
 impl Predictor for PacketPredictor {
-    fn ahead(&self, lookahead: &Lookahead<'_>, x: u32, y: u32) {
-        lookahead.scout(x, y, self.blocks_ahead);
+    fn ahead(&self, lookahead: Lookahead<'_>, tile: usize) {
+        lookahead.scout(tile, self.blocks_ahead);
     }
 
     fn slabs_on_a_miss(&self) -> u64 {

@@ -13,7 +13,7 @@ use super::map::{BLOCK_CELLS, LightMap, Texel};
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::scene::{Light, Lighting, Scene, Shadows};
-use crate::trace::access::{Access, Halt, POINT_PRIORITY};
+use crate::trace::access::{Access, Halt};
 use crate::trace::block::{Block, STEPS_TO_BOUNDARY, each_lane};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::counts::RenderCounts;
@@ -26,8 +26,6 @@ use crate::working_set::{Kind, Object, PageGuard, PageSource, WorkingSet};
 /// Bytes of a block.
 pub(in crate::trace) const BLOCK_BYTES: usize = 16 << 10;
 const CORNERS: u32 = BLOCK_CELLS + 1;
-/// Priority of blocks: as of the pages that samples wait for.
-const BLOCK_PRIORITY: u8 = POINT_PRIORITY;
 
 /// The table of one light.
 pub(in crate::trace) struct LightTable {
@@ -111,7 +109,6 @@ impl PageSource for BlockSource {
 
 /// Looks shadows up between the rays of a light, and makes the blocks that are missing.
 pub(super) struct ShadowTables<'a> {
-    world: &'a World,
     maker: BlockMaker<'a>,
 }
 
@@ -124,7 +121,7 @@ impl<'a> ShadowTables<'a> {
             states: [RayState::START; LANES],
             shares: Shares::new(),
         };
-        Self { world, maker }
+        Self { maker }
     }
 
     /// Fills the rows of the samples that count. Returns those, a bit for each, that the table does not decide: the rays
@@ -159,8 +156,7 @@ impl<'a> ShadowTables<'a> {
                     drop(last.take());
                     let compute =
                         |bytes: &mut [u8]| self.maker.make(access, table, texel.block, bytes, counts);
-                    let pages = &self.world.pages;
-                    let guard = pages.retain_computed(&table.blocks, texel.block, BLOCK_PRIORITY, compute)?;
+                    let guard = access.pages.retain_computed(&table.blocks, texel.block, compute)?;
                     last = Some((texel.block, guard));
                 }
                 let Some((_, guard)) = &last else { continue };

@@ -69,10 +69,6 @@ impl ReadBackend for Delayed {
         self.shared.1.notify_one();
     }
 
-    fn brings_memory(&self) -> bool {
-        self.inner.brings_memory()
-    }
-
     fn name(&self) -> String {
         format!("{} + {:?} a read", self.inner.name(), self.delay)
     }

@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 pub use self::delayed::Delayed;
 pub use self::pool::Pool;
-pub use self::storage::{FileStorage, Storage};
+pub use self::storage::{FileStorage, MemoryStorage, Storage};
 #[cfg(target_os = "linux")]
 pub use self::uring::Uring;
 use super::PageBuffer;
@@ -52,11 +52,6 @@ impl Read {
 pub trait ReadBackend: Send + Sync {
     /// Starts a batch of reads, in the order of their urgency, and returns without waiting for them.
     fn submit(&self, batch: Vec<Read>);
-    /// Whether it hands over memory of its own in place of the buffers that it is given ([`PageBuffer::shared`]), so that
-    /// none need be taken for them.
-    fn brings_memory(&self) -> bool {
-        false
-    }
     /// What to call it in reports.
     fn name(&self) -> String;
 }

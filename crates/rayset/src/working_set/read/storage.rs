@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Bytes that can be read at a position, by several threads at once: a file, or an object store.
 pub trait Storage: Send + Sync {
@@ -15,6 +16,40 @@ pub trait Storage: Send + Sync {
     /// The file behind it, where there is one that the kernel may read from by itself.
     fn file(&self) -> Option<&File> {
         None
+    }
+
+    /// All of its bytes, where they lie in memory already: pages are then used where they are, without a copy, and count
+    /// in no budget.
+    fn memory(&self) -> Option<Arc<dyn AsRef<[u8]> + Send + Sync>> {
+        None
+    }
+}
+
+/// Bytes in memory: a vector, a shared slice, a map of a file.
+#[derive(Clone)]
+pub struct MemoryStorage(Arc<dyn AsRef<[u8]> + Send + Sync>);
+
+impl MemoryStorage {
+    /// Bytes that must not change as long as this lives.
+    #[must_use]
+    pub fn new(bytes: Arc<dyn AsRef<[u8]> + Send + Sync>) -> Self {
+        Self(bytes)
+    }
+}
+
+impl Storage for MemoryStorage {
+    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        let bytes = (*self.0).as_ref();
+        let end = offset.saturating_add(buffer.len() as u64);
+        let start = usize::try_from(offset).ok();
+        let found = start.and_then(|start| bytes.get(start..start.checked_add(buffer.len())?));
+        let found = found.ok_or_else(|| ends_early(bytes.len() as u64, end))?;
+        buffer.copy_from_slice(found);
+        Ok(())
+    }
+
+    fn memory(&self) -> Option<Arc<dyn AsRef<[u8]> + Send + Sync>> {
+        Some(self.0.clone())
     }
 }
 

@@ -74,8 +74,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
     let mut rounds: Vec<Round> = Vec::new();
     for _ in 0..repeats {
         let mut round = Round::new();
-        for (sets, scene) in &scenes {
-            let (cold, warm) = shipping_cpu_seconds(scene, &clouds[..*sets], &camera, &larger)?;
+        for (_, scene) in &scenes {
+            let (cold, warm) = shipping_cpu_seconds(scene, &camera, &larger)?;
             round.push([cold, warm]);
         }
         rounds.push(round);
@@ -93,8 +93,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let reference_seconds = started.elapsed().as_secs_f64();
         let backend = read::backend(BackendKind::Auto)?;
         let predictor = Arc::new(NoPredictor);
-        let (shipped, ..) =
-            shipping(scene, &clouds[..sets], (&camera, &settings), 1 << 40, backend, predictor)?;
+        let (shipped, ..) = shipping(scene, (&camera, &settings), 1 << 40, backend, predictor)?;
         worst = worst.max(differing(&picture, &shipped));
         let sum = |of: fn(&(f64, f64)) -> f64| preparing[..sets].iter().map(of).sum::<f64>();
         for (line, seconds) in

@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::octree::Cloud;
 use rayset::scene::{Camera, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step};
-use rayset::trace::{ExecSettings, WholePicture};
+use rayset::trace::{ExecSettings, Session};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
@@ -36,26 +36,22 @@ pub fn run(args: &SetsArgs) -> Result<String> {
     let first = clouds.first().context("no point set")?;
     let scene = scene(&clouds);
     let (camera, settings, _) = view(&scene, first, args.side);
-    let (cold, warm) = shipping_cpu_seconds(&scene, &clouds, &camera, &settings)?;
+    let (cold, warm) = shipping_cpu_seconds(&scene, &camera, &settings)?;
     Ok(format!("{} point sets: {cold:.3} s of the processor cold, {warm:.3} s warm", clouds.len()))
 }
 
 /// Processor seconds of a render with nothing in memory, and of the same with all pages there.
 pub(super) fn shipping_cpu_seconds(
     scene: &Scene,
-    clouds: &[Arc<Cloud>],
     camera: &Camera,
     settings: &RenderSettings,
 ) -> Result<(f64, f64)> {
     let set = WorkingSet::new(Limits::total(1 << 40), read::backend(BackendKind::Auto)?);
-    let mut paged = PagedFiles::new(set);
-    for cloud in clouds {
-        paged.open(cloud, true)?;
-    }
-    let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
+    let exec = ExecSettings { threads: 1, direct: true, ..ExecSettings::default() };
+    let session = Session::over(PagedFiles::new(set), exec)?;
     let once = || -> Result<f64> {
         let started = cpu_seconds();
-        rayset::trace::render(scene, camera, settings, &exec, &paged, &mut WholePicture::default())?;
+        session.prepare(scene, settings)?.view(camera)?.picture()?;
         Ok(cpu_seconds() - started)
     };
     Ok((once()?, once()?))

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use memmap2::Mmap;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
-use rayset::working_set::read::{self, BackendKind, ReadBackend};
+use rayset::working_set::read::{self, BackendKind};
 use serde::Serialize;
 
 use super::{BATCH, Subject, in_core};
@@ -15,7 +15,7 @@ use crate::cache::CacheCounts;
 use crate::disk::RealDisk;
 use crate::engine::{Picture, all_pixels};
 use crate::index::Index;
-use crate::mapped::{self, Access, MappedBackend};
+use crate::mapped::{self, Access};
 use crate::memory::Flat;
 use crate::predict::Variant;
 use crate::records::{Budget, OutOfCore};
@@ -148,12 +148,10 @@ pub fn run(args: &RenderArgs) -> Result<String> {
             let records = image(args.image.as_deref(), access)?;
             subject.reference(records, Variant::None, pixels)?.0
         }
-        Kept::Shipping | Kept::ShippingMap | Kept::ShippingMapRandom => {
-            let backend: Arc<dyn ReadBackend> = match args.records {
-                Kept::ShippingMap => Arc::new(MappedBackend::open(&args.cloud, Access::Plain)?),
-                Kept::ShippingMapRandom => Arc::new(MappedBackend::open(&args.cloud, Access::Random)?),
-                _ => read::backend(args.backend.into())?,
-            };
+        Kept::ShippingMap => subject.shipping_from_map(Access::Plain)?.0,
+        Kept::ShippingMapRandom => subject.shipping_from_map(Access::Random)?.0,
+        Kept::Shipping => {
+            let backend = read::backend(args.backend.into())?;
             let predictor: Arc<dyn Predictor> = match args.ship_predictor {
                 ShipPredictor::None => Arc::new(NoPredictor),
                 ShipPredictor::Line => Arc::new(LinePredictor),

@@ -9,8 +9,6 @@ use crate::report::{Series, Table, megabytes, number, plot};
 
 /// What the process takes beside pages is under 8 MB; this is room for what else is counted in its group.
 const BESIDE_PAGES_BYTES: u64 = 10 << 20;
-/// Pages of a map that the working set knows of at a time; they take none of its memory.
-const MAPPED_BYTES: u64 = 256 << 20;
 
 const TITLE: &str = "Paging on this machine's disk, under a cap of 32 MiB: the engine that ships";
 
@@ -69,8 +67,8 @@ pub(in super::super) fn run(setting: &Setting) -> Result<()> {
                 repeats,
                 ["shipping"; 4],
                 [
-                    &|| capped("shipping-map", "none", MAPPED_BYTES, limit),
-                    &|| capped("shipping-map-random", "none", MAPPED_BYTES, limit),
+                    &|| capped("shipping-map", "none", 0, limit),
+                    &|| capped("shipping-map-random", "none", 0, limit),
                     &|| capped("shipping", "none", pages, limit),
                     &|| capped("shipping", "packet", pages, None),
                 ],
@@ -89,10 +87,8 @@ pub(in super::super) fn run(setting: &Setting) -> Result<()> {
     }
     table.note(format!(
         "Spheres, about 40 supports overlapping, {side}×{side} rays, one thread. Map: the same engine over the same file, \
-         whose pages are used where the system maps them, without copies; each is checked when it is first used, and again \
-         once {} MiB of others have been. Otherwise {} MiB for pages, direct reads. Page cache cold and counted; medians of \
+         whose pages are used where the system maps them, without copies; each is checked when it is first used. Otherwise {} MiB for pages, direct reads. Page cache cold and counted; medians of \
          {repeats} that take turns, runs of {LONG} s and more once; a run is ended at {STOPPED_AT} times the time of `packet`.",
-        MAPPED_BYTES >> 20,
         (CAP_BYTES - BESIDE_PAGES_BYTES) >> 20
     ));
     table.write(&setting.out, "paging-shipping")?;

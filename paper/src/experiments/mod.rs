@@ -30,13 +30,14 @@ use rayset::scene::{
 };
 use rayset::trace::judge::PointField;
 use rayset::trace::predict::{NoPredictor, Predictor};
-use rayset::trace::{self, ExecSettings, WholePicture};
+use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind, ReadBackend};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 use crate::engine::{self, IndexField, Picture};
 use crate::file_cache::FileCaching;
 use crate::index::{Index, Limits as IndexLimits};
+use crate::mapped::{self, Access};
 use crate::predict::{Foresight, Variant};
 use crate::records::{Budget, OutOfCore, Records};
 use crate::simulated::{Clock, SimulatedDisk};
@@ -219,8 +220,15 @@ impl Subject {
         backend: Arc<dyn ReadBackend>,
         predictor: Arc<dyn Predictor>,
     ) -> Result<(Picture, f64, Statistics)> {
-        let clouds = std::slice::from_ref(&self.cloud);
-        shipping(&self.scene, clouds, (&self.camera, &self.settings), page_bytes, backend, predictor)
+        shipping(&self.scene, (&self.camera, &self.settings), page_bytes, backend, predictor)
+    }
+
+    /// The same from a map of the file, with no page looked for ahead.
+    pub(crate) fn shipping_from_map(&self, access: Access) -> Result<(Picture, f64, Statistics)> {
+        let backend = read::backend(BackendKind::Pool)?;
+        let mut files = PagedFiles::new(WorkingSet::new(Limits::total(0), backend));
+        files.add(&self.cloud, Arc::new(mapped::storage(self.cloud.path(), access)?));
+        timed(&self.scene, (&self.camera, &self.settings), &files, Arc::new(NoPredictor))
     }
 
     /// The reference engine out of core on the simulated disk: picture, seconds of counted time, records.
@@ -293,21 +301,25 @@ pub(crate) fn camera_on(bounds: Aabb) -> Camera {
 /// The picture of the engine that ships with so many bytes for pages, seconds on one thread, and what its working set did.
 pub(crate) fn shipping(
     scene: &Scene,
-    clouds: &[Arc<Cloud>],
-    (camera, settings): (&Camera, &RenderSettings),
+    view: (&Camera, &RenderSettings),
     page_bytes: u64,
     backend: Arc<dyn ReadBackend>,
     predictor: Arc<dyn Predictor>,
 ) -> Result<(Picture, f64, Statistics)> {
-    let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(page_bytes), backend));
-    for cloud in clouds {
-        paged.open(cloud, true)?;
-    }
-    let exec = ExecSettings { threads: 1, predictor, ..ExecSettings::default() };
-    let mut whole = WholePicture::default();
+    timed(scene, view, &PagedFiles::new(WorkingSet::new(Limits::total(page_bytes), backend)), predictor)
+}
+
+/// The same over some files, and others that are then opened.
+fn timed(
+    scene: &Scene,
+    (camera, settings): (&Camera, &RenderSettings),
+    files: &PagedFiles,
+    predictor: Arc<dyn Predictor>,
+) -> Result<(Picture, f64, Statistics)> {
+    let exec = ExecSettings { threads: 1, predictor, direct: true, ..ExecSettings::default() };
     let started = Instant::now();
-    trace::render(scene, camera, settings, &exec, &paged, &mut whole)?;
-    Ok((whole.pixels, started.elapsed().as_secs_f64(), paged.pages.statistics()))
+    let (whole, _) = render_once(scene, camera, settings, &exec, files)?;
+    Ok((whole.pixels, started.elapsed().as_secs_f64(), files.pages.statistics()))
 }
 
 pub(crate) fn median(times: &mut [f64]) -> f64 {

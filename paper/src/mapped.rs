@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use memmap2::{Advice, Mmap};
-use rayset::working_set::PageBuffer;
-use rayset::working_set::read::{Read, ReadBackend};
+use rayset::working_set::read::MemoryStorage;
 
 use crate::memory::Flat;
 
@@ -35,38 +34,13 @@ pub fn open(path: &Path, access: Access) -> io::Result<Flat<Mmap>> {
     Ok(Flat(map))
 }
 
-/// The working set's pages in a map of their file: what the operating system has of it is the only memory of them.
-pub struct MappedBackend(Arc<Mmap>);
-
-impl MappedBackend {
-    /// Over one file, from which all pages come.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn open(path: &Path, access: Access) -> io::Result<Self> {
-        Ok(Self(Arc::new(open(path, access)?.0)))
-    }
-}
-
-impl ReadBackend for MappedBackend {
-    fn submit(&self, batch: Vec<Read>) {
-        for Read { offset, buffer, done, .. } in batch {
-            let from = usize::try_from(offset).unwrap_or(usize::MAX);
-            let part = from..from.saturating_add(buffer.bytes().len());
-            match PageBuffer::shared(self.0.clone(), part) {
-                Some(page) => done(page, Ok(())),
-                None => done(buffer, Err(io::ErrorKind::UnexpectedEof.into())),
-            }
-        }
-    }
-
-    fn brings_memory(&self) -> bool {
-        true
-    }
-
-    fn name(&self) -> String {
-        "map".into()
-    }
+/// A file in a map, for the engine that ships: it uses pages where they lie, and what the operating system has of the map is
+/// the only memory of them.
+///
+/// # Errors
+/// What the system says.
+pub fn storage(path: &Path, access: Access) -> io::Result<MemoryStorage> {
+    Ok(MemoryStorage::new(Arc::new(open(path, access)?.0)))
 }
 
 /// Drives files out of the page cache, as far as nobody else uses them.
@@ -86,7 +60,6 @@ pub fn make_cold(paths: &[PathBuf]) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use rayset::points::Workload;
-    use rayset::trace::predict::NoPredictor;
 
     use super::*;
     use crate::experiments::Subject;
@@ -98,13 +71,10 @@ mod tests {
         let workload: Workload = "sphere-30k".parse().expect("a workload");
         let subject = Subject::build(workload.source(), workload.radius(), 24, &cloud).expect("a cloud");
         let (picture, _) = subject.shipping().expect("a picture");
-        for (access, page_bytes) in [(Access::Plain, 1 << 30), (Access::Random, 96 << 10)] {
-            let backend = Arc::new(MappedBackend::open(&cloud, access).expect("a map"));
-            let (mapped, _, statistics) =
-                subject.shipping_by(page_bytes, backend, Arc::new(NoPredictor)).expect("a picture");
+        for access in [Access::Plain, Access::Random] {
+            let (mapped, _, statistics) = subject.shipping_from_map(access).expect("a picture");
             assert!(mapped == picture, "{access:?}");
-            let evictions: u64 = statistics.by_kind.iter().map(|kind| kind.evictions).sum();
-            assert_eq!(evictions > 0, page_bytes < 1 << 20);
+            assert_eq!(statistics.peak_bytes, 0, "pages are used where they lie");
         }
     }
 }

@@ -1,0 +1,314 @@
+//! One render: its tiles, the threads that trace them, and the tiles that wait to be handed out.
+
+use std::any::Any;
+use std::cell::Cell;
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use super::access::Halt;
+use super::layers::Layers;
+use super::packet_tracer::PacketTracer;
+use super::predict::{Course, Lookahead};
+use super::prepared::Prepared;
+use super::scheduler::Turn;
+use super::tiles::{Attempt, Deferred, TileQueue};
+use super::view::{Tile, View, Work};
+use super::{RenderCounts, RenderError};
+use crate::cancel::CancelToken;
+use crate::field::LANES;
+use crate::image::LayerPixel;
+use crate::scene::{RayMaker, RenderSettings};
+use crate::working_set::PageClient;
+
+/// Finished tiles that wait to be handed out; where there are so many, no more are begun.
+const MOST_WAITING: usize = 32;
+
+pub(super) struct Job {
+    prepared: Arc<Prepared>,
+    rays: RayMaker,
+    settings: RenderSettings,
+    pub(super) tiles: Vec<Tile>,
+    /// Rays of a pixel, pass by pass.
+    passes: Vec<Range<u32>>,
+    /// What the rays of each tile have seen in earlier passes; empty where there is one pass.
+    earlier: Vec<Mutex<Option<Box<TileSums>>>>,
+    course: Course,
+    pages: PageClient,
+    /// Ends this render alone.
+    stop: CancelToken,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    pass: usize,
+    /// The next tile of the pass.
+    next: usize,
+    /// Tiles of the pass that are finished.
+    finished: usize,
+    /// Tiles that threads put off before they left.
+    left_behind: Vec<Deferred>,
+    outputs: VecDeque<Output>,
+    /// Threads at work.
+    threads: usize,
+    counts: RenderCounts,
+    error: Option<RenderError>,
+    panic: Option<Box<dyn Any + Send>>,
+}
+
+/// A finished tile.
+pub(super) struct Output {
+    pub(super) tile: Tile,
+    pub(super) pass: u32,
+    pub(super) pixels: [[f32; 4]; LANES],
+    pub(super) layers: Option<Box<[LayerPixel; LANES]>>,
+}
+
+/// What a render has for the one who called for it.
+pub(super) enum Next {
+    Tile(Box<Output>),
+    Finished(Result<RenderCounts, RenderError>),
+}
+
+/// What the rays of a tile have seen so far.
+#[derive(Clone)]
+struct TileSums {
+    pixels: [[f32; 4]; LANES],
+    layers: Option<Layers>,
+    asked_bytes: u64,
+}
+
+impl Job {
+    /// Of tiles that lie in the picture, at least one.
+    pub(super) fn new(view: &View, work: &Work, stop: &CancelToken) -> Self {
+        let prepared = view.prepared.clone();
+        let passes = work.passes.ranges(view.settings.samples * view.settings.samples);
+        let kept = if passes.len() > 1 { work.tiles.len() } else { 0 };
+        Self {
+            course: Course::new(&prepared.world, &work.tiles, prepared.exec().threads),
+            pages: prepared.session().pages().client(stop),
+            rays: view.rays,
+            settings: view.settings,
+            tiles: work.tiles.clone(),
+            passes,
+            earlier: (0..kept).map(|_| Mutex::new(None)).collect(),
+            stop: stop.clone(),
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            prepared,
+        }
+    }
+
+    pub(super) fn passes(&self) -> u32 {
+        self.passes.len() as u32
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    // The one who called for the render.
+
+    /// Waits for a tile to hand out, or for the end: then no thread works on this any more.
+    pub(super) fn next(&self) -> Next {
+        let mut state = self.lock();
+        loop {
+            let stopped = self.stop.is_cancelled();
+            if !stopped && let Some(output) = state.outputs.pop_front() {
+                return Next::Tile(Box::new(output));
+            }
+            let complete = state.pass == self.passes.len();
+            if state.threads == 0 && (complete || stopped) {
+                break;
+            }
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        self.pages.forget_hints();
+        if let Some(panic) = state.panic.take() {
+            drop(state);
+            resume_unwind(panic);
+        }
+        let complete = state.pass == self.passes.len() && state.outputs.is_empty();
+        Next::Finished(match state.error.take() {
+            Some(error) => Err(error),
+            None if complete => Ok(state.counts),
+            None => Err(RenderError::Cancelled),
+        })
+    }
+
+    /// Ends the render with an error, unless it has one already.
+    pub(super) fn fail(&self, error: RenderError) {
+        self.lock().error.get_or_insert(error);
+        self.stop.cancel();
+    }
+
+    /// Has the one who called look again.
+    pub(super) fn wake(&self) {
+        drop(self.lock());
+        self.changed.notify_all();
+    }
+
+    // The threads.
+
+    /// Whether there is something to do for another thread.
+    pub(super) fn has_work(&self) -> bool {
+        let state = self.lock();
+        !self.stop.is_cancelled() && !state.is_full() && state.has_tiles(self)
+    }
+
+    /// A thread is about to work on this.
+    pub(super) fn entered(&self) {
+        self.lock().threads += 1;
+    }
+
+    /// It has left.
+    pub(super) fn left(&self) {
+        self.lock().threads -= 1;
+        self.changed.notify_all();
+    }
+
+    /// Traces tile after tile, until there are none or the thread's turn is over.
+    pub(super) fn work(&self, turn: &Turn<'_>) {
+        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.trace_tiles(turn))) {
+            self.lock().panic.get_or_insert(panic);
+            self.stop.cancel();
+        }
+    }
+
+    fn trace_tiles(&self, turn: &Turn<'_>) {
+        let exec = self.prepared.exec();
+        let mut tracer = PacketTracer::new(&self.prepared.world, exec.slab_samples);
+        let asked_bytes = Cell::new(0);
+        let mut queue = TileQueue::new(self, &self.pages, &*exec.predictor, &asked_bytes);
+        while !self.stop.is_cancelled()
+            && let Some(attempt) = queue.next(self.lookahead().tiles_to_put_off())
+        {
+            exec.predictor.ahead(self.lookahead(), attempt.place.tile);
+            let before = tracer.counts();
+            asked_bytes.set(0);
+            match self.trace(&attempt, &mut tracer) {
+                Ok(output) => self.finish(output, turn),
+                Err(Halt::PutOff(lacking)) => {
+                    tracer.put_off(before);
+                    queue.put_off(&attempt, lacking);
+                }
+                Err(Halt::Failed(error)) => self.fail(error),
+            }
+            if turn.is_over() || self.lock().is_full() {
+                break;
+            }
+        }
+        let deferred = queue.into_deferred();
+        let calls = !deferred.is_empty();
+        let mut state = self.lock();
+        state.counts += tracer.counts();
+        state.left_behind.extend(deferred);
+        drop(state);
+        if calls {
+            turn.call_others();
+        }
+    }
+
+    /// The next tile of the work, or one that a thread left behind.
+    pub(super) fn take(&self) -> Option<Deferred> {
+        let mut state = self.lock();
+        if let Some(deferred) = state.left_behind.pop() {
+            return Some(deferred);
+        }
+        if !state.has_tiles(self) {
+            return None;
+        }
+        state.next += 1;
+        Some(Deferred::fresh(TilePlace { tile: state.next - 1, pass: state.pass }))
+    }
+
+    fn lookahead(&self) -> Lookahead<'_> {
+        let world = &self.prepared.world;
+        Lookahead { course: &self.course, world, rays: &self.rays, pages: &self.pages }
+    }
+
+    /// Traces the rays of a tile in one pass.
+    fn trace(&self, attempt: &Attempt<'_>, tracer: &mut PacketTracer<'_>) -> Result<Output, Halt> {
+        let TilePlace { tile: index, pass } = attempt.place;
+        let (tile, access) = (self.tiles[index], attempt.access);
+        let mut sums = self.earlier(index, tracer.layers());
+        let (cells, rays) = (self.settings.samples, self.passes[pass].clone());
+        for cell in rays.clone() {
+            let (i, j) = (cell % cells, cell / cells);
+            let mut places = Vec::with_capacity(LANES);
+            for y in tile.y..tile.y + tile.height {
+                for x in tile.x..tile.x + tile.width {
+                    let (u, v) = self.settings.ray_place(x, y, i, j);
+                    places.push((self.rays.ray(u, v), self.settings.phase_of(x * cells + i, y * cells + j)));
+                }
+            }
+            for (sum, seen) in sums.pixels.iter_mut().zip(tracer.trace(access, &places)?) {
+                (0..4).for_each(|channel| sum[channel] += seen[channel]);
+            }
+        }
+        sums.asked_bytes += access.asked_bytes.get();
+        let share = 1.0 / rays.end as f32;
+        let pixels = sums.pixels.map(|sum| sum.map(|v| v * share));
+        let known = tracer.layers().map(|layers| Box::new(layers.pixels(tile.pixels(), sums.asked_bytes)));
+        if let Some(earlier) = self.earlier.get(index) {
+            sums.layers = tracer.layers().cloned();
+            *earlier.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(sums));
+        }
+        Ok(Output { tile, pass: pass as u32, pixels, layers: known })
+    }
+
+    /// What the rays of a tile have seen in earlier passes; sets the layers of the thread to that.
+    fn earlier(&self, tile: usize, layers: Option<&mut Layers>) -> TileSums {
+        let earlier = self.earlier.get(tile);
+        let known = earlier.and_then(|sums| sums.lock().unwrap_or_else(PoisonError::into_inner).clone());
+        let sums = known.map_or_else(
+            || TileSums { pixels: [[0.0; 4]; LANES], layers: None, asked_bytes: 0 },
+            |sums| *sums,
+        );
+        if let Some(layers) = layers {
+            match &sums.layers {
+                Some(earlier) => layers.clone_from(earlier),
+                None => layers.begin(),
+            }
+        }
+        sums
+    }
+
+    /// Hands a tile over; after the last of a pass, begins the next.
+    fn finish(&self, output: Output, turn: &Turn<'_>) {
+        let mut state = self.lock();
+        state.outputs.push_back(output);
+        state.finished += 1;
+        let next_pass = state.finished == self.tiles.len();
+        if next_pass {
+            (state.pass, state.next, state.finished) = (state.pass + 1, 0, 0);
+        }
+        drop(state);
+        self.changed.notify_all();
+        if next_pass {
+            turn.call_others();
+        }
+    }
+}
+
+impl State {
+    fn is_full(&self) -> bool {
+        self.outputs.len() >= MOST_WAITING
+    }
+
+    fn has_tiles(&self, job: &Job) -> bool {
+        let fresh = self.pass < job.passes.len() && self.next < job.tiles.len();
+        fresh || !self.left_behind.is_empty()
+    }
+}
+
+/// A tile in one pass.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TilePlace {
+    /// Place of the tile in the order of the work.
+    pub(super) tile: usize,
+    pub(super) pass: usize,
+}

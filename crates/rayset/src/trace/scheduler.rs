@@ -1,0 +1,159 @@
+//! The threads of a session, and the renders that they share.
+//!
+//! A thread works on one render at a time and goes from tile to tile. It goes to the render with the fewest threads, and
+//! leaves its own where another has waited for a while without any: so two renders on one thread take turns.
+
+use std::io;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::job::Job;
+
+/// How long a thread stays with a render while another has none: long beside what it costs to begin again.
+const TURN: Duration = Duration::from_millis(20);
+
+pub(super) struct Scheduler {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    jobs: Vec<Entry>,
+    /// Threads that wait for work.
+    idle: usize,
+    closed: bool,
+}
+
+struct Entry {
+    job: Arc<Job>,
+    /// Threads that work on it.
+    threads: usize,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn call_threads(&self) {
+        let state = self.lock();
+        if state.idle > 0 {
+            self.changed.notify_all();
+        }
+    }
+}
+
+impl Scheduler {
+    /// Starts threads that wait for work.
+    pub(super) fn start(threads: usize) -> io::Result<Self> {
+        let shared = Arc::new(Shared { state: Mutex::default(), changed: Condvar::new() });
+        let mut scheduler = Self { shared: shared.clone(), threads: Vec::with_capacity(threads) };
+        for _ in 0..threads {
+            let shared = shared.clone();
+            let thread = std::thread::Builder::new().name("rayset-trace".into()).spawn(move || work(&shared));
+            match thread {
+                Ok(thread) => scheduler.threads.push(thread),
+                // Fewer will do.
+                Err(_) if !scheduler.threads.is_empty() => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(scheduler)
+    }
+
+    /// Has the threads work on a render until what this returns is dropped.
+    pub(super) fn add(&self, job: &Arc<Job>) -> Scheduled<'_> {
+        self.shared.lock().jobs.push(Entry { job: job.clone(), threads: 0 });
+        self.shared.changed.notify_all();
+        Scheduled { shared: &self.shared, job: job.clone() }
+    }
+}
+
+impl Drop for Scheduler {
+    fn drop(&mut self) {
+        self.shared.lock().closed = true;
+        self.shared.changed.notify_all();
+        for thread in self.threads.drain(..) {
+            // The last to hold a session may be one of its own threads.
+            if thread.thread().id() != std::thread::current().id() {
+                let _ = thread.join();
+            }
+        }
+    }
+}
+
+/// A render that threads work on.
+pub(super) struct Scheduled<'a> {
+    shared: &'a Shared,
+    job: Arc<Job>,
+}
+
+impl Scheduled<'_> {
+    /// There may be something to do again for threads that found nothing.
+    pub(super) fn call_threads(&self) {
+        self.shared.call_threads();
+    }
+}
+
+impl Drop for Scheduled<'_> {
+    fn drop(&mut self) {
+        self.shared.lock().jobs.retain(|entry| !Arc::ptr_eq(&entry.job, &self.job));
+    }
+}
+
+/// A thread's place at a render.
+pub(super) struct Turn<'a> {
+    shared: &'a Shared,
+    since: Instant,
+}
+
+impl Turn<'_> {
+    /// Whether the thread is to leave: another render has waited for one.
+    pub(super) fn is_over(&self) -> bool {
+        self.since.elapsed() > TURN
+            && self.shared.lock().jobs.iter().any(|entry| entry.threads == 0 && entry.job.has_work())
+    }
+
+    /// There is something to do again for threads that found nothing.
+    pub(super) fn call_others(&self) {
+        self.shared.call_threads();
+    }
+}
+
+fn work(shared: &Shared) {
+    while let Some(job) = next_job(shared) {
+        job.work(&Turn { shared, since: Instant::now() });
+        let mut state = shared.lock();
+        if let Some(entry) = state.jobs.iter_mut().find(|entry| Arc::ptr_eq(&entry.job, &job)) {
+            entry.threads -= 1;
+        }
+        drop(state);
+        job.left();
+    }
+}
+
+/// Waits for a render that has work, and takes a place at the one with the fewest threads; `None` at the end.
+fn next_job(shared: &Shared) -> Option<Arc<Job>> {
+    let mut state = shared.lock();
+    loop {
+        if state.closed {
+            return None;
+        }
+        let waiting = state.jobs.iter_mut().filter(|entry| entry.job.has_work());
+        if let Some(entry) = waiting.min_by_key(|entry| entry.threads) {
+            entry.threads += 1;
+            entry.job.entered();
+            return Some(entry.job.clone());
+        }
+        state.idle += 1;
+        state = shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        state.idle -= 1;
+    }
+}

@@ -1,0 +1,104 @@
+//! Hard limits, and what is used of them.
+
+use super::source::{KINDS, Kind};
+
+/// Hard limits in bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// For all pages together.
+    pub(super) total: u64,
+    /// For each kind, in the order of [`Kind::ALL`].
+    pub(super) by_kind: [u64; KINDS],
+}
+
+impl Limits {
+    /// A limit for all pages together and none besides.
+    #[must_use]
+    pub fn total(bytes: u64) -> Self {
+        Self { total: bytes, by_kind: [u64::MAX; KINDS] }
+    }
+
+    /// The limit for all pages together.
+    pub(super) fn all_kinds(&self) -> u64 {
+        self.total
+    }
+
+    /// The same with a limit for one kind.
+    #[must_use]
+    pub fn with_kind(mut self, kind: Kind, bytes: u64) -> Self {
+        self.by_kind[kind.index()] = bytes;
+        self
+    }
+}
+
+/// Which pages are in the way of another: a limit that it would exceed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Obstacle {
+    Total,
+    Kind(Kind),
+}
+
+impl Obstacle {
+    /// The kinds whose pages make room.
+    pub(super) fn kinds(self) -> impl Iterator<Item = Kind> {
+        Kind::ALL.into_iter().filter(move |&kind| self == Self::Total || self == Self::Kind(kind))
+    }
+}
+
+/// Bytes in use: every page counts from the moment its room is reserved.
+#[derive(Debug)]
+pub(super) struct Budget {
+    pub(super) limits: Limits,
+    used: u64,
+    used_by_kind: [u64; KINDS],
+    peak: u64,
+    peak_by_kind: [u64; KINDS],
+}
+
+impl Budget {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self { limits, used: 0, used_by_kind: [0; KINDS], peak: 0, peak_by_kind: [0; KINDS] }
+    }
+
+    /// The limit that so many more bytes of a kind would exceed.
+    pub(super) fn obstacle(&self, kind: Kind, bytes: u64) -> Option<Obstacle> {
+        if self.used + bytes > self.limits.total {
+            Some(Obstacle::Total)
+        } else if self.used_by_kind[kind.index()] + bytes > self.limits.by_kind[kind.index()] {
+            Some(Obstacle::Kind(kind))
+        } else {
+            None
+        }
+    }
+
+    /// A limit that is exceeded now, because it has been lowered.
+    pub(super) fn excess(&self) -> Option<Obstacle> {
+        Kind::ALL.into_iter().find_map(|kind| self.obstacle(kind, 0))
+    }
+
+    pub(super) fn take(&mut self, kind: Kind, bytes: u64) {
+        self.used += bytes;
+        self.used_by_kind[kind.index()] += bytes;
+        self.peak = self.peak.max(self.used);
+        let peak = &mut self.peak_by_kind[kind.index()];
+        *peak = (*peak).max(self.used_by_kind[kind.index()]);
+    }
+
+    pub(super) fn give_back(&mut self, kind: Kind, bytes: u64) {
+        self.used -= bytes;
+        self.used_by_kind[kind.index()] -= bytes;
+    }
+
+    /// Bytes that are still free of the limit for all pages.
+    pub(super) fn free(&self) -> u64 {
+        self.limits.total.saturating_sub(self.used)
+    }
+
+    pub(super) fn peaks(&self) -> (u64, [u64; KINDS]) {
+        (self.peak, self.peak_by_kind)
+    }
+
+    pub(super) fn reset_peaks(&mut self) {
+        (self.peak, self.peak_by_kind) = (self.used, self.used_by_kind);
+    }
+}

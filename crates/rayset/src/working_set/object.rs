@@ -1,0 +1,210 @@
+//! Objects, the states of their pages, and the guards that retain them.
+//!
+//! The states of a page, all under the lock of its own slot:
+//!
+//! ```text
+//!            miss, hint              read and checked, made
+//!   Absent ─────────────▶ Loading ──────────────────────────▶ Resident
+//!     ▲  ▲                 │   │                                 │
+//!     │  └── no room, ─────┘   └─ damaged, unreadable,           │
+//!     │      given up             maker panicked ──▶ Failed      │
+//!     └──────────────────────────── evicted ─────────────────────┘
+//! ```
+
+use std::ops::{Deref, Range};
+use std::sync::Arc;
+
+use super::Shared;
+use super::buffer::PageBuffer;
+use super::source::{Kind, PageFault, PageSource};
+use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering, fence};
+use crate::sync::{Mutex, MutexGuard, lock};
+
+/// A page in memory. It is retained as long as anything but its slot refers to it: references are added under the lock of
+/// the slot alone.
+pub(super) struct Resident {
+    pub(super) buffer: PageBuffer,
+    /// Of this stay in memory; tells apart what refers to an earlier one.
+    pub(super) serial: u32,
+    pub(super) last_use: AtomicU64,
+    /// The client that asked for it last.
+    pub(super) user: AtomicU32,
+    /// It will hardly be wanted again: the first to go.
+    pub(super) retired: AtomicBool,
+    /// The hint that brought it in, or keeps it, and that nobody has used yet: see [`HintMark`].
+    pub(super) hint: AtomicU32,
+}
+
+/// What [`Resident::hint`] says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum HintMark {
+    None,
+    /// Hinted at by this client, and there already.
+    Kept(u32),
+    /// Read for a hint of this client.
+    Read(u32),
+}
+
+impl HintMark {
+    pub(super) fn word(self) -> u32 {
+        match self {
+            Self::None => 0,
+            Self::Kept(client) => client << 1,
+            Self::Read(client) => client << 1 | 1,
+        }
+    }
+
+    pub(super) fn of(word: u32) -> Self {
+        match (word >> 1, word & 1) {
+            (0, _) => Self::None,
+            (client, 0) => Self::Kept(client),
+            (client, _) => Self::Read(client),
+        }
+    }
+
+    pub(super) fn client(self) -> Option<u32> {
+        match self {
+            Self::None => None,
+            Self::Kept(client) | Self::Read(client) => Some(client),
+        }
+    }
+}
+
+impl Resident {
+    pub(super) fn hint_mark(&self) -> HintMark {
+        HintMark::of(self.hint.load(Ordering::Relaxed))
+    }
+}
+
+pub(super) enum Slot {
+    Absent,
+    Loading,
+    Resident(Arc<Resident>),
+    /// In a box: slots are many and faults are few.
+    Failed(Box<PageFault>),
+}
+
+/// An object of a working set: its source and the state of each of its pages.
+pub struct Object {
+    pub(super) source: Arc<dyn PageSource>,
+    /// Empty where the source has its pages in memory.
+    slots: Vec<Mutex<Slot>>,
+    /// For each page, the period of the statistics in which it was last read.
+    touched: Vec<AtomicU32>,
+    in_place: Option<InPlace>,
+}
+
+/// Pages that lie in memory and are used where they are.
+struct InPlace {
+    memory: Arc<dyn AsRef<[u8]> + Send + Sync>,
+    /// Whether each page has been checked.
+    checked: Vec<AtomicBool>,
+}
+
+impl std::fmt::Debug for Object {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Object").field("name", &self.source.name()).finish_non_exhaustive()
+    }
+}
+
+impl Object {
+    pub(super) fn new(source: Arc<dyn PageSource>) -> Self {
+        let pages = source.pages() as usize;
+        let in_place = source
+            .storage()
+            .memory()
+            .map(|memory| InPlace { memory, checked: (0..pages).map(|_| AtomicBool::new(false)).collect() });
+        let counted = if in_place.is_some() { 0 } else { pages };
+        Self {
+            source,
+            slots: (0..counted).map(|_| Mutex::new(Slot::Absent)).collect(),
+            touched: (0..counted).map(|_| AtomicU32::new(0)).collect(),
+            in_place,
+        }
+    }
+
+    /// What the set itself keeps for every page of an object, in memory or not.
+    pub(super) const BYTES_A_PAGE: usize = size_of::<Mutex<Slot>>() + size_of::<AtomicU32>();
+
+    pub(super) fn slot(&self, page: u32) -> MutexGuard<'_, Slot> {
+        lock(&self.slots[page as usize])
+    }
+
+    pub(super) fn kind(&self, page: u32) -> Kind {
+        self.source.kind(page)
+    }
+
+    pub(crate) fn bytes(&self) -> u64 {
+        self.source.page_bytes() as u64
+    }
+
+    /// Marks a page as read in a period of the statistics; true the first time.
+    pub(super) fn touch(&self, page: u32, period: u32) -> bool {
+        self.touched[page as usize].swap(period, Ordering::Relaxed) != period
+    }
+
+    /// Whether pages lie in memory for good and need no working set.
+    pub(super) fn is_in_place(&self) -> bool {
+        self.in_place.is_some()
+    }
+
+    /// A page where it lies in memory, checked the first time; `None` where pages have to be brought in.
+    pub(super) fn in_place(&self, page: u32) -> Option<Result<PageGuard, PageFault>> {
+        let InPlace { memory, checked } = self.in_place.as_ref()?;
+        let start = self.source.offset(page);
+        let range = usize::try_from(start).ok().map(|start| start..start + self.source.page_bytes());
+        let found =
+            range.and_then(|range| (**memory).as_ref().get(range.clone()).map(|bytes| (range, bytes)));
+        let damaged =
+            |what: String| PageFault::Damaged { name: self.source.name(), page, offset: start, what };
+        let Some((range, bytes)) = found else {
+            return Some(Err(damaged("the memory ends before the end of the page".into())));
+        };
+        if !checked[page as usize].load(Ordering::Acquire) {
+            if let Err(what) = self.source.check(page, bytes) {
+                return Some(Err(damaged(what)));
+            }
+            checked[page as usize].store(true, Ordering::Release);
+        }
+        Some(Ok(PageGuard(Held::InPlace(memory.clone(), range))))
+    }
+}
+
+/// A retained page; its bytes stay in memory while the guard lives.
+pub struct PageGuard(Held);
+
+enum Held {
+    // Fields are dropped in this order: whoever waits for room is told when the page is free.
+    Resident(Arc<Resident>, #[expect(dead_code, reason = "it acts when it is dropped")] Release),
+    InPlace(Arc<dyn AsRef<[u8]> + Send + Sync>, Range<usize>),
+}
+
+/// Tells those who wait for room that a page has been released.
+struct Release(Arc<Shared>);
+
+impl PageGuard {
+    /// The caller holds the lock of the page's slot.
+    pub(super) fn new(resident: &Arc<Resident>, shared: &Arc<Shared>) -> Self {
+        Self(Held::Resident(resident.clone(), Release(shared.clone())))
+    }
+}
+
+impl Deref for PageGuard {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match &self.0 {
+            Held::Resident(resident, _) => resident.buffer.bytes(),
+            // Memory that changes its length behind our back has no such part any more.
+            Held::InPlace(memory, range) => (**memory).as_ref().get(range.clone()).unwrap_or(&[]),
+        }
+    }
+}
+
+impl Drop for Release {
+    fn drop(&mut self) {
+        // Either we see the one who waits, or that one sees that the page is free: see `PagePool::reserve`.
+        fence(Ordering::SeqCst);
+        self.0.pool.released();
+    }
+}

@@ -1,0 +1,396 @@
+//! The page pool: the budget, the order in which pages give way, and those who wait.
+//!
+//! **Locks**, in the order in which they are taken: the pool's, then a slot's, then the table of clients or a client's
+//! own list. None is held across a read, a check, a wait for anything but its own condition, or a search that grows with
+//! the number of pages. Nobody takes the pool's lock while holding that of a slot.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::budget::{Budget, Limits, Obstacle};
+use super::buffer::PageBuffer;
+use super::eviction::{Evicted, EvictionQueue};
+use super::object::Object;
+use super::source::{KINDS, Kind};
+use crate::cancel::CancelToken;
+use crate::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
+use crate::sync::thread::{self, ThreadId};
+use crate::sync::{Condvar, Mutex, MutexGuard, lock, wait_timeout};
+
+/// Page buffers taken from the allocator at a time, besides the one that is wanted.
+const BUFFERS_AT_A_TIME: u64 = 31;
+
+/// A wait looks again after this, whether it was notified or not.
+const LONGEST_WAIT: Duration = Duration::from_secs(1);
+
+struct State {
+    budget: Budget,
+    queue: EvictionQueue,
+    /// Pages whose room is reserved and whose bytes are on their way.
+    loading: u64,
+    /// For each page that is being computed, the thread that does so.
+    computing: Vec<ThreadId>,
+    /// Those of `computing` that wait themselves, for room or for a page.
+    halted: Vec<ThreadId>,
+    /// Memory of evicted pages, to be used again by the reservation that caused the eviction.
+    recycled: Vec<PageBuffer>,
+    /// Memory that was taken from the allocator together with some that is in use.
+    preallocated: Vec<PageBuffer>,
+    last_serial: u32,
+}
+
+pub(super) struct PagePool {
+    state: Mutex<State>,
+    changed: Condvar,
+    clock: AtomicU64,
+    /// Threads that wait for room, and all that wait. Notifying costs a system call, whether anybody listens or not.
+    waiting_for_room: AtomicUsize,
+    waiting: AtomicUsize,
+    /// How long a thread waits for room, or for a page, while no page is on its way.
+    patience: Duration,
+}
+
+/// Why a wait ended without what was waited for.
+pub(super) enum WaitError {
+    Cancelled,
+    /// Nothing that could end it is on its way.
+    Hopeless,
+}
+
+/// A page is being computed by the thread that holds this.
+pub(super) struct Computing<'a> {
+    pool: &'a PagePool,
+    thread: ThreadId,
+}
+
+impl Drop for Computing<'_> {
+    fn drop(&mut self) {
+        let mut state = lock(&self.pool.state);
+        let at = state.computing.iter().position(|&thread| thread == self.thread);
+        at.map(|at| state.computing.swap_remove(at));
+        state.loading += 1;
+    }
+}
+
+impl PagePool {
+    pub(super) fn new(limits: Limits, patience: Duration) -> Self {
+        let state = State {
+            budget: Budget::new(limits),
+            queue: EvictionQueue::default(),
+            loading: 0,
+            computing: Vec::new(),
+            halted: Vec::new(),
+            recycled: Vec::new(),
+            preallocated: Vec::new(),
+            last_serial: 0,
+        };
+        Self {
+            state: Mutex::new(state),
+            changed: Condvar::new(),
+            clock: AtomicU64::new(1),
+            waiting_for_room: AtomicUsize::new(0),
+            waiting: AtomicUsize::new(0),
+            patience,
+        }
+    }
+
+    /// The time of a use.
+    pub(super) fn tick(&self) -> u64 {
+        self.clock.fetch_add(1, Ordering::Relaxed)
+    }
+
+    pub(super) fn limits(&self) -> Limits {
+        lock(&self.state).budget.limits.clone()
+    }
+
+    /// Sets new limits and evicts until they hold, as far as pages are neither retained nor loading. Returns what went.
+    pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
+        let mut state = lock(&self.state);
+        state.budget.limits = limits;
+        state.drop_unused_memory();
+        state.evict_excess(self.tick())
+    }
+
+    /// Evicts everything that is neither retained nor loading. Returns what went.
+    pub(super) fn evict_all(&self) -> Vec<Evicted> {
+        let mut state = lock(&self.state);
+        let mut evicted = Vec::new();
+        while let Some(page) = state.evict(Obstacle::Total, self.tick()) {
+            evicted.push(page);
+        }
+        state.drop_unused_memory();
+        evicted
+    }
+
+    /// The same of one object.
+    pub(super) fn evict_object(&self, object: &Object) -> Vec<Evicted> {
+        let mut state = lock(&self.state);
+        let evicted = state.queue.evict_object(object);
+        for page in &evicted {
+            state.budget.give_back(page.kind, page.object.bytes());
+        }
+        state.drop_unused_memory();
+        drop(state);
+        self.notify_waiting();
+        evicted
+    }
+
+    /// A page has been retired.
+    pub(super) fn retire(&self, object: &Arc<Object>, page: u32, serial: u32) {
+        lock(&self.state).queue.retire(object.clone(), page, serial);
+    }
+
+    /// Room for one page, as far as pages that are not retained can make it. Also returns what was evicted on the way.
+    pub(super) fn try_reserve(&self, kind: Kind, object: &Object) -> (Option<PageBuffer>, Vec<Evicted>) {
+        let mut evicted = Vec::new();
+        let room = lock(&self.state).reserve(kind, object.bytes(), self.tick(), &mut evicted);
+        (room, evicted)
+    }
+
+    /// Room for one page that a thread waits for: waits for releases if it must, but not longer than its patience while
+    /// no page is on its way. What is on its way can be evicted when it is there, however slow the disk.
+    pub(super) fn reserve(
+        &self,
+        kind: Kind,
+        object: &Object,
+        cancel: &CancelToken,
+        evicted: &mut Vec<Evicted>,
+    ) -> Result<PageBuffer, WaitError> {
+        let bytes = object.bytes();
+        if let Some(room) = lock(&self.state).reserve(kind, bytes, self.tick(), evicted) {
+            return Ok(room);
+        }
+        // Whoever releases a page from now on notifies; what was released before, the next search sees.
+        self.waiting_for_room.fetch_add(1, Ordering::SeqCst);
+        fence(Ordering::SeqCst);
+        let room = self.wait_for(cancel, |state| {
+            let room = state.reserve(kind, bytes, self.tick(), evicted).map(Ok);
+            room.or_else(|| (bytes > state.budget.limits.total).then_some(Err(WaitError::Hopeless)))
+        });
+        self.waiting_for_room.fetch_sub(1, Ordering::SeqCst);
+        room?
+    }
+
+    /// Waits until `ready` gives something, but not longer than the patience while no page is on its way. It is asked
+    /// under the lock of the pool, which every change of a slot from loading takes before it notifies: whoever waits was
+    /// counted before that, so no change is missed.
+    pub(super) fn wait_until<T>(
+        &self,
+        cancel: &CancelToken,
+        mut ready: impl FnMut() -> Option<T>,
+    ) -> Result<T, WaitError> {
+        self.wait_for(cancel, |_| ready())
+    }
+
+    fn wait_for<T>(
+        &self,
+        cancel: &CancelToken,
+        mut ready: impl FnMut(&mut State) -> Option<T>,
+    ) -> Result<T, WaitError> {
+        let mut deadline = Instant::now() + self.patience;
+        let mut state = lock(&self.state);
+        loop {
+            if let Some(result) = ready(&mut state) {
+                return Ok(result);
+            }
+            if cancel.is_cancelled() {
+                return Err(WaitError::Cancelled);
+            }
+            if state.is_moving() {
+                state = self.wait(state, LONGEST_WAIT);
+                deadline = Instant::now() + self.patience;
+                continue;
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(WaitError::Hopeless);
+            }
+            state = self.wait(state, left.min(LONGEST_WAIT));
+        }
+    }
+
+    fn wait<'a>(&self, mut state: MutexGuard<'a, State>, limit: Duration) -> MutexGuard<'a, State> {
+        let halted = state.halt();
+        self.waiting.fetch_add(1, Ordering::SeqCst);
+        let mut state = wait_timeout(&self.changed, state, limit);
+        self.waiting.fetch_sub(1, Ordering::SeqCst);
+        if let Some(thread) = halted {
+            state.go_on(thread);
+        }
+        state
+    }
+
+    /// Says that the calling thread computes the page that it has reserved room for, until the guard is dropped: whatever
+    /// it waits for meanwhile, its own page does not count as on its way.
+    pub(super) fn computing(&self) -> Computing<'_> {
+        let thread = thread::current().id();
+        let mut state = lock(&self.state);
+        state.loading -= 1;
+        state.computing.push(thread);
+        Computing { pool: self, thread }
+    }
+
+    /// The number of a page's stay in memory, for which room has been reserved.
+    pub(super) fn next_serial(&self) -> u32 {
+        let mut state = lock(&self.state);
+        state.last_serial = state.last_serial.wrapping_add(1);
+        state.last_serial
+    }
+
+    /// A page is there. Returns what had to go, where limits have been lowered meanwhile.
+    pub(super) fn loaded(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        serial: u32,
+        last_use: u64,
+        retired: bool,
+    ) -> Vec<Evicted> {
+        let mut state = lock(&self.state);
+        state.loading -= 1;
+        state.queue.insert(object.clone(), page, serial, last_use);
+        if retired {
+            state.queue.retire(object.clone(), page, serial);
+        }
+        let evicted = state.evict_excess(self.tick());
+        drop(state);
+        self.notify_waiting();
+        evicted
+    }
+
+    /// A page will not come: its room is free again.
+    pub(super) fn failed(&self, kind: Kind, object: &Object, buffer: PageBuffer) {
+        let mut state = lock(&self.state);
+        state.loading -= 1;
+        state.budget.give_back(kind, object.bytes());
+        // For whoever takes the room: freed and taken again, pages would crumble the allocator's memory.
+        state.recycled.push(buffer);
+        drop(state);
+        self.notify_waiting();
+    }
+
+    /// A slot has changed: wakes all who wait.
+    pub(super) fn notify(&self) {
+        drop(lock(&self.state));
+        self.notify_waiting();
+    }
+
+    fn notify_waiting(&self) {
+        if self.waiting.load(Ordering::SeqCst) > 0 {
+            self.changed.notify_all();
+        }
+    }
+
+    /// A page has been released.
+    pub(super) fn released(&self) {
+        if self.waiting_for_room.load(Ordering::SeqCst) > 0 {
+            // Whoever has searched in vain holds the lock until it waits.
+            drop(lock(&self.state));
+            self.changed.notify_all();
+        }
+    }
+
+    pub(super) fn retained_bytes(&self) -> u64 {
+        lock(&self.state).queue.retained_bytes()
+    }
+
+    pub(super) fn peaks(&self) -> (u64, [u64; KINDS]) {
+        lock(&self.state).budget.peaks()
+    }
+
+    pub(super) fn reset_peaks(&self) {
+        lock(&self.state).budget.reset_peaks();
+    }
+}
+
+impl State {
+    /// Whether a page is on its way while the calling thread waits: being read, or computed by a thread that does not wait
+    /// itself. Threads that compute pages and wait for the room of each other's would else wait for ever.
+    fn is_moving(&self) -> bool {
+        let waits = |thread: &ThreadId| *thread == thread::current().id() || self.halted.contains(thread);
+        self.loading > 0 || !self.computing.iter().all(waits)
+    }
+
+    /// The calling thread is about to wait; who it is, where it computes a page.
+    fn halt(&mut self) -> Option<ThreadId> {
+        if self.computing.is_empty() {
+            return None;
+        }
+        let thread = thread::current().id();
+        let computes = self.computing.contains(&thread);
+        computes.then(|| {
+            self.halted.push(thread);
+            thread
+        })
+    }
+
+    fn go_on(&mut self, thread: ThreadId) {
+        let at = self.halted.iter().position(|&halted| halted == thread);
+        at.map(|at| self.halted.swap_remove(at));
+    }
+
+    fn evict(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
+        let evicted = self.queue.evict(obstacle, now)?;
+        self.budget.give_back(evicted.kind, evicted.object.bytes());
+        Some(evicted)
+    }
+
+    /// Evicts until the limits hold, as far as pages are neither retained nor loading.
+    fn evict_excess(&mut self, now: u64) -> Vec<Evicted> {
+        let mut evicted = Vec::new();
+        while let Some(page) = self.budget.excess().and_then(|obstacle| self.evict(obstacle, now)) {
+            evicted.push(page);
+        }
+        if !evicted.is_empty() {
+            self.drop_unused_memory();
+        }
+        evicted
+    }
+
+    fn drop_unused_memory(&mut self) {
+        self.recycled.clear();
+        self.preallocated.clear();
+    }
+
+    /// Takes room for a page, as far as evictions can make it; what they take out is added to `evicted`, without its
+    /// memory.
+    fn reserve(
+        &mut self,
+        kind: Kind,
+        bytes: u64,
+        now: u64,
+        evicted: &mut Vec<Evicted>,
+    ) -> Option<PageBuffer> {
+        while let Some(obstacle) = self.budget.obstacle(kind, bytes) {
+            let mut page = self.evict(obstacle, now)?;
+            self.recycled.push(page.take_buffer());
+            evicted.push(page);
+        }
+        self.loading += 1;
+        self.budget.take(kind, bytes);
+        let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
+        let buffer = match self.recycled.iter().position(fits) {
+            Some(at) => self.recycled.swap_remove(at),
+            None => self.take_preallocated(bytes),
+        };
+        // Memory of other sizes goes back to the system, or the process would exceed what the budget says.
+        self.recycled.clear();
+        let unused: u64 = self.preallocated.iter().map(|b| b.bytes().len() as u64).sum();
+        if unused > self.budget.free() {
+            self.preallocated.clear();
+        }
+        Some(buffer)
+    }
+
+    /// Memory for a page, many at a time: taken one by one, in between what else is allocated, pages would crumble the
+    /// allocator's memory, and the process would exceed its budget.
+    fn take_preallocated(&mut self, bytes: u64) -> PageBuffer {
+        let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
+        if let Some(at) = self.preallocated.iter().position(fits) {
+            return self.preallocated.swap_remove(at);
+        }
+        let together = (self.budget.free() / bytes.max(1)).min(BUFFERS_AT_A_TIME);
+        self.preallocated.extend((0..together).map(|_| PageBuffer::new(bytes as usize)));
+        PageBuffer::new(bytes as usize)
+    }
+}

@@ -1,0 +1,357 @@
+//! The way of a page into memory, in its order: a client asks for it ([`retain`](PageClient::retain)); it is missing, so
+//! room is made (`make_room`) and a read submitted (`read_of`); what was read is checked and becomes resident (`complete`);
+//! and whoever waited (`wait_for_page`) retains it. [`retain_computed`](PageClient::retain_computed) makes a page instead
+//! of reading it.
+
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::buffer::PageBuffer;
+use super::client::PageClient;
+use super::object::{HintMark, Object, PageGuard, Resident, Slot};
+use super::pool::WaitError;
+use super::read::Read;
+use super::source::PageFault;
+use super::stats::Counters;
+use super::{Registered, Shared};
+use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+
+impl PageClient {
+    /// Retains a page, reading it if need be.
+    ///
+    /// # Errors
+    /// [`PageFault`] where the page cannot be read, is damaged, or has no room although nothing is loading, and where the
+    /// client is cancelled while it waits.
+    pub fn retain(&self, object: &Arc<Object>, page: u32) -> Result<PageGuard, PageFault> {
+        if let Some(found) = object.in_place(page) {
+            return found;
+        }
+        let counters = self.shared.counters_of(object, page);
+        let mut slot = object.slot(page);
+        match &*slot {
+            Slot::Resident(resident) => {
+                counters.hits.fetch_add(1, Ordering::Relaxed);
+                Ok(self.shared.guard(object, resident, self.number, counters))
+            }
+            Slot::Failed(fault) => Err((**fault).clone()),
+            Slot::Loading => {
+                drop(slot);
+                counters.late.fetch_add(1, Ordering::Relaxed);
+                self.wait_for_page(object, page, Instant::now())
+            }
+            Slot::Absent => {
+                *slot = Slot::Loading;
+                drop(slot);
+                counters.misses.fetch_add(1, Ordering::Relaxed);
+                let started = Instant::now();
+                self.read(object, page)?;
+                self.wait_for_page(object, page, started)
+            }
+        }
+    }
+
+    /// Retains a page if it is resident now; `None` where it is absent or on its way.
+    ///
+    /// # Errors
+    /// [`PageFault`] where the page could not be read, or is damaged.
+    pub fn retain_resident(&self, object: &Object, page: u32) -> Option<Result<PageGuard, PageFault>> {
+        if let Some(found) = object.in_place(page) {
+            return Some(found);
+        }
+        match &*object.slot(page) {
+            Slot::Resident(resident) => {
+                let counters = self.shared.counters_of(object, page);
+                counters.hits.fetch_add(1, Ordering::Relaxed);
+                Some(Ok(self.shared.guard(object, resident, self.number, counters)))
+            }
+            Slot::Failed(fault) => Some(Err((**fault).clone())),
+            Slot::Absent | Slot::Loading => None,
+        }
+    }
+
+    /// Makes room for a page that this thread has set to loading, and has it read.
+    fn read(&self, object: &Arc<Object>, page: u32) -> Result<(), PageFault> {
+        let buffer = self.make_room(object, page)?;
+        let read = self.shared.read_of(object, page, buffer, self.number, None);
+        self.shared.backend.submit(vec![read]);
+        Ok(())
+    }
+
+    /// Room for a page that this thread has set to loading; where there is none, the page is absent again.
+    fn make_room(&self, object: &Arc<Object>, page: u32) -> Result<PageBuffer, PageFault> {
+        let mut evicted = Vec::new();
+        let _woken = self.registered();
+        let room = self.shared.pool.reserve(object.kind(page), object, &self.cancel, &mut evicted);
+        self.shared.count_evictions(&evicted);
+        room.map_err(|error| {
+            self.shared.give_up(object, page);
+            match error {
+                WaitError::Cancelled => PageFault::Cancelled,
+                WaitError::Hopeless => PageFault::Full {
+                    budget: self.shared.pool.limits().all_kinds(),
+                    needed: self.shared.pool.retained_bytes() + object.bytes(),
+                },
+            }
+        })
+    }
+
+    /// Waits until a page that is loading is there.
+    fn wait_for_page(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        started: Instant,
+    ) -> Result<PageGuard, PageFault> {
+        let counters = self.shared.counters_of(object, page);
+        let _woken = self.registered();
+        let result = loop {
+            let outcome = self.shared.pool.wait_until(&self.cancel, || match &*object.slot(page) {
+                Slot::Loading => None,
+                Slot::Resident(resident) => {
+                    Some(Some(Ok(self.shared.guard(object, resident, self.number, counters))))
+                }
+                Slot::Failed(fault) => Some(Some(Err((**fault).clone()))),
+                // Loaded and evicted again before this thread woke up, or a hint that found no room.
+                Slot::Absent => Some(None),
+            });
+            match outcome {
+                Err(WaitError::Cancelled) => return Err(PageFault::Cancelled),
+                Err(WaitError::Hopeless) => {
+                    return Err(PageFault::Stuck { name: object.source.name(), page });
+                }
+                Ok(Some(result)) => break result,
+                Ok(None) => {
+                    let mut slot = object.slot(page);
+                    if matches!(&*slot, Slot::Absent) {
+                        *slot = Slot::Loading;
+                        drop(slot);
+                        self.read(object, page)?;
+                    }
+                }
+            }
+        };
+        counters.stalled(started);
+        result
+    }
+
+    /// Retains a page that is made, not read: `compute` fills its bytes where it is absent, on the calling thread, which
+    /// may retain other pages meanwhile. Another thread that wants the page waits for it, or makes it where this one fails.
+    ///
+    /// Panics where `compute` panics; the page is an error from then on.
+    ///
+    /// # Errors
+    /// What `compute` returns, which leaves the page absent; a [`PageFault`] where there is no room, where an earlier
+    /// `compute` has panicked, where the page is being made by a thread that waits for this one, or where the client is
+    /// cancelled while it waits.
+    pub fn retain_computed<E: From<PageFault>>(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        mut compute: impl FnMut(&mut [u8]) -> Result<(), E>,
+    ) -> Result<PageGuard, E> {
+        let counters = self.shared.counters_of(object, page);
+        loop {
+            let mut slot = object.slot(page);
+            match &*slot {
+                Slot::Resident(resident) => {
+                    counters.hits.fetch_add(1, Ordering::Relaxed);
+                    return Ok(self.shared.guard(object, resident, self.number, counters));
+                }
+                Slot::Failed(fault) => return Err((**fault).clone().into()),
+                Slot::Loading => {
+                    drop(slot);
+                    counters.late.fetch_add(1, Ordering::Relaxed);
+                    self.wait_while_loading(object, page)?;
+                }
+                Slot::Absent => {
+                    *slot = Slot::Loading;
+                    drop(slot);
+                    counters.misses.fetch_add(1, Ordering::Relaxed);
+                    let buffer = self.make_room(object, page)?;
+                    return self.compute(object, page, buffer, &mut compute);
+                }
+            }
+        }
+    }
+
+    /// Waits until a page that another thread computes is there, or will not come.
+    fn wait_while_loading(&self, object: &Arc<Object>, page: u32) -> Result<(), PageFault> {
+        let started = Instant::now();
+        let _woken = self.registered();
+        let is_loading = || matches!(&*object.slot(page), Slot::Loading);
+        let waited = self.shared.pool.wait_until(&self.cancel, || (!is_loading()).then_some(()));
+        waited.map_err(|error| match error {
+            WaitError::Cancelled => PageFault::Cancelled,
+            WaitError::Hopeless => PageFault::Stuck { name: object.source.name(), page },
+        })?;
+        self.shared.counters_of(object, page).stalled(started);
+        Ok(())
+    }
+
+    /// Computes a page that this thread has set to loading and made room for.
+    fn compute<E>(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        mut buffer: PageBuffer,
+        compute: &mut impl FnMut(&mut [u8]) -> Result<(), E>,
+    ) -> Result<PageGuard, E> {
+        let computing = self.shared.pool.computing();
+        let outcome = catch_unwind(AssertUnwindSafe(|| compute(buffer.bytes_mut())));
+        drop(computing);
+        match outcome {
+            Ok(Ok(())) => {
+                self.shared.counters_of(object, page).computed.fetch_add(1, Ordering::Relaxed);
+                let resident = Arc::new(Resident {
+                    buffer,
+                    serial: self.shared.pool.next_serial(),
+                    last_use: AtomicU64::new(self.shared.pool.tick()),
+                    user: AtomicU32::new(self.number),
+                    retired: AtomicBool::new(false),
+                    hint: AtomicU32::new(HintMark::None.word()),
+                });
+                let guard = PageGuard::new(&resident, &self.shared);
+                self.shared.become_resident(object, page, resident);
+                Ok(guard)
+            }
+            Ok(Err(error)) => {
+                self.shared.fail(object, page, Slot::Absent, buffer);
+                Err(error)
+            }
+            Err(panic) => {
+                // Whoever waits for the page must learn that it will not come.
+                let fault = PageFault::Panicked { name: object.source.name(), page };
+                self.shared.fail(object, page, Slot::Failed(Box::new(fault)), buffer);
+                resume_unwind(panic);
+            }
+        }
+    }
+
+    /// While this lives, a cancellation wakes those who wait in the pool.
+    fn registered(&self) -> Registered<'_> {
+        let shared = self.shared.clone();
+        self.cancel.register(Arc::new(move || shared.pool.notify()))
+    }
+}
+
+impl Shared {
+    fn counters_of(&self, object: &Object, page: u32) -> &Counters {
+        &self.counters[object.kind(page).index()]
+    }
+
+    /// A guard on a page that has been asked for. The caller holds the lock of its slot.
+    fn guard(
+        self: &Arc<Self>,
+        object: &Object,
+        resident: &Arc<Resident>,
+        client: u32,
+        counters: &Counters,
+    ) -> PageGuard {
+        resident.last_use.store(self.pool.tick(), Ordering::Relaxed);
+        resident.user.store(client, Ordering::Relaxed);
+        if resident.retired.load(Ordering::Relaxed) {
+            resident.retired.store(false, Ordering::Relaxed);
+        }
+        if self.settle_hint(resident, object.bytes()) {
+            counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
+        }
+        PageGuard::new(resident, self)
+    }
+
+    /// A page that was to come is absent again.
+    pub(super) fn give_up(&self, object: &Object, page: u32) {
+        *object.slot(page) = Slot::Absent;
+        self.pool.notify();
+    }
+
+    /// The request that will make a page resident, for a client; `hint` is the era of a hint, where nobody has asked for
+    /// it.
+    pub(super) fn read_of(
+        self: &Arc<Self>,
+        object: &Arc<Object>,
+        page: u32,
+        buffer: PageBuffer,
+        client: u32,
+        hint: Option<u32>,
+    ) -> Read {
+        let counters = self.counters_of(object, page);
+        counters.reads.fetch_add(1, Ordering::Relaxed);
+        counters.bytes_read.fetch_add(object.bytes(), Ordering::Relaxed);
+        if object.touch(page, self.period.load(Ordering::Relaxed)) {
+            counters.bytes_unique.fetch_add(object.bytes(), Ordering::Relaxed);
+        }
+        let (shared, owner) = (self.clone(), object.clone());
+        Read {
+            storage: object.source.storage(),
+            offset: object.source.offset(page),
+            buffer,
+            done: Box::new(move |buffer, outcome| {
+                shared.complete(&owner, page, buffer, outcome, client, hint);
+            }),
+        }
+    }
+
+    /// A read has ended: the page is checked, and resident, or failed.
+    fn complete(
+        self: &Arc<Self>,
+        object: &Arc<Object>,
+        page: u32,
+        buffer: PageBuffer,
+        outcome: io::Result<()>,
+        client: u32,
+        hint: Option<u32>,
+    ) {
+        let (name, offset) = (|| object.source.name(), object.source.offset(page));
+        let checked = match outcome {
+            Ok(()) => {
+                // A source is anybody's: one that panics must not leave threads waiting for ever.
+                let check = AssertUnwindSafe(|| object.source.check(page, buffer.bytes()));
+                let checked = catch_unwind(check).unwrap_or_else(|_| Err("its check panicked".into()));
+                checked.map_err(|what| PageFault::Damaged { name: name(), page, offset, what })
+            }
+            Err(e) => Err(PageFault::Read { name: name(), page, offset, source: Arc::new(e) }),
+        };
+        match checked {
+            Ok(()) => {
+                // A page whose hint has been taken back meanwhile is the first to go.
+                let wanted = hint.is_none_or(|era| self.is_hint_of(client, era));
+                let mark = if hint.is_some() && wanted { HintMark::Read(client) } else { HintMark::None };
+                if !wanted {
+                    self.hint_was_used(client, object.bytes());
+                }
+                let resident = Resident {
+                    buffer,
+                    serial: self.pool.next_serial(),
+                    last_use: AtomicU64::new(self.pool.tick()),
+                    user: AtomicU32::new(client),
+                    retired: AtomicBool::new(!wanted),
+                    hint: AtomicU32::new(mark.word()),
+                };
+                self.become_resident(object, page, Arc::new(resident));
+            }
+            Err(fault) => {
+                if hint.is_some() {
+                    self.hint_was_used(client, object.bytes());
+                }
+                self.fail(object, page, Slot::Failed(Box::new(fault)), buffer);
+            }
+        }
+    }
+
+    /// A page is there, and in its slot; where it is not wanted, it is the first to go.
+    fn become_resident(&self, object: &Arc<Object>, page: u32, resident: Arc<Resident>) {
+        let (serial, retired) = (resident.serial, resident.retired.load(Ordering::Relaxed));
+        let last_use = resident.last_use.load(Ordering::Relaxed);
+        *object.slot(page) = Slot::Resident(resident);
+        let evicted = self.pool.loaded(object, page, serial, last_use, retired);
+        self.count_evictions(&evicted);
+    }
+
+    /// A page will not come.
+    fn fail(&self, object: &Object, page: u32, slot: Slot, buffer: PageBuffer) {
+        *object.slot(page) = slot;
+        self.pool.failed(object.kind(page), object, buffer);
+    }
+}
