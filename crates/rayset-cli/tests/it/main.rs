@@ -35,6 +35,7 @@ mod right_picture;
 mod same_picture;
 mod scattered;
 mod schema;
+mod sessions;
 mod settings;
 mod shadows;
 mod tables;

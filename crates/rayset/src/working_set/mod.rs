@@ -139,6 +139,12 @@ impl WorkingSet {
         Statistics::collect(&self.shared.counters, &self.shared.pool)
     }
 
+    /// Bytes of the pages that are retained now. Looks at every page in memory.
+    #[must_use]
+    pub fn retained_bytes(&self) -> u64 {
+        self.shared.pool.retained_bytes()
+    }
+
     /// Sets all counters to zero; the peak starts again from what is resident.
     pub fn reset_statistics(&self) {
         self.shared.counters.iter().for_each(Counters::reset);

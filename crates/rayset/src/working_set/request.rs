@@ -203,7 +203,11 @@ impl PageClient {
         drop(computing);
         match outcome {
             Ok(Ok(())) => {
-                self.shared.counters_of(object, page).computed.fetch_add(1, Ordering::Relaxed);
+                let counters = self.shared.counters_of(object, page);
+                counters.computed.fetch_add(1, Ordering::Relaxed);
+                if object.touch(page, self.shared.period.load(Ordering::Relaxed)) {
+                    counters.computed_unique.fetch_add(1, Ordering::Relaxed);
+                }
                 let resident = Arc::new(Resident {
                     buffer,
                     serial: self.shared.pool.next_serial(),

@@ -22,6 +22,7 @@ pub(super) struct Counters {
     pub(super) bytes_unique: AtomicU64,
     pub(super) evictions: AtomicU64,
     pub(super) computed: AtomicU64,
+    pub(super) computed_unique: AtomicU64,
 }
 
 impl Counters {
@@ -45,6 +46,7 @@ impl Counters {
             &self.bytes_unique,
             &self.evictions,
             &self.computed,
+            &self.computed_unique,
         ] {
             counter.store(0, Ordering::Relaxed);
         }
@@ -78,6 +80,8 @@ pub struct KindStatistics {
     pub evictions: u64,
     /// Pages that were computed instead of read.
     pub computed: u64,
+    /// The same, each page counted once.
+    pub computed_unique: u64,
     /// Most bytes at any time, pages being read included.
     pub peak_bytes: u64,
 }
@@ -110,6 +114,7 @@ impl Statistics {
                 bytes_unique: get(&c.bytes_unique),
                 evictions: get(&c.evictions),
                 computed: get(&c.computed),
+                computed_unique: get(&c.computed_unique),
                 peak_bytes: peaks[k],
             }
         });
