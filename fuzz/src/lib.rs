@@ -11,7 +11,7 @@ use rayset::grid::Grid;
 use rayset::grid::build::{self as grid_build, GridBuildOptions};
 use rayset::grid::read::VolumeSource;
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildOptions, BuildControl, Rule};
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
@@ -86,7 +86,7 @@ pub fn points(data: &[u8]) {
     };
     let Ok(source) = open() else { return };
     let cloud = folder().join("built.rset");
-    match build::run(vec![source], &cloud, &options, &NoProgress) {
+    match build::run(vec![source], &cloud, &options, &BuildControl::default()) {
         Err(error) => sentence(&error),
         Ok(_) => {
             let cloud = Cloud::open(&cloud).expect("what is built opens");
@@ -189,7 +189,7 @@ fn picture(scene: &Scene, camera: &Camera, settings: &RenderSettings) {
 fn data_of_scenes() {
     let source = "knot-500".parse::<points::Workload>().expect("a workload").source();
     let options = BuildOptions { attributes: vec!["weight".into()], threads: 1, ..BuildOptions::default() };
-    build::run(vec![source], &folder().join("cloud.rset"), &options, &NoProgress).expect("it builds");
+    build::run(vec![source], &folder().join("cloud.rset"), &options, &BuildControl::default()).expect("it builds");
     let raw = folder().join("voxels.raw");
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
     let layout = "10x10x10,u8".parse().expect("a layout");

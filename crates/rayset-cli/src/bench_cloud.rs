@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use rayset::cancel::CancelToken;
 use rayset::field::{Kernel, SimdLevel};
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, NoProgress};
+use rayset::octree::build::{self, BuildControl, BuildOptions};
 use rayset::points::{self, ReadOptions, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
@@ -113,7 +113,7 @@ impl Prepared {
         };
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = Instant::now();
-        build::run(vec![source], &path, &options, &NoProgress)?;
+        build::run(vec![source], &path, &options, &BuildControl::default())?;
         let build_seconds = started.elapsed().as_secs_f64();
         let cloud = Arc::new(Cloud::open(&path)?);
         Ok(Self { workload: *workload, cloud, build_seconds, path })

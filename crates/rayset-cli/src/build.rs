@@ -100,7 +100,8 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let read = ReadOptions { text_columns: args.columns.clone() };
     let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
     let meter = Meter::new("points", args.json);
-    let built = build::run(sources, &args.output, &options, &meter);
+    let control = build::BuildControl::from(&meter as &dyn build::Progress);
+    let built = build::run(sources, &args.output, &options, &control);
     meter.finish();
     let built = built.map_err(|e| name_smallest_budget(e, args.memory))?;
     if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }

@@ -61,8 +61,13 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
     };
     let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
     let meter = Meter::new("points", false);
-    let built = build::run(vec![source], &cloud, &options, &meter)
-        .map_err(|e| crate::build::name_smallest_budget(e, args.memory))?;
+    let built = build::run(
+        vec![source],
+        &cloud,
+        &options,
+        &build::BuildControl::from(&meter as &dyn build::Progress),
+    )
+    .map_err(|e| crate::build::name_smallest_budget(e, args.memory))?;
     meter.finish();
     report::say(format_args!(
         "   {} of pages, {:.1} times the memory that may be used",

@@ -9,7 +9,7 @@ use clap::Args;
 use rayset::geometry::{Aabb, DAffine3, DVec3};
 use rayset::grid::build::{GridBuildOptions, build as build_grid};
 use rayset::grid::read::{RawLayout, VolumeSource};
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::output::Destination;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 use rayset::scene::{NoiseCloud, Pattern, Procedural};
@@ -205,7 +205,7 @@ impl Preparation<'_> {
         let pose = if scan.is_some() { pose } else { Pose::default() };
         let standing = standing(&mut *open()?, pose)?;
         let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
-        build::run(vec![Box::new(moved)], &path, &self.build_options(), &NoProgress)?;
+        build::run(vec![Box::new(moved)], &path, &self.build_options(), &BuildControl::default())?;
         Ok(())
     }
 
@@ -237,7 +237,7 @@ impl Preparation<'_> {
         let started = std::time::Instant::now();
         let cloud = self.folder.join("statue.rset");
         self.output(&cloud)?;
-        let built = build::run(vec![source], &cloud, &options, &NoProgress)?;
+        let built = build::run(vec![source], &cloud, &options, &BuildControl::default())?;
         report::say(format_args!(
             "{} points, {} on disk, {:.1} s, peak memory {}",
             report::count(built.points),

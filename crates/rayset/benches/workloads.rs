@@ -12,7 +12,7 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::output::Destination;
 use rayset::points::{self, PlyWriter, PointBatch, ReadOptions, Workload};
 use rayset::scene::{
@@ -65,7 +65,7 @@ impl Prepared {
         let source = points::open(&self.ply, &ReadOptions::default()).expect("the file opens");
         let radius = self.workload.radius().map(Rule::Number);
         let options = BuildOptions { radius, threads: 2, ..BuildOptions::default() };
-        build::run(vec![source], &self.rset, &options, &NoProgress).expect("the cloud builds");
+        build::run(vec![source], &self.rset, &options, &BuildControl::default()).expect("the cloud builds");
     }
 }
 

@@ -16,7 +16,7 @@
 //! // A thousand points on a sphere, built into a file.
 //! let ball: Workload = "sphere-1k".parse()?;
 //! let options = build::BuildOptions { radius: Some(build::Rule::Number(0.3)), ..Default::default() };
-//! build::run(vec![ball.source()], &path, &options, &build::NoProgress)?;
+//! build::run(vec![ball.source()], &path, &options, &build::BuildControl::default())?;
 //!
 //! // A working set of at most one mebibyte over its pages.
 //! let cloud = Arc::new(Cloud::open(&path)?);
@@ -52,6 +52,7 @@ pub mod regular_file;
 pub mod scene;
 pub mod scene_file;
 mod spill;
+pub mod storage;
 mod sync;
 pub mod trace;
 pub mod working_set;

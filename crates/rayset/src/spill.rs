@@ -1,4 +1,4 @@
-//! Temporary files: few, large, beside the output, and gone after any exit.
+//! Where records wait: temporary files, few, large, beside the output, and gone after any exit; or memory.
 //!
 //! On Linux a temporary file never has a name, where the file system knows such files; on other Unix systems it loses its
 //! name as soon as it is open. So nothing of it survives the process, not even one that is killed. Elsewhere it is removed when dropped, and a later build of the same output removes what
@@ -9,12 +9,20 @@ use std::io;
 use std::path::Path;
 #[cfg(not(unix))]
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 use crate::output::{Destination, Purpose, create_unique};
 
-/// An unnamed file for records.
+/// Records put aside: in an unnamed file, or in memory where there is to be no file.
 #[derive(Debug)]
-pub(crate) struct Spill {
+pub(crate) enum Spill {
+    File(TemporaryFile),
+    Memory(Mutex<Vec<u8>>),
+}
+
+/// A file without a name.
+#[derive(Debug)]
+pub(crate) struct TemporaryFile {
     file: File,
     #[cfg(not(unix))]
     path: PathBuf,
@@ -32,7 +40,7 @@ impl Spill {
     pub(crate) fn create(output: &Destination, temp_dir: &Path) -> io::Result<Self> {
         #[cfg(target_os = "linux")]
         if let Ok(file) = without_name(temp_dir) {
-            return Ok(Self { file });
+            return Ok(Self::File(TemporaryFile { file }));
         }
         let (file, path) = create_unique(temp_dir, output.file_name(), Purpose::Temporary)?;
         #[cfg(unix)]
@@ -41,14 +49,49 @@ impl Spill {
             let _ = std::fs::remove_file(&path);
             return Err(error);
         }
-        Ok(Self {
+        Ok(Self::File(TemporaryFile {
             file,
             #[cfg(not(unix))]
             path,
-        })
+        }))
+    }
+
+    pub(crate) fn in_memory() -> Self {
+        Self::Memory(Mutex::default())
     }
 
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        match self {
+            Self::File(file) => file.read_at(buffer, offset),
+            Self::Memory(bytes) => {
+                let bytes = bytes.lock().unwrap_or_else(PoisonError::into_inner);
+                let start = usize::try_from(offset).unwrap_or(usize::MAX);
+                let found = bytes.get(start..start.saturating_add(buffer.len()));
+                buffer.copy_from_slice(found.ok_or(io::ErrorKind::UnexpectedEof)?);
+                Ok(())
+            }
+        }
+    }
+
+    pub(crate) fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
+        match self {
+            Self::File(file) => file.write_at(buffer, offset),
+            Self::Memory(bytes) => {
+                let mut bytes = bytes.lock().unwrap_or_else(PoisonError::into_inner);
+                let start = usize::try_from(offset).map_err(|_| io::ErrorKind::OutOfMemory)?;
+                let end = start.checked_add(buffer.len()).ok_or(io::ErrorKind::OutOfMemory)?;
+                if bytes.len() < end {
+                    bytes.resize(end, 0);
+                }
+                bytes[start..end].copy_from_slice(buffer);
+                Ok(())
+            }
+        }
+    }
+}
+
+impl TemporaryFile {
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         #[cfg(unix)]
         return std::os::unix::fs::FileExt::read_exact_at(&self.file, buffer, offset);
         #[cfg(not(unix))]
@@ -69,7 +112,7 @@ impl Spill {
         }
     }
 
-    pub(crate) fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
+    fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
         #[cfg(unix)]
         return std::os::unix::fs::FileExt::write_all_at(&self.file, buffer, offset);
         #[cfg(not(unix))]
@@ -88,7 +131,7 @@ impl Spill {
 }
 
 #[cfg(not(unix))]
-impl Drop for Spill {
+impl Drop for TemporaryFile {
     fn drop(&mut self) {
         let _ = std::fs::remove_file(&self.path);
     }

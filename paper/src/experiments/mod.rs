@@ -23,7 +23,7 @@ use anyhow::{Context as _, Result};
 use rayset::field::Kernel;
 use rayset::geometry::{Aabb, DVec3};
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::points::{self, PointSource, ReadOptions, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, Step, TransferFunction,
@@ -144,7 +144,7 @@ impl Subject {
         path: &Path,
     ) -> Result<Self> {
         let options = BuildOptions { radius: radius.map(Rule::Number), ..BuildOptions::default() };
-        build::run(vec![source], path, &options, &NoProgress)?;
+        build::run(vec![source], path, &options, &BuildControl::default())?;
         Self::open(path, side)
     }
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::{ArraySource, PointBatch, PointSource, Workload};
 
@@ -17,7 +17,7 @@ fn check(folder: &Path, sources: &dyn Fn() -> Vec<Box<dyn PointSource>>, options
     {
         let path = folder.join("c.rset");
         let options = BuildOptions { threads, memory_bytes: memory, ..options.clone() };
-        build::run(sources(), &path, &options, &NoProgress).expect("the cloud builds");
+        build::run(sources(), &path, &options, &BuildControl::default()).expect("the cloud builds");
         let cloud = Cloud::open(&path).expect("the cloud opens");
         verify(&cloud, Depth::Deep).expect("all bounds hold");
         let bytes = std::fs::read(&path).expect("the file reads");
@@ -97,7 +97,8 @@ fn the_order_of_the_input_does_not_matter() {
     };
     let build = |name: &str, sources| {
         let path = folder.path().join(name);
-        build::run(sources, &path, &BuildOptions::default(), &NoProgress).expect("the cloud builds");
+        build::run(sources, &path, &BuildOptions::default(), &BuildControl::default())
+            .expect("the cloud builds");
         std::fs::read(&path).expect("the file reads")
     };
     let forward = build("a", vec![part(&mut (0..30_000))]);

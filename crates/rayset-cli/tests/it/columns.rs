@@ -1,7 +1,7 @@
 //! What becomes of the columns of an input: radius, weight, colour; and of numbers that cannot be stored.
 
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildError, BuildOptions, InvalidPolicy, NoProgress, Quantity, Rule};
+use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, InvalidPolicy, Quantity, Rule};
 use rayset::octree::format::Column;
 use rayset::points::{ArraySource, PointSource};
 
@@ -84,7 +84,7 @@ fn numbers_too_large_to_be_stored_stop_a_build_with_the_factor_to_use() {
         (Box::new(move || with("weight", 2e33)), Quantity::Weight),
     ];
     for (source, expected) in cases {
-        let error = build::run(vec![source()], &path, &BuildOptions::default(), &NoProgress);
+        let error = build::run(vec![source()], &path, &BuildOptions::default(), &BuildControl::default());
         let error = error.expect_err("it cannot be stored");
         let BuildError::OutOfRange { quantity, count: 1, records: 2, factor, .. } = error else {
             panic!("{error}")
@@ -96,10 +96,14 @@ fn numbers_too_large_to_be_stored_stop_a_build_with_the_factor_to_use() {
             }
             _ => BuildOptions { length_scale: factor.expect("one"), ..BuildOptions::default() },
         };
-        let report = build::run(vec![source()], &path, &scaled, &NoProgress).expect("the factor helps");
+        let report =
+            build::run(vec![source()], &path, &scaled, &BuildControl::default()).expect("the factor helps");
         assert_eq!(report.points, 2, "{quantity}");
         let skipping = BuildOptions { invalid: InvalidPolicy::SkipAll, ..BuildOptions::default() };
-        assert_eq!(build::run(vec![source()], &path, &skipping, &NoProgress).expect("it skips").points, 1);
+        assert_eq!(
+            build::run(vec![source()], &path, &skipping, &BuildControl::default()).expect("it skips").points,
+            1
+        );
     }
 }
 
@@ -127,7 +131,7 @@ fn a_cloud_of_nothing_made_of_something_is_an_error() {
         vec![source(vec![("radius", vec![-1.0, f32::NAN])])],
         &path,
         &BuildOptions::default(),
-        &NoProgress,
+        &BuildControl::default(),
     );
     let error = error.expect_err("nothing is valid");
     assert!(

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::points::{ArraySource, PointSource, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, Node, OpacityRule, RenderSettings, Scene, Shape,
@@ -67,7 +67,7 @@ pub(crate) fn mixed_points(count: usize, octaves: f64, seed: u64) -> ArraySource
 }
 
 pub(crate) fn build_at(path: &Path, source: Box<dyn PointSource>, options: &BuildOptions) -> Arc<Cloud> {
-    build::run(vec![source], path, options, &NoProgress).expect("the cloud builds");
+    build::run(vec![source], path, options, &BuildControl::default()).expect("the cloud builds");
     Arc::new(Cloud::open(path).expect("the cloud opens"))
 }
 

@@ -4,7 +4,7 @@ use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::build::{
-    self, BuildError, BuildOptions, InvalidPolicy, NoProgress, Precision, Quantity, Rule,
+    self, BuildControl, BuildError, BuildOptions, InvalidPolicy, Precision, Quantity, Rule,
 };
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::ArraySource;
@@ -40,14 +40,16 @@ fn invalid_positions_radii_and_weights_are_counted_and_skipped_or_rejected() {
         ArraySource::new(cases.iter().map(|c| c.0).collect(), columns)
     };
     let path = folder.path().join("c.rset");
-    let error = build::run(vec![Box::new(source())], &path, &BuildOptions::default(), &NoProgress)
-        .expect_err("a coordinate of 1e300 is no missing value by itself");
+    let error =
+        build::run(vec![Box::new(source())], &path, &BuildOptions::default(), &BuildControl::default())
+            .expect_err("a coordinate of 1e300 is no missing value by itself");
     assert!(
         matches!(error, BuildError::OutOfRange { quantity: Quantity::Position, count: 1, .. }),
         "{error}"
     );
     let options = BuildOptions { invalid: InvalidPolicy::SkipAll, ..BuildOptions::default() };
-    let report = build::run(vec![Box::new(source())], &path, &options, &NoProgress).expect("it builds");
+    let report =
+        build::run(vec![Box::new(source())], &path, &options, &BuildControl::default()).expect("it builds");
     assert_eq!(
         (report.points, report.skipped.position, report.skipped.radius, report.skipped.weight),
         (2, 3, 4, 2)
@@ -58,8 +60,8 @@ fn invalid_positions_radii_and_weights_are_counted_and_skipped_or_rejected() {
     assert!(pixels.iter().flatten().all(|v| v.is_finite()));
 
     let options = BuildOptions { invalid: InvalidPolicy::Reject, ..BuildOptions::default() };
-    let error =
-        build::run(vec![Box::new(source())], &path, &options, &NoProgress).expect_err("it is rejected");
+    let error = build::run(vec![Box::new(source())], &path, &options, &BuildControl::default())
+        .expect_err("it is rejected");
     assert!(matches!(error, BuildError::InvalidRecord { input: 1, index: 1, .. }), "{error}");
 }
 

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use rayset::container::{FileHeader, FileKind, SectionKind, reseal};
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildError, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, Rule};
 use rayset::octree::format::MAX_ATTRIBUTES;
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::{ArraySource, ColumnInfo, ColumnType, PointSource, Values};
@@ -54,7 +54,7 @@ fn files_differ_in_identity_as_they_differ_in_content_and_in_nothing_else() {
     let path = folder.path().join("c.rset");
     let source = |seed| Box::new(mixed_points(700, 1.0, seed)) as Box<dyn PointSource>;
     let built = |sources: Vec<Box<dyn PointSource>>, options: &BuildOptions| {
-        build::run(sources, &path, options, &NoProgress).expect("it builds");
+        build::run(sources, &path, options, &BuildControl::default()).expect("it builds");
         (Cloud::open(&path).expect("it opens").header().identity, std::fs::read(&path).expect("a read"))
     };
     let first = built(vec![source(1), source(2)], &options());
@@ -228,7 +228,7 @@ fn inputs_of_different_types_make_a_column_that_holds_both() {
     let path = folder.path().join("c.rset");
     let options = BuildOptions { attributes: vec!["id".into()], ..BuildOptions::default() };
     let sources = vec![source(vec![200_u8].into()), source(vec![-70_000_i32].into())];
-    build::run(sources, &path, &options, &NoProgress).expect("it builds");
+    build::run(sources, &path, &options, &BuildControl::default()).expect("it builds");
     let header = Cloud::open(&path).expect("it opens").header().clone();
     let id = &header.attributes[0];
     assert_eq!((id.kind, id.min, id.max), (ColumnType::I32, -70_000.0, 200.0));
@@ -249,7 +249,8 @@ fn as_many_columns_as_there_may_be_fit_the_smallest_clouds() {
     let cloud = build_at(&path, source(), &options);
     verify(&cloud, Depth::Deep).expect("it is whole");
     let tight = BuildOptions { page_bytes: Some(16 << 10), ..options };
-    let error = build::run(vec![source()], &path, &tight, &NoProgress).expect_err("a run does not fit");
+    let error =
+        build::run(vec![source()], &path, &tight, &BuildControl::default()).expect_err("a run does not fit");
     assert!(matches!(error, BuildError::Option { option: "page size", .. }), "{error}");
     let needed: u32 =
         error.to_string().split_ascii_whitespace().rev().nth(1).and_then(|w| w.parse().ok()).expect("bytes");

@@ -48,7 +48,7 @@ fn voxels(kind: VoxelKind, big_endian: bool) -> Vec<u8> {
     bytes
 }
 
-fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
+pub(crate) fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
     let (raw, path) = (folder.join("v.raw"), folder.join(format!("{}.rset", kind.name())));
     std::fs::write(&raw, voxels(kind, false)).expect("a write");
     let layout: RawLayout =

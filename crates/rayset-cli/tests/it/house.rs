@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 16] = [
+const ORDER: [&str; 17] = [
     "sync",
     "cancel",
     "geometry",
     "regular_file",
+    "storage",
     "output",
     "spill",
     "points",

@@ -5,6 +5,7 @@
 
 mod bad_bytes;
 mod bounces;
+mod build_control;
 mod build_is_pure;
 mod colormaps;
 mod columns;

@@ -11,7 +11,7 @@ use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildError, BuildOptions, NoProgress};
+use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions};
 use rayset::octree::verify::{Depth, verify};
 use rayset::output::{Destination, OutputError, OutputFile};
 use rayset::points::{self, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
@@ -94,8 +94,13 @@ fn of_builds_at_once_to_one_output_the_last_to_finish_wins_whole() {
                     let workload: Workload = format!("sphere-{count}").parse().expect("a workload");
                     let options = BuildOptions { threads: 1, memory_bytes: 16 << 20, ..Default::default() };
                     barrier.wait();
-                    build::run(vec![Box::new(Slow(workload.source()))], path, &options, &NoProgress)
-                        .expect("every one of them builds");
+                    build::run(
+                        vec![Box::new(Slow(workload.source()))],
+                        path,
+                        &options,
+                        &BuildControl::default(),
+                    )
+                    .expect("every one of them builds");
                 });
             }
         });
@@ -285,7 +290,7 @@ fn the_library_refuses_to_build_over_what_it_reads() {
     let path = folder.path().join("points.ply");
     let before = fs::read(&path).expect("it reads");
     let source = points::open(&path, &ReadOptions::default()).expect("it opens");
-    let outcome = build::run(vec![source], &path, &BuildOptions::default(), &NoProgress);
+    let outcome = build::run(vec![source], &path, &BuildOptions::default(), &BuildControl::default());
     assert!(matches!(outcome, Err(BuildError::Output(OutputError::IsInput { .. }))));
     assert!(fs::read(&path).expect("it reads") == before);
 }
@@ -537,7 +542,9 @@ fn a_panic_leaves_no_half_output() {
     let folder = folder();
     let path = folder.path().join("c.rset");
     let source = "sphere-100".parse::<Workload>().expect("a workload").source();
-    let build = || build::run(vec![Box::new(Panics(source))], &path, &BuildOptions::default(), &NoProgress);
+    let build = || {
+        build::run(vec![Box::new(Panics(source))], &path, &BuildOptions::default(), &BuildControl::default())
+    };
     assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(build)).is_err());
     assert!(names(folder.path()).is_empty());
 }

@@ -35,6 +35,10 @@ impl Numbers {
 }
 
 impl Storage for Numbers {
+    fn length(&self) -> io::Result<u64> {
+        Ok(u64::from(self.pages) * PAGE as u64)
+    }
+
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let page = offset as usize / PAGE;
         assert_eq!(

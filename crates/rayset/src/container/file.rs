@@ -1,13 +1,14 @@
 //! Opening a file: header, footer, length and the sections that are not pages are checked here, pages when they are read.
 
-use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, Section, SectionKind};
 use super::page::{PageError, stored_page_checksum};
 use super::write::Metadata;
 use crate::regular_file;
+use crate::storage::{FileStorage, Storage};
 
 /// Longest section that is read at once: columns, descriptions.
 const MAX_SECTION_BYTES: u64 = 512 << 10;
@@ -73,10 +74,10 @@ pub enum ScanError {
 }
 
 /// A file whose header, length and footer are those of a whole file.
-#[derive(Debug)]
 pub struct OpenFile {
+    /// Its name in messages, where it is no file on disk.
     path: PathBuf,
-    file: File,
+    storage: Arc<dyn Storage>,
     header: FileHeader,
 }
 
@@ -86,12 +87,22 @@ impl OpenFile {
     /// # Errors
     /// [`OpenError`] where the file cannot be read or is no whole file of the kind and version.
     pub fn open(path: &Path, kind: FileKind) -> Result<Self, OpenError> {
+        let file =
+            regular_file::open(path).map_err(|source| OpenError::Io { path: path.to_owned(), source })?;
+        Self::over(path, Arc::new(FileStorage::from(file)), kind)
+    }
+
+    /// The same over bytes that may lie anywhere, with a name for messages.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn over(path: &Path, storage: Arc<dyn Storage>, kind: FileKind) -> Result<Self, OpenError> {
         let io = |source| OpenError::Io { path: path.to_owned(), source };
         let wrong = |source| OpenError::Header { path: path.to_owned(), source };
-        let mut file = regular_file::open(path).map_err(io)?;
-        let found = file.metadata().map_err(io)?.len();
+        let found = storage.length().map_err(io)?;
         let mut head = [0; BLOCK_BYTES];
-        let got = read_up_to(&mut file, &mut head).map_err(io)?;
+        let got = found.min(BLOCK_BYTES as u64) as usize;
+        storage.read_exact_at(&mut head[..got], 0).map_err(io)?;
         if got < BLOCK_BYTES {
             let begins = got > 0 && kind.magic().starts_with(&head[..got.min(8)]);
             return Err(if begins {
@@ -106,10 +117,9 @@ impl OpenFile {
         }
         let footer_at = header.file_bytes - BLOCK_BYTES as u64;
         let mut foot = [0; BLOCK_BYTES];
-        file.seek(SeekFrom::Start(footer_at)).map_err(io)?;
-        file.read_exact(&mut foot).map_err(io)?;
+        storage.read_exact_at(&mut foot, footer_at).map_err(io)?;
         Footer::check(&foot, &head, footer_at).map_err(wrong)?;
-        let mut opened = Self { path: path.to_owned(), file, header };
+        let mut opened = Self { path: path.to_owned(), storage, header };
         opened.check_features()?;
         Ok(opened)
     }
@@ -192,15 +202,13 @@ impl OpenFile {
         kinds: [SectionKind; 2],
         mut check: impl FnMut(u32, u64, &[u8]) -> Result<(), E>,
     ) -> Result<(), E> {
-        let io = |source| OpenError::Io { path: self.path.clone(), source };
         let mut page = vec![0; self.header.page_bytes as usize];
         let mut number = 0_u32;
         for section in self.header.sections.iter().filter(|s| s.pages > 0) {
-            self.file.seek(SeekFrom::Start(section.offset)).map_err(io)?;
             let mut digest = 0;
             for index in 0..section.pages {
                 let offset = section.offset + u64::from(index) * u64::from(self.header.page_bytes);
-                self.file.read_exact(&mut page).map_err(|e| self.ends_early(offset, e))?;
+                self.storage.read_exact_at(&mut page, offset).map_err(|e| self.ends_early(offset, e))?;
                 if kinds.contains(&section.kind) {
                     check(number, offset, &page)?;
                 }
@@ -228,12 +236,10 @@ impl OpenFile {
     /// Reads a section piece by piece, and checks its checksum and the zeros behind it.
     fn read_section(&mut self, section: &Section, mut take: impl FnMut(&[u8])) -> Result<(), OpenError> {
         let wrong = |source| OpenError::Header { path: self.path.clone(), source };
-        let io = |source| OpenError::Io { path: self.path.clone(), source };
-        self.file.seek(SeekFrom::Start(section.offset)).map_err(io)?;
         let mut block = [0; BLOCK_BYTES];
         let (mut left, mut checksum, mut at) = (section.bytes, 0, section.offset);
         while left > 0 {
-            self.file.read_exact(&mut block).map_err(|e| self.ends_early(at, e))?;
+            self.storage.read_exact_at(&mut block, at).map_err(|e| self.ends_early(at, e))?;
             let used = left.min(BLOCK_BYTES as u64) as usize;
             checksum = crc32c::crc32c_append(checksum, &block[..used]);
             take(&block[..used]);
@@ -251,18 +257,4 @@ impl OpenFile {
             Err(wrong(HeaderError::Checksum { at: section.offset, found, expected }))
         }
     }
-}
-
-/// Fills as much of `buffer` as the file holds.
-fn read_up_to(file: &mut File, buffer: &mut [u8]) -> io::Result<usize> {
-    let mut filled = 0;
-    while filled < buffer.len() {
-        match file.read(&mut buffer[filled..]) {
-            Ok(0) => break,
-            Ok(n) => filled += n,
-            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-            Err(e) => return Err(e),
-        }
-    }
-    Ok(filled)
 }

@@ -1,17 +1,30 @@
 //! Opening a cloud: header, footer, length and descriptions are checked here, pages when they are read.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
 use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
+use crate::storage::{MemoryStorage, Storage};
 
-/// An open cloud file: what it says of itself, checked, and the path from which its pages are read.
-#[derive(Debug)]
+/// An open cloud: what its file says of itself, checked, and where its pages are read from.
 pub struct Cloud {
+    /// Its name in messages, where it is no file on disk.
     path: PathBuf,
+    /// `None` for a file on disk, which is opened by its path.
+    storage: Option<Arc<dyn Storage>>,
     header: Header,
+}
+
+impl std::fmt::Debug for Cloud {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Cloud")
+            .field("path", &self.path)
+            .field("header", &self.header)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Cloud {
@@ -21,10 +34,42 @@ impl Cloud {
     /// [`OpenError`] where the file cannot be read or is no whole cloud of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let mut file = OpenFile::open(path, FileKind::Cloud)?;
-        Ok(Self { path: path.to_owned(), header: Header::read(&mut file)? })
+        Ok(Self { path: path.to_owned(), storage: None, header: Header::read(&mut file)? })
     }
 
-    /// Path of the file.
+    /// Opens a cloud whose bytes lie in memory: those of a file, read or mapped or built there. They are used where they are.
+    ///
+    /// # Errors
+    /// [`OpenError`] where they are no whole cloud of this version.
+    pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, OpenError> {
+        let bytes: Arc<[u8]> = bytes.into();
+        Self::from_storage("memory", Arc::new(MemoryStorage::new(Arc::new(bytes))))
+    }
+
+    /// Opens a cloud whose bytes are read from anywhere, with a name for messages. They must not change while it is open.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
+        let path = PathBuf::from(name);
+        let mut file = OpenFile::over(&path, storage.clone(), FileKind::Cloud)?;
+        Ok(Self { path, storage: Some(storage), header: Header::read(&mut file)? })
+    }
+
+    /// What its pages are read from, where that is no file on disk.
+    #[must_use]
+    pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
+        self.storage.as_ref()
+    }
+
+    fn reopened(&self) -> Result<OpenFile, OpenError> {
+        match &self.storage {
+            Some(storage) => OpenFile::over(&self.path, storage.clone(), FileKind::Cloud),
+            None => OpenFile::open(&self.path, FileKind::Cloud),
+        }
+    }
+
+    /// Path of the file, or the name of what it is read from.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -62,7 +107,7 @@ impl Cloud {
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
     pub fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), ScanError> {
-        let mut file = OpenFile::open(&self.path, FileKind::Cloud)?;
+        let mut file = self.reopened()?;
         if file.header().identity != self.header.identity {
             return Err(ScanError::Replaced { path: self.path.clone() });
         }

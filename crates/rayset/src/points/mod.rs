@@ -13,6 +13,7 @@ mod ply_body;
 mod ply_header;
 mod ply_write;
 mod roles;
+mod slices;
 mod synthetic;
 mod text;
 
@@ -25,6 +26,7 @@ pub use self::las::LasSource;
 pub use self::mesh::MeshSource;
 pub use self::ply::PlySource;
 pub use self::ply_write::PlyWriter;
+pub use self::slices::{ColumnLengthError, ColumnSlice, PositionSlice, SliceSource};
 pub use self::synthetic::{UnknownWorkload, View, Workload};
 pub use self::text::TextSource;
 
@@ -116,8 +118,8 @@ impl PointBatch {
     }
 }
 
-/// A stream of points.
-pub trait PointSource {
+/// A stream of points. Anything that has points can be one: see [`SliceSource`] for a short example.
+pub trait PointSource: Send {
     /// What the source offers.
     fn schema(&self) -> &Schema;
     /// Number of points that the file claims to hold; a claim, never trusted for an allocation.

@@ -32,25 +32,31 @@ impl PagedFiles {
         }
     }
 
-    /// Adds a cloud whose pages are read from its own file, past the system's page cache where `direct` says so.
+    /// Adds a cloud whose pages are read from its own storage or file, past the system's page cache where `direct` says so.
     ///
     /// # Errors
     /// The system's, where the file does not open.
     pub fn open(&mut self, cloud: &Arc<Cloud>, direct: bool) -> io::Result<()> {
         if self.find(cloud).is_none() {
-            let storage = FileStorage::open(cloud.path(), direct)?;
-            self.add(cloud, Arc::new(storage));
+            let storage = match cloud.storage() {
+                Some(storage) => storage.clone(),
+                None => Arc::new(FileStorage::open(cloud.path(), direct)?),
+            };
+            self.add(cloud, storage);
         }
         Ok(())
     }
 
-    /// Adds a grid whose pages are read from its own file, past the system's page cache where `direct` says so.
+    /// Adds a grid whose pages are read from its own storage or file, past the system's page cache where `direct` says so.
     ///
     /// # Errors
     /// The system's, where the file does not open.
     pub fn open_grid(&mut self, grid: &Arc<Grid>, direct: bool) -> io::Result<()> {
         if self.find_grid(grid).is_none() {
-            let storage = Arc::new(FileStorage::open(grid.path(), direct)?);
+            let storage = match grid.storage() {
+                Some(storage) => storage.clone(),
+                None => Arc::new(FileStorage::open(grid.path(), direct)?),
+            };
             let object = self.pages.add(Arc::new(GridPages::new(grid.clone(), storage)));
             self.grids.push((grid.clone(), object));
         }

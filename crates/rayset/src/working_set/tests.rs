@@ -21,6 +21,10 @@ struct Zeros {
 struct Source(Arc<Zeros>);
 
 impl Storage for Zeros {
+    fn length(&self) -> io::Result<u64> {
+        Ok(u64::from(self.pages) * PAGE)
+    }
+
     fn read_exact_at(&self, buffer: &mut [u8], _offset: u64) -> io::Result<()> {
         std::thread::sleep(Duration::from_millis(self.delay_milliseconds.load(Ordering::SeqCst)));
         buffer.fill(0);

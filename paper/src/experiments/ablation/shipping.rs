@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::{Result, ensure};
-use rayset::octree::build::{self, BuildOptions, NoProgress, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::points::Workload;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
 use rayset::working_set::read::{self, BackendKind};
@@ -34,7 +34,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let cloud = folder.join("c.rset");
         let radius = workload.radius().map(Rule::Number);
         let options = BuildOptions { radius, page_bytes: Some(page_bytes), ..BuildOptions::default() };
-        build::run(vec![workload.source()], &cloud, &options, &NoProgress)?;
+        build::run(vec![workload.source()], &cloud, &options, &BuildControl::default())?;
         let mut subject = Subject::open(&cloud, side)?;
         subject.make_translucent();
         let memory = (subject.cloud.header().file_bytes / MEMORY_PART).max(8 * u64::from(page_bytes));

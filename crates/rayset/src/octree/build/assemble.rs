@@ -3,8 +3,8 @@
 //! The order of nodes in their pages is that in which they are finished: every group of siblings stands after all
 //! its descendants, so that a reference only ever points backwards.
 
-use std::io::{self, BufWriter, Write};
-use std::path::PathBuf;
+use std::io::{self, BufWriter, Cursor, Seek, Write};
+use std::path::{Path, PathBuf};
 
 use super::ingest::Ingested;
 use super::partition::Assemble;
@@ -70,36 +70,51 @@ pub(super) struct Assembler {
     temp_dir: PathBuf,
 }
 
-/// The growing file, through a buffer.
-struct Output {
-    buffer: BufWriter<OutputWriter>,
-    file: OutputFile,
+/// The growing file, through a buffer, or what is to be a cloud in memory.
+pub(super) enum Output {
+    File { buffer: BufWriter<OutputWriter>, file: OutputFile },
+    Memory(Cursor<Vec<u8>>),
 }
 
+trait WriteSeek: Write + Seek {}
+impl<T: Write + Seek> WriteSeek for T {}
+
 impl Output {
-    fn new(file: OutputFile) -> Self {
-        Self { buffer: BufWriter::with_capacity(1 << 20, file.writer()), file }
+    pub(super) fn to_file(file: OutputFile) -> Self {
+        Self::File { buffer: BufWriter::with_capacity(1 << 20, file.writer()), file }
+    }
+
+    pub(super) fn in_memory() -> Self {
+        Self::Memory(Cursor::default())
+    }
+
+    /// What was written in memory; nothing of a file.
+    pub(super) fn into_bytes(self) -> Vec<u8> {
+        match self {
+            Self::File { .. } => Vec::new(),
+            Self::Memory(bytes) => bytes.into_inner(),
+        }
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), BuildError> {
         self.with(|buffer| buffer.write_all(bytes))
     }
 
-    fn with(
-        &mut self,
-        f: impl FnOnce(&mut BufWriter<OutputWriter>) -> io::Result<()>,
-    ) -> Result<(), BuildError> {
-        f(&mut self.buffer).map_err(|source| BuildError::Io {
-            action: "write",
-            path: self.file.destination().path().to_owned(),
-            source,
-        })
+    fn with(&mut self, f: impl FnOnce(&mut dyn WriteSeek) -> io::Result<()>) -> Result<(), BuildError> {
+        let (written, path) = match self {
+            Self::File { buffer, file } => (f(buffer), file.destination().path()),
+            Self::Memory(bytes) => (f(bytes), Path::new("memory")),
+        };
+        written.map_err(|source| BuildError::Io { action: "write", path: path.to_owned(), source })
     }
 
-    /// Makes the file durable and gives it its name.
-    fn publish(mut self) -> Result<(), BuildError> {
-        self.with(BufWriter::flush)?;
-        Ok(self.file.publish()?)
+    /// Makes a file durable and gives it its name.
+    pub(super) fn publish(mut self) -> Result<(), BuildError> {
+        self.with(|output| output.flush())?;
+        if let Self::File { file, .. } = self {
+            file.publish()?;
+        }
+        Ok(())
     }
 }
 
@@ -107,7 +122,7 @@ impl Assembler {
     pub(super) fn create(
         context: &Context<'_>,
         ingested: &Ingested,
-        file: OutputFile,
+        mut output: Output,
     ) -> Result<Self, BuildError> {
         let small = ingested.count < SMALL_CLOUD_POINTS;
         let default_bytes = if small { 16 << 10 } else { 32 << 10 };
@@ -124,7 +139,6 @@ impl Assembler {
             Some(bytes) => bytes as usize,
             None => default_bytes.max(least),
         };
-        let mut output = Output::new(file);
         output.write(&[0; BLOCK_BYTES])?;
         Ok(Self {
             output,
@@ -145,7 +159,7 @@ impl Assembler {
             finished_root: None,
             point_digest: 0,
             node_digest: 0,
-            temp_dir: context.temp_dir.clone(),
+            temp_dir: context.temp_dir(),
         })
     }
 
@@ -283,7 +297,11 @@ impl Assembler {
         }
     }
 
-    pub(super) fn finish(mut self, context: &Context<'_>, ingested: &Ingested) -> Result<Header, BuildError> {
+    pub(super) fn finish(
+        mut self,
+        context: &Context<'_>,
+        ingested: &Ingested,
+    ) -> Result<(Output, Header), BuildError> {
         if !self.heads.is_empty() {
             self.finish_point_page()?;
         }
@@ -294,7 +312,7 @@ impl Assembler {
         if self.nodes_in_page > 0 {
             self.finish_node_page()?;
         }
-        self.copy_node_pages()?;
+        self.copy_node_pages(context)?;
         let mut header = self.header(context, ingested, root);
         let pages = [
             (SectionKind::POINTS, self.point_pages, self.point_digest),
@@ -303,19 +321,20 @@ impl Assembler {
         let sections =
             [(SectionKind::CLOUD, header.encode_numbers()), (SectionKind::COLUMNS, header.encode_columns())];
         let (identity, page_bytes) = (self.identity, header.page_bytes);
-        self.output.with(|file| {
+        self.output.with(|mut file| {
             let kind = FileKind::Cloud;
-            let whole = seal_file(file, kind, identity, page_bytes, &pages, &sections, &ingested.metadata)?;
+            let whole =
+                seal_file(&mut file, kind, identity, page_bytes, &pages, &sections, &ingested.metadata)?;
             header.file_bytes = whole.file_bytes;
             Ok(())
         })?;
-        self.output.publish()?;
-        Ok(header)
+        Ok((self.output, header))
     }
 
-    fn copy_node_pages(&mut self) -> Result<(), BuildError> {
+    fn copy_node_pages(&mut self, context: &Context<'_>) -> Result<(), BuildError> {
         let mut page = vec![0; self.page_bytes];
         for number in 0..self.node_pages {
+            context.check()?;
             let at = u64::from(number) * self.page_bytes as u64;
             self.node_spill.read_at(&mut page, at).map_err(|source| BuildError::Io {
                 action: "read temporary files in",

@@ -22,7 +22,7 @@ pub(super) struct Columns {
 const COLORS: [&str; 3] = ["red", "green", "blue"];
 
 /// What radii are made of: as the options say, or else of the column `radius` where every source has one.
-pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Rule {
+pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.radius {
         Some(rule) => rule.clone(),
         None if all_have(sources, "radius") => Rule::Attribute("radius".into()),
@@ -31,7 +31,7 @@ pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource
 }
 
 /// What weights are made of: as the options say, or else of the column `weight` where every source has one.
-pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Rule {
+pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.weight {
         Some(rule) => rule.clone(),
         None if all_have(sources, "weight") => Rule::Attribute("weight".into()),
@@ -39,7 +39,7 @@ pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource
     }
 }
 
-fn all_have(sources: &[Box<dyn PointSource>], name: &str) -> bool {
+fn all_have(sources: &[Box<dyn PointSource + '_>], name: &str) -> bool {
     sources.iter().all(|s| s.schema().find(name).is_some())
 }
 
@@ -48,7 +48,7 @@ impl Columns {
         options: &BuildOptions,
         radius: &Rule,
         weight: &Rule,
-        sources: &[Box<dyn PointSource>],
+        sources: &[Box<dyn PointSource + '_>],
     ) -> Result<Self, BuildError> {
         let mut names: Vec<String> = Vec::new();
         let mut place = |name: &str| {
@@ -82,7 +82,7 @@ impl Columns {
 }
 
 /// A column as it is stored: of a type that holds what every source has, with their unit where all have the same.
-fn common(name: &str, sources: &[Box<dyn PointSource>]) -> ColumnInfo {
+fn common(name: &str, sources: &[Box<dyn PointSource + '_>]) -> ColumnInfo {
     let infos: Vec<&ColumnInfo> = sources
         .iter()
         .filter_map(|s| s.schema().find(name).map(|index| &s.schema().columns[index]))

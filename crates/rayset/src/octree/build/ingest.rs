@@ -37,7 +37,10 @@ pub(super) struct Ingested {
     pub(super) attributes: Vec<AttributeInfo>,
 }
 
-pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> Result<Ingested, BuildError> {
+pub(super) fn run(
+    context: &Context<'_>,
+    sources: Vec<Box<dyn PointSource + '_>>,
+) -> Result<Ingested, BuildError> {
     let options = context.options;
     let (radius_rule, weight_rule) = (radius_rule(options, &sources), weight_rule(options, &sources));
     let columns = Columns::choose(options, &radius_rule, &weight_rule, &sources)?;
@@ -70,7 +73,8 @@ pub(super) fn run(context: &Context<'_>, sources: Vec<Box<dyn PointSource>>) -> 
             }
             index += batch.len() as u64;
             done += batch.len() as u64;
-            context.progress.update(Stage::Read, done, total);
+            context.check()?;
+            context.progress(Stage::Read, done, total);
         }
     }
     tally.refuse_unusable(done)?;
@@ -119,7 +123,7 @@ fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns
 }
 
 /// What the sources say in words; a reference system that they do not share is none.
-fn describe(sources: &[Box<dyn PointSource>]) -> Metadata {
+fn describe(sources: &[Box<dyn PointSource + '_>]) -> Metadata {
     let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
     let shared = sources.iter().all(|s| s.schema().crs == crs);
     let described = sources.iter().map(|s| s.schema().description.clone()).filter(|d| !d.is_empty());

@@ -21,12 +21,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use self::assemble::Assembler;
+use self::assemble::{Assembler, Output};
 use self::ingest::Ingested;
 use self::partition::{Partition, Region};
 use self::record::KeyMaker;
+use super::file::Cloud;
 use super::format::{Column, MAX_ATTRIBUTES, NAME_BYTES};
-use crate::container::MAX_PAGE_BYTES;
+use crate::cancel::CancelToken;
+use crate::container::{MAX_PAGE_BYTES, OpenError};
 use crate::output::{Destination, OutputError, OutputFile, remove_leftovers};
 use crate::points::{PointSource, ReadError};
 use crate::spill::Spill;
@@ -207,6 +209,28 @@ impl Progress for NoProgress {
     fn update(&self, _: Stage, _: u64, _: u64) {}
 }
 
+/// Who hears how a build gets on, and who may stop it.
+#[derive(Clone)]
+pub struct BuildControl<'a> {
+    /// Hears how it gets on.
+    pub progress: &'a dyn Progress,
+    /// Stops it: the build then returns [`BuildError::Cancelled`] and leaves no file behind.
+    pub cancel: CancelToken,
+}
+
+impl Default for BuildControl<'_> {
+    /// Nobody.
+    fn default() -> Self {
+        Self { progress: &NoProgress, cancel: CancelToken::new() }
+    }
+}
+
+impl<'a> From<&'a dyn Progress> for BuildControl<'a> {
+    fn from(progress: &'a dyn Progress) -> Self {
+        Self { progress, ..Self::default() }
+    }
+}
+
 /// What a build did.
 #[derive(Clone, Debug)]
 pub struct BuildReport {
@@ -318,6 +342,12 @@ pub enum BuildError {
         /// Why they are not.
         skipped: Skipped,
     },
+    /// What was built in memory does not open: a defect of the builder.
+    #[error(transparent)]
+    Open(OpenError),
+    /// The build was cancelled.
+    #[error("cancelled")]
+    Cancelled,
     /// The budget is too small.
     #[error("a memory budget of {given} bytes is too small: this build needs at least {needed}")]
     Memory {
@@ -330,20 +360,68 @@ pub enum BuildError {
 
 /// What every stage of one build shares.
 struct Context<'a> {
-    output: &'a Destination,
-    temp_dir: PathBuf,
+    place: Place<'a>,
     options: &'a BuildOptions,
-    progress: &'a dyn Progress,
+    control: &'a BuildControl<'a>,
+}
+
+/// Where the cloud is made, and records wait.
+enum Place<'a> {
+    Disk { output: &'a Destination, temp_dir: PathBuf },
+    Memory,
 }
 
 impl Context<'_> {
+    /// The folder of temporary files.
+    fn temp_dir(&self) -> PathBuf {
+        match &self.place {
+            Place::Disk { temp_dir, .. } => temp_dir.clone(),
+            Place::Memory => "memory".into(),
+        }
+    }
+
     fn io(&self, action: &'static str) -> impl Fn(io::Error) -> BuildError + use<'_> {
-        move |source| BuildError::Io { action, path: self.temp_dir.clone(), source }
+        move |source| BuildError::Io { action, path: self.temp_dir(), source }
     }
 
     fn spill(&self) -> Result<Spill, BuildError> {
-        Spill::create(self.output, &self.temp_dir).map_err(self.io("create a temporary file in"))
+        match &self.place {
+            Place::Disk { output, temp_dir } => {
+                Spill::create(output, temp_dir).map_err(self.io("create a temporary file in"))
+            }
+            Place::Memory => Ok(Spill::in_memory()),
+        }
     }
+
+    fn is_cancelled(&self) -> bool {
+        self.control.cancel.is_cancelled()
+    }
+
+    /// Ends the build where it is cancelled. Called every few thousand records.
+    fn check(&self) -> Result<(), BuildError> {
+        if self.is_cancelled() { Err(BuildError::Cancelled) } else { Ok(()) }
+    }
+
+    fn progress(&self, stage: Stage, done: u64, total: u64) {
+        self.control.progress.update(stage, done, total);
+    }
+}
+
+/// Builds a cloud in memory from `sources`, which together make one cloud. No file is made; the cloud is the same, byte
+/// for byte, as one that is built into a file.
+///
+/// # Errors
+/// [`BuildError`].
+pub fn run_in_memory(
+    sources: Vec<Box<dyn PointSource + '_>>,
+    options: &BuildOptions,
+    control: &BuildControl<'_>,
+) -> Result<(Cloud, BuildReport), BuildError> {
+    check_options(options, &sources)?;
+    let context = Context { place: Place::Memory, options, control };
+    let (output, report) = build(&context, sources, Output::in_memory())?;
+    let cloud = Cloud::from_bytes(output.into_bytes()).map_err(BuildError::Open)?;
+    Ok((cloud, report))
 }
 
 /// Builds a cloud from `sources`, which together make one cloud, at `output`.
@@ -351,10 +429,10 @@ impl Context<'_> {
 /// # Errors
 /// [`BuildError`]; the output is then as it was before.
 pub fn run(
-    sources: Vec<Box<dyn PointSource>>,
+    sources: Vec<Box<dyn PointSource + '_>>,
     output: &Path,
     options: &BuildOptions,
-    progress: &dyn Progress,
+    control: &BuildControl<'_>,
 ) -> Result<BuildReport, BuildError> {
     check_options(options, &sources)?;
     let destination = Destination::new(output)?;
@@ -364,23 +442,35 @@ pub fn run(
     // Before any work, so that what cannot be written is known at once.
     let file = OutputFile::create(&destination)?;
     remove_leftovers(&temp_dir, &destination);
-    let context = Context { output: &destination, temp_dir, options, progress };
+    let context = Context { place: Place::Disk { output: &destination, temp_dir }, options, control };
+    let (output, report) = build(&context, sources, Output::to_file(file))?;
+    context.check()?;
+    output.publish()?;
+    Ok(report)
+}
 
+/// The stages, one after another.
+fn build(
+    context: &Context<'_>,
+    sources: Vec<Box<dyn PointSource + '_>>,
+    output: Output,
+) -> Result<(Output, BuildReport), BuildError> {
     let mut clock = StageClock::start();
-    let ingested = ingest::run(&context, sources)?;
+    let ingested = ingest::run(context, sources)?;
     clock.lap(Stage::Read);
     let ingested = if ingested.radius.is_none() && !ingested.layout.has_radius {
-        let with_radius = spacing::assign_radii(&context, ingested)?;
+        let with_radius = spacing::assign_radii(context, ingested)?;
         clock.lap(Stage::Spacing);
         with_radius
     } else {
         ingested
     };
-    let mut assembler = Assembler::create(&context, &ingested, file)?;
-    order_and_pack(&context, &ingested, &mut assembler)?;
-    let header = assembler.finish(&context, &ingested)?;
+    let mut assembler = Assembler::create(context, &ingested, output)?;
+    order_and_pack(context, &ingested, &mut assembler)?;
+    let (output, header) = assembler.finish(context, &ingested)?;
     clock.lap(Stage::Write);
-    Ok(BuildReport { points: header.points, skipped: ingested.skipped, header, times: clock.laps })
+    let (points, skipped, times) = (header.points, ingested.skipped, clock.laps);
+    Ok((output, BuildReport { points, skipped, header, times }))
 }
 
 /// Puts the records in the order of the file, bucket by bucket, and hands runs and nodes to the assembler.
@@ -390,12 +480,12 @@ fn order_and_pack(
     assembler: &mut Assembler,
 ) -> Result<(), BuildError> {
     let keys = KeyMaker { root: ingested.root, radius: ingested.radius };
-    let packer = subtree::Packer::new(ingested, keys, context.options.precision);
+    let packer = subtree::Packer::new(ingested, keys, context.options.precision, &context.control.cancel);
     let partition = Partition::new(context, ingested.layout.stride(), keys, ingested.count, Stage::Write);
     partition.run(Region::all(&ingested.spill, ingested.count), &packer, assembler)
 }
 
-fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource>]) -> Result<(), BuildError> {
+fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Result<(), BuildError> {
     let wrong = |option, what: String| Err(BuildError::Option { option, what });
     if sources.is_empty() {
         return Err(BuildError::NoInput);

@@ -113,6 +113,9 @@ pub(super) struct Partition<'a> {
     done: AtomicU64,
 }
 
+/// Records sorted at once, at most: a sort cannot be cancelled, and takes so many records some milliseconds. More threads
+/// have something to do, too.
+const MOST_SORTED: u64 = 1 << 18;
 /// Points in the own list of a node that a run may not divide.
 const RUN: usize = crate::octree::page::RUN_POINTS;
 
@@ -130,7 +133,7 @@ impl<'a> Partition<'a> {
         // second level of the same, where one stretch is too large.
         let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
         let cap = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
-        let cap = cap.clamp(2 * LEAF_POINTS, u64::from(u32::MAX));
+        let cap = cap.clamp(2 * LEAF_POINTS, MOST_SORTED);
         Self { context, stride, keys, threads, cap, stage, total, done: 0.into() }
     }
 
@@ -153,7 +156,11 @@ impl<'a> Partition<'a> {
     ) -> Result<(), BuildError> {
         if region.count <= self.cap {
             let records = self.load(region)?;
-            return out.subtree(base, pack.subtree(base, records.sorted()));
+            let piece = pack.subtree(base, records.sorted());
+            self.context.check()?;
+            out.subtree(base, piece)?;
+            self.advance(region.count as usize);
+            return Ok(());
         }
         if base.level == MAX_LEVEL {
             out.open(base);
@@ -207,6 +214,8 @@ impl<'a> Partition<'a> {
                     Event::Open(_) | Event::Close => {}
                 }
             }
+            // Packing ends early where the build is cancelled; what it made is then of no use.
+            self.context.check()?;
             Ok(Some(pieces))
         };
         pipeline::ordered(plan.buckets.len(), self.threads, work, |b, pieces| {
@@ -295,11 +304,16 @@ impl<'a> Partition<'a> {
             .spill
             .read_at(&mut bytes, region.first * self.stride as u64)
             .map_err(self.context.io("read temporary files in"))?;
-        let entries = (bytes.chunks_exact(self.stride).enumerate())
-            .map(|(index, record)| Entry { key: self.keys.key(record), index: index as u32 })
-            .collect();
+        let mut entries = Vec::with_capacity(region.count as usize);
+        for (index, record) in bytes.chunks_exact(self.stride).enumerate() {
+            if index % CHUNK_RECORDS as usize == 0 {
+                self.context.check()?;
+            }
+            entries.push(Entry { key: self.keys.key(record), index: index as u32 });
+        }
         let mut records = Records { bytes, entries, stride: self.stride };
         records.sort();
+        self.context.check()?;
         Ok(records)
     }
 
@@ -317,6 +331,7 @@ impl<'a> Partition<'a> {
         range: &std::ops::Range<u64>,
         buffer: &mut Vec<u8>,
     ) -> Result<(), BuildError> {
+        self.context.check()?;
         buffer.resize((range.end - range.start) as usize * self.stride, 0);
         region
             .spill
@@ -370,6 +385,7 @@ impl<'a> Partition<'a> {
         })?;
         while let Some(buffers) = take() {
             for (bucket, bytes) in buffers.iter().enumerate().filter(|(_, b)| !b.is_empty()) {
+                self.context.check()?;
                 write(bucket, bytes)?;
             }
         }
@@ -378,7 +394,7 @@ impl<'a> Partition<'a> {
 
     fn advance(&self, records: usize) {
         let done = self.done.fetch_add(records as u64, Ordering::Relaxed) + records as u64;
-        self.context.progress.update(self.stage, done, self.total);
+        self.context.progress(self.stage, done, self.total);
     }
 }
 
@@ -438,6 +454,7 @@ impl<P: Pack> OwnList<'_, P> {
             .map(|(index, record)| Entry { key: partition.keys.key(record), index: index as u32 })
             .collect();
         let piece = self.pack.own(Sorted { bytes: &self.carry, entries: &entries, stride });
+        partition.context.check()?;
         self.carry.drain(..count * stride);
         partition.advance(count);
         out.own(piece)

@@ -10,6 +10,7 @@ use super::partition::{Assemble, Pack, Partition, Region, Sorted};
 use super::plan::Cell;
 use super::record::{self, KeyMaker};
 use super::{BuildError, Context, Quantity, Stage};
+use crate::cancel::CancelToken;
 use crate::geometry::curve::MAX_LEVEL;
 use crate::spill::SpillWriter;
 
@@ -26,7 +27,8 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     let stride = ingested.layout.stride();
     let partition = Partition::new(context, stride, keys, ingested.count, Stage::Spacing);
     let mut radii = Radii::new(context, ingested.auto_scale)?;
-    partition.run(Region::all(&ingested.spill, ingested.count), &Measure, &mut radii)?;
+    let measure = Measure { cancel: context.control.cancel.clone() };
+    partition.run(Region::all(&ingested.spill, ingested.count), &measure, &mut radii)?;
     radii.finish(context, ingested)
 }
 
@@ -37,16 +39,19 @@ pub(super) struct Measured {
     stride: usize,
 }
 
-struct Measure;
+struct Measure {
+    cancel: CancelToken,
+}
 
 impl Measure {
-    fn visit(level: u32, records: Sorted<'_>, out: &mut Vec<f32>) {
+    fn visit(&self, level: u32, records: Sorted<'_>, out: &mut Vec<f32>) {
         if records.len() > CELL_POINTS && level < MAX_LEVEL {
             let (_, children) = records.split(level);
-            children.into_iter().for_each(|child| Self::visit(level + 1, child, out));
+            children.into_iter().for_each(|child| self.visit(level + 1, child, out));
             return;
         }
-        let radius = if records.len() < LEAST_POINTS { None } else { median_distance(records) };
+        let measured = records.len() >= LEAST_POINTS && !self.cancel.is_cancelled();
+        let radius = if measured { median_distance(records) } else { None };
         let radius = radius.map_or(0.0, |d| (d * RADII_PER_DISTANCE) as f32);
         out.resize(out.len() + records.len(), radius);
     }
@@ -89,7 +94,7 @@ impl Pack for Measure {
 
     fn subtree(&self, cell: Cell, records: Sorted<'_>) -> Measured {
         let mut radii = Vec::with_capacity(records.len());
-        Self::visit(cell.level, records, &mut radii);
+        self.visit(cell.level, records, &mut radii);
         Self::copy(records, radii)
     }
 
@@ -167,6 +172,7 @@ impl<'a> Radii<'a> {
         let mut buffer = Vec::new();
         let mut first = 0;
         while first < ingested.count {
+            context.check()?;
             let count = (ingested.count - first).min(8192);
             buffer.resize(count as usize * stride, 0);
             spill.read_at(&mut buffer, first * stride as u64).map_err(&io)?;

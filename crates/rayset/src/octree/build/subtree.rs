@@ -5,6 +5,7 @@ use super::ingest::Ingested;
 use super::partition::{Pack, Sorted};
 use super::plan::{Cell, LEAF_POINTS};
 use super::record::{self, KeyMaker, RecordLayout};
+use crate::cancel::CancelToken;
 use crate::geometry::curve::MAX_LEVEL;
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::page::{RUN_POINTS, RootCell, RunColumns, RunHead, encode_run};
@@ -91,10 +92,17 @@ pub(super) struct Packer {
     /// Factors that take colours to 0–1, by depth.
     color_factors: [f32; 6],
     precision: f64,
+    cancel: CancelToken,
 }
 
 impl Packer {
-    pub(super) fn new(ingested: &Ingested, keys: KeyMaker, precision: Precision) -> Self {
+    /// Where `cancel` is cancelled, what is packed is no longer whole, and of no use.
+    pub(super) fn new(
+        ingested: &Ingested,
+        keys: KeyMaker,
+        precision: Precision,
+        cancel: &CancelToken,
+    ) -> Self {
         let (radius, weight) = ingested.columns();
         Self {
             keys,
@@ -105,6 +113,7 @@ impl Packer {
             weight: ingested.weight,
             color_factors: ingested.depths.factors(),
             precision: if let Precision::Relative(p) = precision { p } else { 0.0 },
+            cancel: cancel.clone(),
         }
     }
 
@@ -135,7 +144,7 @@ impl Packer {
     fn encode_runs(&self, records: Sorted<'_>, piece: &mut Piece) {
         let mut columns = Columns::default();
         let mut start = 0;
-        while start < records.len() {
+        while start < records.len() && !self.cancel.is_cancelled() {
             let end = records.len().min(start + RUN_POINTS);
             self.gather(records.slice(start..end), &mut columns);
             let run = self.encode_run(&columns, piece);

@@ -72,6 +72,10 @@ struct BlockSource {
 }
 
 impl Storage for BlockSource {
+    fn length(&self) -> io::Result<u64> {
+        Ok(0)
+    }
+
     fn read_exact_at(&self, _: &mut [u8], _: u64) -> io::Result<()> {
         Err(io::ErrorKind::Unsupported.into())
     }

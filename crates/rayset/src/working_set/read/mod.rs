@@ -4,7 +4,6 @@
 
 mod delayed;
 mod pool;
-mod storage;
 #[cfg(target_os = "linux")]
 #[expect(
     unsafe_code,
@@ -18,10 +17,10 @@ use std::sync::Arc;
 
 pub use self::delayed::Delayed;
 pub use self::pool::Pool;
-pub use self::storage::{FileStorage, MemoryStorage, Storage};
 #[cfg(target_os = "linux")]
 pub use self::uring::Uring;
 use super::PageBuffer;
+pub use crate::storage::{FileStorage, MemoryStorage, Storage};
 
 /// What is called when a read has ended, with the buffer and the outcome.
 pub type Completion = Box<dyn FnOnce(PageBuffer, io::Result<()>) + Send>;

@@ -1,12 +1,18 @@
-//! What pages are read from.
+//! Bytes that files are read from: a file on disk, bytes in memory, or whatever a user has.
 
 use std::fs::File;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Bytes that can be read at a position, by several threads at once: a file, or an object store.
+/// Bytes that can be read at a position, by several threads at once: a file, bytes in memory, an object store.
 pub trait Storage: Send + Sync {
+    /// How many bytes there are.
+    ///
+    /// # Errors
+    /// What the system says.
+    fn length(&self) -> io::Result<u64>;
+
     /// Fills `buffer` from `offset` on.
     ///
     /// # Errors
@@ -37,7 +43,17 @@ impl MemoryStorage {
     }
 }
 
+impl std::fmt::Debug for MemoryStorage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "MemoryStorage({} bytes)", (*self.0).as_ref().len())
+    }
+}
+
 impl Storage for MemoryStorage {
+    fn length(&self) -> io::Result<u64> {
+        Ok((*self.0).as_ref().len() as u64)
+    }
+
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let bytes = (*self.0).as_ref();
         let end = offset.saturating_add(buffer.len() as u64);
@@ -82,7 +98,17 @@ impl FileStorage {
     }
 }
 
+impl From<File> for FileStorage {
+    fn from(file: File) -> Self {
+        Self { file }
+    }
+}
+
 impl Storage for FileStorage {
+    fn length(&self) -> io::Result<u64> {
+        Ok(self.file.metadata()?.len())
+    }
+
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let mut done = 0;
         while done < buffer.len() {

@@ -1,0 +1,200 @@
+//! Builds from slices, into memory, and builds that are cancelled.
+
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use rayset::cancel::CancelToken;
+use rayset::field::Kernel;
+use rayset::octree::Cloud;
+use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, Progress, Stage};
+use rayset::points::{PointSource, SliceSource, Workload};
+use rayset::scene::{GridObject, Node, Scene, Shape};
+use rayset::storage::{FileStorage, Storage};
+use rayset::trace::{ExecSettings, render_once};
+
+use crate::common::{Random, bits, build_at, camera, folder, mixed_points, paged, scene, settings};
+
+/// Points in slices of several types: positions, radii, weights, colours, identifiers.
+struct Slices {
+    positions: Vec<[f64; 3]>,
+    radii: Vec<f32>,
+    weights: Vec<f64>,
+    colors: Vec<[f32; 3]>,
+    ids: Vec<u64>,
+}
+
+impl Slices {
+    fn new(count: usize) -> Self {
+        let mut random = Random(7);
+        let mut unit = || random.unit();
+        Self {
+            positions: (0..count).map(|_| std::array::from_fn(|_| 2.0 * unit() - 1.0)).collect(),
+            radii: (0..count).map(|_| 0.05 + 0.1 * unit() as f32).collect(),
+            weights: (0..count).map(|_| 0.2 + unit()).collect(),
+            colors: (0..count).map(|_| std::array::from_fn(|_| unit() as f32)).collect(),
+            ids: (0..count as u64).map(|id| id << 40).collect(),
+        }
+    }
+
+    fn source(&self) -> SliceSource<'_> {
+        let source = SliceSource::new(&self.positions).radius(&self.radii).expect("a length");
+        let source = source.weight(&self.weights).expect("a length").color(&self.colors).expect("a length");
+        source.attribute("id", &self.ids).expect("a length")
+    }
+
+    fn options() -> BuildOptions {
+        BuildOptions { attributes: vec!["id".into()], ..BuildOptions::default() }
+    }
+}
+
+#[test]
+fn a_cloud_built_in_memory_is_the_file_byte_for_byte_and_renders_alike() {
+    let folder = folder();
+    let slices = Slices::new(9000);
+    let (in_memory, report) =
+        build::run_in_memory(vec![Box::new(slices.source())], &Slices::options(), &BuildControl::default())
+            .expect("a cloud");
+    let path = folder.path().join("c.rset");
+    build::run(vec![Box::new(slices.source())], &path, &Slices::options(), &BuildControl::default())
+        .expect("a cloud");
+    let memory = in_memory.storage().and_then(|storage| storage.memory()).expect("it lies in memory");
+    assert!((*memory).as_ref() == std::fs::read(&path).expect("the file"));
+    assert_eq!((report.points, in_memory.header().attributes[0].name.as_str()), (9000, "id"));
+    assert!(in_memory.header().has_color);
+    let on_disk = Arc::new(Cloud::open(&path).expect("it opens"));
+    let picture = |cloud: &Arc<Cloud>| {
+        let scene = scene(cloud, Kernel::Wyvill, true);
+        // Pages in memory need no room.
+        let budget = if cloud.storage().is_some() { 0 } else { 1 << 30 };
+        let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
+        let files = paged(&scene, budget);
+        bits(&render_once(&scene, &camera(), &settings(40, 40), &exec, &files).expect("a picture").0.pixels)
+    };
+    let expected = picture(&on_disk);
+    assert!(expected.iter().any(|pixel| f32::from_bits(pixel[3]) > 0.5));
+    assert!(picture(&Arc::new(in_memory)) == expected);
+    let bytes = std::fs::read(&path).expect("the file");
+    assert!(picture(&Arc::new(Cloud::from_bytes(bytes.clone()).expect("it opens"))) == expected);
+    // Nothing that renders the cloud knows where it lies.
+    let file: Arc<dyn Storage> = Arc::new(FileStorage::open(&path, false).expect("it opens"));
+    let elsewhere = Arc::new(Cloud::from_storage("elsewhere", file).expect("it opens"));
+    let scene = scene(&elsewhere, Kernel::Wyvill, true);
+    let found =
+        render_once(&scene, &camera(), &settings(40, 40), &ExecSettings::default(), &paged(&scene, 1 << 20));
+    assert!(bits(&found.expect("a picture").0.pixels) == expected);
+    let cut =
+        Cloud::from_bytes(bytes[..bytes.len() - 1].to_vec()).expect_err("a byte is missing").to_string();
+    assert!(cut.contains("memory") && cut.contains("incomplete"), "{cut}");
+}
+
+#[test]
+fn a_memory_build_that_partitions_again_is_that_of_the_file() {
+    let folder = folder();
+    let source = || Box::new(mixed_points(60_000, 3.0, 2)) as Box<dyn PointSource>;
+    // A budget in which nothing can be ordered at once.
+    let options = BuildOptions { memory_bytes: 12 << 20, threads: 2, ..BuildOptions::default() };
+    let path = folder.path().join("c.rset");
+    build_at(&path, source(), &options);
+    let (cloud, _) =
+        build::run_in_memory(vec![source()], &options, &BuildControl::default()).expect("a cloud");
+    let memory = cloud.storage().and_then(|storage| storage.memory()).expect("it lies in memory");
+    assert!((*memory).as_ref() == std::fs::read(&path).expect("the file"));
+    let listed = std::fs::read_dir(folder.path()).expect("the folder").count();
+    assert_eq!(listed, 1, "nothing else was written");
+}
+
+#[test]
+fn a_grid_in_memory_is_used_where_it_is() {
+    let folder = folder();
+    let grid = crate::grids::grid(folder.path(), rayset::grid::format::VoxelKind::U8);
+    let bytes = std::fs::read(grid.path()).expect("the file");
+    let in_memory = Arc::new(rayset::grid::Grid::from_bytes(bytes).expect("it opens"));
+    let picture = |grid: &Arc<rayset::grid::Grid>, budget| {
+        let root = Arc::new(Node::new(Shape::Grid(GridObject::plain(grid.clone()))));
+        let scene = Scene {
+            root,
+            lighting: rayset::scene::Lighting::headlight(),
+            background: None,
+            unit_distance: 1.0,
+        };
+        let bounds = scene.root.bounds();
+        let eye = bounds.center() + 1.5 * bounds.size().length() * rayset::geometry::DVec3::Z;
+        let camera = rayset::scene::Camera::look_at(eye, bounds.center(), rayset::geometry::DVec3::Y, 0.8);
+        let found =
+            render_once(&scene, &camera, &settings(24, 24), &ExecSettings::default(), &paged(&scene, budget));
+        bits(&found.expect("a picture").0.pixels)
+    };
+    let expected = picture(&grid, 1 << 30);
+    assert!(expected.iter().any(|pixel| f32::from_bits(pixel[3]) > 0.1));
+    assert!(picture(&in_memory, 0) == expected);
+}
+
+/// The stages in the order in which they were heard of.
+#[derive(Default)]
+struct Heard(Mutex<Vec<(Stage, u64, u64)>>);
+
+impl Progress for Heard {
+    fn update(&self, stage: Stage, done: u64, total: u64) {
+        self.0.lock().expect("no panic").push((stage, done, total));
+    }
+}
+
+#[test]
+fn a_build_says_how_every_stage_gets_on() {
+    let heard = Heard::default();
+    let workload: Workload = "sphere-100k".parse().expect("a workload");
+    let control = BuildControl::from(&heard as &dyn Progress);
+    build::run_in_memory(vec![workload.source()], &BuildOptions::default(), &control).expect("a cloud");
+    let heard = heard.0.into_inner().expect("no panic");
+    for stage in [Stage::Read, Stage::Spacing, Stage::Write] {
+        let of_stage: Vec<_> = heard.iter().filter(|(s, ..)| *s == stage).collect();
+        assert!(of_stage.is_sorted_by_key(|(_, done, _)| *done), "{of_stage:?}");
+        assert_eq!(of_stage.last().map(|(_, done, total)| (*done, *total)), Some((100_000, 100_000)));
+    }
+}
+
+#[test]
+fn a_build_is_cancelled_at_once_in_every_stage_and_leaves_nothing() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let workload: Workload = "sphere-300k".parse().expect("a workload");
+    let options = BuildOptions { threads: 2, memory_bytes: 64 << 20, ..BuildOptions::default() };
+    let started = Instant::now();
+    build::run(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a cloud");
+    let takes = started.elapsed();
+    std::fs::remove_file(&path).expect("it is there");
+    let mut random = Random(11);
+    let mut stages = Vec::new();
+    let mut late = Vec::new();
+    for _ in 0..40 {
+        let heard = Heard::default();
+        let control = BuildControl { progress: &heard, cancel: CancelToken::new() };
+        let canceller = {
+            let (cancel, wait) = (control.cancel.clone(), takes.mul_f64(random.unit()));
+            std::thread::spawn(move || {
+                std::thread::sleep(wait);
+                let now = Instant::now();
+                cancel.cancel();
+                now
+            })
+        };
+        let outcome = build::run(vec![workload.source()], &path, &options, &control);
+        let returned = Instant::now();
+        late.push(returned.saturating_duration_since(canceller.join().expect("it cancels")));
+        match outcome {
+            Err(BuildError::Cancelled) => {
+                stages.extend(heard.0.lock().expect("no panic").last().map(|(stage, ..)| *stage));
+                let left: Vec<_> = std::fs::read_dir(folder.path()).expect("the folder").collect();
+                assert!(left.is_empty(), "{left:?}");
+            }
+            Ok(_) => std::fs::remove_file(&path).expect("it is there"),
+            Err(other) => panic!("{other}"),
+        }
+    }
+    for stage in [Stage::Read, Stage::Spacing, Stage::Write] {
+        assert!(stages.contains(&stage), "never cancelled in {stage:?}");
+    }
+    late.sort_unstable();
+    // Other tests keep the processors and the disk busy meanwhile; docs/benchmarks.md says what a quiet machine does.
+    assert!(late[20] < Duration::from_millis(150) && late[39] < Duration::from_secs(3), "{late:?}");
+}
