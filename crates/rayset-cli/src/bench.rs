@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use rayset::field::{BARE_SAMPLES, SimdLevel, bare_loop};
+use rayset::Session;
 use rayset::points::Workload;
-use rayset::trace::ExecSettings;
+use rayset::{BARE_SAMPLES, SimdLevel, bare_loop};
 
 use crate::bench_cloud::{Case, Measured, Prepared};
 use crate::bench_features::{self, Cost};
@@ -88,11 +88,11 @@ fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -
     for workload in workloads {
         let prepared = Prepared::new(workload, folder, args.threads)?;
         if args.features {
-            let exec = ExecSettings { threads: args.threads, simd: args.simd, ..ExecSettings::default() };
+            let session = Session::builder().threads(args.threads).simd(args.simd);
             features.extend(bench_features::measure(
                 &prepared.cloud,
                 &prepared.camera(),
-                &exec,
+                &session,
                 args.repeat,
             )?);
             continue;

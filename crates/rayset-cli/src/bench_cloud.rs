@@ -1,22 +1,21 @@
 //! One workload of the benchmark: made, built, and rendered under several conditions.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
-use rayset::cancel::CancelToken;
-use rayset::field::{Kernel, SimdLevel};
-use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildControl, BuildOptions};
+use anyhow::Result;
+use rayset::CancelToken;
+use rayset::Cloud;
+use rayset::SimdLevel;
+use rayset::build::{self, BuildControl, BuildOptions};
+use rayset::memory::{Limits, Statistics};
 use rayset::points::{self, ReadOptions, Workload};
+use rayset::scene::Kernel;
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
-use rayset::trace::memory::least_pages;
-use rayset::trace::{ExecSettings, Picture, RenderCounts, Session};
-use rayset::working_set::read::{self, BackendKind, Delayed, FileStorage};
-use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
+use rayset::{Picture, RenderCounts, Session};
 
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
 use crate::outputs::Outputs;
@@ -93,7 +92,6 @@ pub(crate) struct Prepared {
     workload: Workload,
     pub(crate) cloud: Arc<Cloud>,
     build_seconds: f64,
-    path: PathBuf,
 }
 
 impl Prepared {
@@ -113,10 +111,10 @@ impl Prepared {
         };
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = Instant::now();
-        build::run(vec![source], &path, &options, &BuildControl::default())?;
+        build::to_file(vec![source], &path, &options, &BuildControl::default())?;
         let build_seconds = started.elapsed().as_secs_f64();
         let cloud = Arc::new(Cloud::open(&path)?);
-        Ok(Self { workload: *workload, cloud, build_seconds, path })
+        Ok(Self { workload: *workload, cloud, build_seconds })
     }
 
     /// Renders every case `repeat` times, after one render that does not count, going round the cases.
@@ -139,11 +137,10 @@ impl Prepared {
         for round in 0..=repeat.max(1) {
             for run in &mut runs {
                 let all_fit = run.budget >= self.cloud.header().file_bytes;
-                let pages = run.session.pages();
                 if !all_fit {
-                    pages.clear();
+                    run.session.evict_all();
                 }
-                pages.reset_statistics();
+                run.session.reset_statistics();
                 reset_peak_rss();
                 let started = Instant::now();
                 let view = run.session.prepare(&scene, &settings)?.view(&self.camera())?;
@@ -152,7 +149,7 @@ impl Prepared {
                 if round > 0 {
                     run.seconds.push(started.elapsed().as_secs_f64());
                 }
-                run.statistics = pages.statistics();
+                run.statistics = run.session.statistics();
                 run.peak = peak_rss();
             }
         }
@@ -168,21 +165,19 @@ impl Prepared {
             Pages::All => header.file_bytes,
             Pages::Bytes(bytes) => bytes,
             Pages::Tenth => {
-                u64::from(header.pages() / 10).max(least_pages(threads)) * u64::from(header.page_bytes)
+                u64::from(header.pages() / 10).max(2 * threads as u64 + 2) * u64::from(header.page_bytes)
             }
         };
-        let storage = FileStorage::open(&self.path, case.direct)
-            .with_context(|| format!("cannot open {}", self.path.display()))?;
-        let mut backend = read::backend(BackendKind::Auto)?;
-        if let Some(delay) = case.delay {
-            backend = Arc::new(Delayed::new(backend, delay)?);
-        }
-        let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(budget), backend));
-        paged.add(&self.cloud, Arc::new(storage));
-        let predictor = case.predictor.predictor();
-        let exec = ExecSettings { threads, predictor, simd, ..ExecSettings::default() };
+        let session = Session::builder()
+            .page_limits(Limits::total(budget))
+            .threads(threads)
+            .simd(simd)
+            .prediction(case.predictor.prediction())
+            .direct(case.direct)
+            .read_delay(case.delay.unwrap_or_default())
+            .build()?;
         Ok(Run {
-            session: Session::over(paged, exec)?,
+            session,
             budget,
             seconds: Vec::new(),
             counts: RenderCounts::default(),

@@ -4,15 +4,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Result;
+use rayset::Cloud;
 use rayset::geometry::{DAffine3, DVec3};
-use rayset::octree::Cloud;
+use rayset::memory::Limits;
 use rayset::scene::{
     Camera, CloudObject, Form, Light, LightKind, Lighting, Material, Node, Operator, RenderSettings, Scene,
     Shadows, Shape, Solid, Step,
 };
-use rayset::trace::{ExecSettings, RenderCounts, render_once};
-use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+use rayset::{CancelToken, Picture, RenderCounts, SessionBuilder};
 
 use crate::bench_cloud::median;
 use crate::report;
@@ -43,7 +42,7 @@ pub(crate) struct Cost {
 pub(crate) fn measure(
     cloud: &Arc<Cloud>,
     camera: &Camera,
-    exec: &ExecSettings,
+    session: &SessionBuilder,
     repeat: usize,
 ) -> Result<Vec<Cost>> {
     let features = features(cloud);
@@ -52,13 +51,15 @@ pub(crate) fn measure(
     for round in 0..=repeat.max(1) {
         for (i, feature) in features.iter().enumerate() {
             // Tables of shadows are made anew in each picture; pages of the cloud are read first.
-            let pages = WorkingSet::new(Limits::total(PAGES), read::backend(BackendKind::Auto)?);
-            let mut paged = PagedFiles::new(pages);
-            paged.open(cloud, false)?;
-            let bare = &features[0];
-            render_once(&bare.scene, camera, &bare.settings, exec, &paged)?;
+            let session = session.clone().page_limits(Limits::total(PAGES)).build()?;
+            let render = |feature: &Feature| -> Result<RenderCounts> {
+                let view = session.prepare(&feature.scene, &feature.settings)?.view(camera)?;
+                let (whole, mut picture) = (view.region(), Picture::default());
+                Ok(view.render_bands(&whole, u32::MAX, &CancelToken::new(), &mut picture)?)
+            };
+            render(&features[0])?;
             let started = Instant::now();
-            (_, counts[i]) = render_once(&feature.scene, camera, &feature.settings, exec, &paged)?;
+            counts[i] = render(feature)?;
             if round > 0 {
                 seconds[i].push(started.elapsed().as_secs_f64());
             }

@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
-use rayset::grid;
-use rayset::grid::build::{GridBuildError, GridBuildOptions};
-use rayset::grid::read::{RawLayout, VolumeSource};
-use rayset::octree::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
+use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
+use rayset::build::{GridBuildError, GridBuildOptions};
 use rayset::points::{self, ReadOptions};
+use rayset::volumes::{RawLayout, VolumeSource};
 
 use crate::memory::{PROCESS_BYTES, peak_rss};
 use crate::outputs::Outputs;
@@ -101,7 +100,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
     let meter = Meter::new("points", args.json);
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
-    let built = build::run(sources, &args.output, &options, &control);
+    let built = build::to_file(sources, &args.output, &options, &control);
     meter.finish();
     let built = built.map_err(|e| name_smallest_budget(e, args.memory))?;
     if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }
@@ -134,7 +133,7 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
         temp_dir: args.temp_dir.clone(),
     };
     let mut progress = |done, total| meter.show("reading", done, total);
-    let built = grid::build::build(source, &args.output, &options, &mut progress);
+    let built = build::grid_to_file(source, &args.output, &options, &mut progress);
     meter.finish();
     let header = built.map_err(|e| match e {
         GridBuildError::Memory { needed, .. } => anyhow::anyhow!(

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use rayset::memory::{self, SceneNeeds};
 use rayset::scene::{Lighting, Shape};
 use rayset::scene_file::SceneFile;
-use rayset::trace::memory::{self, SceneNeeds};
 
 use crate::memory::PROCESS_BYTES;
 use crate::report;

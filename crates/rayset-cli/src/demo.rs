@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::Args;
-use rayset::octree::build::{self, BuildOptions};
+use rayset::build::{self, BuildOptions};
 use rayset::output::Destination;
 use rayset::points::Workload;
 
@@ -61,7 +61,7 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
     };
     let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
     let meter = Meter::new("points", false);
-    let built = build::run(
+    let built = build::to_file(
         vec![source],
         &cloud,
         &options,

@@ -6,13 +6,13 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
+use rayset::build::{self, BuildControl, BuildOptions, Rule};
+use rayset::build::{GridBuildOptions, grid_to_file};
 use rayset::geometry::{Aabb, DAffine3, DVec3};
-use rayset::grid::build::{GridBuildOptions, build as build_grid};
-use rayset::grid::read::{RawLayout, VolumeSource};
-use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::output::Destination;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 use rayset::scene::{NoiseCloud, Pattern, Procedural};
+use rayset::volumes::{RawLayout, VolumeSource};
 
 use crate::interrupts::{self, TemporaryFolder};
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
@@ -205,7 +205,7 @@ impl Preparation<'_> {
         let pose = if scan.is_some() { pose } else { Pose::default() };
         let standing = standing(&mut *open()?, pose)?;
         let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
-        build::run(vec![Box::new(moved)], &path, &self.build_options(), &BuildControl::default())?;
+        build::to_file(vec![Box::new(moved)], &path, &self.build_options(), &BuildControl::default())?;
         Ok(())
     }
 
@@ -237,7 +237,7 @@ impl Preparation<'_> {
         let started = std::time::Instant::now();
         let cloud = self.folder.join("statue.rset");
         self.output(&cloud)?;
-        let built = build::run(vec![source], &cloud, &options, &BuildControl::default())?;
+        let built = build::to_file(vec![source], &cloud, &options, &BuildControl::default())?;
         report::say(format_args!(
             "{} points, {} on disk, {:.1} s, peak memory {}",
             report::count(built.points),
@@ -259,7 +259,7 @@ impl Preparation<'_> {
             Some(volume) => self.rescaled(volume)?,
             None => centred(self.noise()?),
         };
-        build_grid(source, &path, &self.grid_options(), &mut |_, _| {})?;
+        grid_to_file(source, &path, &self.grid_options(), &mut |_, _| {})?;
         Ok(())
     }
 
@@ -268,7 +268,7 @@ impl Preparation<'_> {
         let open = || Ok::<_, anyhow::Error>(centred(VolumeSource::open(volume)?));
         let first = TemporaryFolder::within(self.folder, "range")?;
         let header =
-            build_grid(open()?, &first.path().join("volume.rset"), &self.grid_options(), &mut |_, _| {})?;
+            grid_to_file(open()?, &first.path().join("volume.rset"), &self.grid_options(), &mut |_, _| {})?;
         let (low, high) = header.value_range();
         let mut source = open()?;
         if high > low {

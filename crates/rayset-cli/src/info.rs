@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use rayset::Grid;
+use rayset::file::{AttributeInfo, Column};
 use rayset::geometry::{Aabb, DVec3};
-use rayset::grid::Grid;
-use rayset::octree::format::{AttributeInfo, Column};
+use rayset::memory::{self, SceneNeeds};
 use rayset::scene::{CloudObject, RenderSettings, Scene};
-use rayset::trace::memory::{self, SceneNeeds};
 
 use crate::kinds::{self, Built};
 use crate::memory::PROCESS_BYTES;

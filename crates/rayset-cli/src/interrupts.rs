@@ -91,7 +91,6 @@ mod unix {
     use std::time::Duration;
 
     use anyhow::{Context, Result};
-    use rayset::output::remove_own_partials;
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     use signal_hook::{flag, iterator::Signals};
 
@@ -155,7 +154,7 @@ mod unix {
 
     fn remove(watched: &Watched) {
         for (output, temp_dir) in &watched.outputs {
-            remove_own_partials(output, temp_dir.as_deref());
+            output.remove_own_partials(temp_dir.as_deref());
         }
         watched.folders.iter().for_each(remove_folder);
     }

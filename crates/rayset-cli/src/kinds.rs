@@ -6,12 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use rayset::grid::Grid;
-use rayset::octree::Cloud;
-use rayset::{grid, octree};
-
-/// Bytes of the shortest cloud or grid file: a header and a footer.
-const LEAST_BYTES: u64 = 2 * rayset::container::BLOCK_BYTES as u64;
+use rayset::file::{FileKind, LEAST_FILE_BYTES};
+use rayset::{Cloud, Grid};
 
 /// A file that rayset builds.
 pub(crate) enum Built {
@@ -34,11 +30,11 @@ pub(crate) fn open(path: &Path) -> Result<Built> {
     }
     let mut head = Vec::new();
     File::open(path).with_context(doing)?.take(8).read_to_end(&mut head).with_context(doing)?;
-    let is_cloud = head == octree::format::MAGIC;
-    let is_grid = head == grid::format::MAGIC;
-    if (is_cloud || is_grid) && metadata.len() < LEAST_BYTES {
+    let is_cloud = head == FileKind::Cloud.magic();
+    let is_grid = head == FileKind::Grid.magic();
+    if (is_cloud || is_grid) && metadata.len() < LEAST_FILE_BYTES {
         bail!(
-            "{} ends at byte {}; a {} file has at least {LEAST_BYTES}: copy or build it again",
+            "{} ends at byte {}; a {} file has at least {LEAST_FILE_BYTES}: copy or build it again",
             path.display(),
             metadata.len(),
             if is_cloud { "cloud" } else { "grid" }

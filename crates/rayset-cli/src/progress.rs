@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use rayset::octree::build::{Progress, Stage};
+use rayset::build::{Progress, Stage};
 
 use crate::report;
 

@@ -1,8 +1,8 @@
 //! What rendering cost, in numbers: the same names in every report.
 
-use rayset::field::SplatCounts;
-use rayset::trace::RenderCounts;
-use rayset::working_set::{Kind, Statistics};
+use rayset::RenderCounts;
+use rayset::SplatCounts;
+use rayset::memory::{Kind, Statistics};
 
 /// Work on rays and points.
 #[derive(serde::Serialize, Clone)]
@@ -97,7 +97,7 @@ pub(crate) struct PageCounts {
 impl PageCounts {
     /// Those of the kinds for which `wanted` holds.
     fn new(set: &Statistics, wanted: impl Fn(Kind) -> bool) -> Self {
-        let sum = |number: fn(&rayset::working_set::KindStatistics) -> u64| {
+        let sum = |number: fn(&rayset::memory::KindStatistics) -> u64| {
             Kind::ALL.into_iter().filter(|&kind| wanted(kind)).map(|kind| number(set.kind(kind))).sum()
         };
         Self {

@@ -104,8 +104,8 @@ pub(crate) fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> 
 }
 
 /// Where a number of each point comes from: a number, the name of a column, or `auto`.
-pub(crate) fn rule(text: &str) -> anyhow::Result<rayset::octree::build::Rule> {
-    use rayset::octree::build::Rule;
+pub(crate) fn rule(text: &str) -> anyhow::Result<rayset::build::Rule> {
+    use rayset::build::Rule;
     ensure!(!text.is_empty(), "expected a number, a column name or `auto`");
     if let Ok(number) = text.parse::<f64>() {
         return Ok(Rule::Number(number));

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use rayset::grid::Grid;
-use rayset::octree::verify::{Depth, verify};
+use rayset::Grid;
+use rayset::file::Depth;
 
 use crate::kinds::{self, Built};
 use crate::report;
@@ -33,7 +33,7 @@ pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
         (_, true) => Depth::Deep,
         _ => Depth::Pages,
     };
-    let found = verify(&cloud, depth)?;
+    let found = cloud.verify(depth)?;
     report::say(match depth {
         Depth::Quick => "ok: header, footer and length".to_owned(),
         Depth::Pages => format!("ok: {} pages, {} points", found.pages, report::count(found.points)),

@@ -1,58 +1,117 @@
 //! Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 //!
-//! Points become a cloud file ([`octree::build`]); a [`working_set`] brings its pages into memory, never more than it
-//! may; a [`scene::Scene`] combines clouds and procedural solids by constructive operators, lit; [`trace::View::render`] marches
-//! packets of rays through it.
+//! Points become a [`Cloud`] ([`build`]): a file, or bytes in memory. A [`Session`] has a budget, threads, and the pages of
+//! clouds that are in memory; a [`scene::Scene`] combines clouds, grids and solids by constructive operators, lit;
+//! [`Session::prepare`] compiles it, and [`PreparedScene::view`] looks at it, as often as you like.
 //!
 //! ```
 //! use std::sync::Arc;
-//! use rayset::{geometry::{DAffine3, DVec3}, octree::{Cloud, build}, points::Workload, scene::*, trace, working_set::*};
+//! use rayset::{Cloud, Session, build, points::SliceSource, scene::{Camera, CloudObject, RenderSettings, Scene}};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let folder = std::env::temp_dir().join("rayset-doc");
-//! std::fs::create_dir_all(&folder)?;
-//! let path = folder.join("ball.rset");
-//!
-//! // A thousand points on a sphere, built into a file.
-//! let ball: Workload = "sphere-1k".parse()?;
-//! let options = build::BuildOptions { radius: Some(build::Rule::Number(0.3)), ..Default::default() };
-//! build::run(vec![ball.source()], &path, &options, &build::BuildControl::default())?;
-//!
-//! // A working set of at most one mebibyte over its pages.
-//! let cloud = Arc::new(Cloud::open(&path)?);
-//! let set = WorkingSet::new(Limits::total(1 << 20), read::backend(read::BackendKind::Auto)?);
-//! let session = trace::Session::over(PagedFiles::new(set), Default::default())?;
-//!
-//! // The ball with a corner cut away, in a picture of 16 × 16 pixels.
-//! let ball = Node::new(Shape::Cloud(CloudObject::plain(cloud)));
-//! let block = Solid::new(Form::Box { size: DVec3::ONE });
-//! let block = Node::new(Shape::Procedural(Arc::new(block))).moved(DAffine3::from_translation(DVec3::ONE));
-//! let root = Arc::new(Node::operator(Operator::Difference, [ball, block]));
-//! let scene = Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 0.3 };
-//! let camera = Camera::look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y, 1.0);
-//! let settings = RenderSettings { width: 16, height: 16, ..Default::default() };
+//! let positions: Vec<[f64; 3]> = (0..1000).map(|i| f64::from(i) * 0.1).map(|t| [t.cos(), 0.02 * t - 1.0, t.sin()]).collect();
+//! let source = SliceSource::new(&positions);
+//! let (cloud, _) = build::in_memory(vec![Box::new(source)], &Default::default(), &Default::default())?;
+//! let scene = Scene::of_cloud(CloudObject::plain(Arc::new(cloud)));
+//! let camera = Camera::framing(&scene.root.bounds(), [0.0, -0.3, -1.0].into(), [0.0, 1.0, 0.0].into(), 0.8, 1.0, false);
+//! let session = Session::builder().memory(256 << 20).build()?;
+//! let settings = RenderSettings { width: 64, height: 64, ..RenderSettings::default() };
 //! let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
-//! assert!(picture.pixels[8 * 16 + 8][3] > 0.9 && picture.pixels[0][3] == 0.0);
-//! # std::fs::remove_dir_all(&folder)?;
+//! picture.save_png("spring.png".as_ref())?;
+//! # assert!(picture.pixels.iter().any(|pixel| pixel[3] > 0.5));
+//! # std::fs::remove_file("spring.png")?;
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! The same picture comes out, bit for bit, of every budget, number of threads, way of reading and order of tiles.
+//!
+//! | to | see |
+//! | --- | --- |
+//! | read points of files, or bring your own | [`points`] |
+//! | make a cloud or a grid of them | [`build`], [`volumes`] |
+//! | open it, say what is in it, check it | [`Cloud`], [`Grid`], [`mod@file`] |
+//! | say what is to be seen | [`scene`], [`scene_file`] |
+//! | render it: whole, in tiles, in passes; cancel it | [`Session`], [`View`], [`CancelToken`] |
+//! | write it | [`image`], [`output`] |
+//! | keep to a budget, and see what became of it | [`memory`] |
+//! | read from somewhere else | [`storage`] |
 #![deny(unsafe_code)]
+#![cfg_attr(
+    not(feature = "internals"),
+    allow(
+        unreachable_pub,
+        dead_code,
+        unused_imports,
+        reason = "what is public here is reached by this project's own tests alone"
+    )
+)]
 
+#[cfg(not(feature = "internals"))]
+mod cancel;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod cancel;
+#[cfg(not(feature = "internals"))]
+mod container;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod container;
+#[cfg(not(feature = "internals"))]
+mod field;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod field;
-pub mod geometry;
+#[cfg(not(feature = "internals"))]
+mod grid;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod grid;
-pub mod image;
+#[cfg(not(feature = "internals"))]
+mod octree;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod octree;
-pub mod output;
-pub mod points;
+#[cfg(not(feature = "internals"))]
+mod regular_file;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod regular_file;
+#[cfg(not(feature = "internals"))]
+mod trace;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub mod trace;
+#[cfg(not(feature = "internals"))]
+mod working_set;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub mod working_set;
+
+pub mod build;
+pub mod file;
+pub mod geometry;
+pub mod image;
+pub mod memory;
+pub mod output;
+mod parse;
+pub mod points;
 pub mod scene;
 pub mod scene_file;
 mod spill;
 pub mod storage;
 mod sync;
-pub mod trace;
-pub mod working_set;
+pub mod volumes;
+
+pub use cancel::CancelToken;
+pub use container::OpenError;
+#[doc(hidden)]
+pub use field::{BARE_SAMPLES, bare_loop};
+pub use field::{SimdLevel, SplatCounts};
+pub use grid::Grid;
+pub use octree::Cloud;
+pub use parse::ParseError;
+pub use trace::{
+    BandSink, FinishedTile, Picture, Prediction, PreparedScene, Region, RenderCounts, RenderError, Session,
+    SessionBuilder, SinkError, Tile, TileSink, View, Work,
+};

@@ -31,6 +31,18 @@ pub trait Storage: Send + Sync {
     }
 }
 
+/// How reads of files are carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum BackendKind {
+    /// io_uring where the system has it, else the pool.
+    #[default]
+    Auto,
+    /// io_uring or an error.
+    Uring,
+    /// Threads that read at positions.
+    Pool,
+}
+
 /// Bytes in memory: a vector, a shared slice, a map of a file.
 #[derive(Clone)]
 pub struct MemoryStorage(Arc<dyn AsRef<[u8]> + Send + Sync>);

@@ -2,8 +2,8 @@
 
 use anyhow::Result;
 use clap::Args;
+use rayset::file::Header;
 use rayset::geometry::DVec3;
-use rayset::octree::format::Header;
 use rayset::scene::{Camera, Projection, RenderSettings};
 
 use crate::{report, values};

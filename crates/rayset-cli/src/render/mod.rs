@@ -14,11 +14,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use rayset::cancel::CancelToken;
+use rayset::CancelToken;
+use rayset::memory::MemoryPlan;
 use rayset::output::Destination;
 use rayset::scene::Camera;
-use rayset::trace::memory::MemoryPlan;
-use rayset::trace::{PreparedScene, Region};
+use rayset::{PreparedScene, Region};
 
 pub(crate) use self::camera::CameraArgs;
 use self::picture::{LookArgs, PictureArgs};
@@ -112,7 +112,7 @@ fn render(
 ) -> Result<()> {
     let started = Instant::now();
     let mut sink = PictureSink::create(output, region, &shot.settings, shot.development)?;
-    work.session.pages().reset_statistics();
+    work.session.reset_statistics();
     let view = prepared.view(camera)?;
     let counts = view.render_bands(region, plan.band_rows, &CancelToken::new(), &mut sink)?;
     sink.finish()?;

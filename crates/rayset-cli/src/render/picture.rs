@@ -4,15 +4,16 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use clap::{Args, ValueEnum};
-use rayset::field::{Kernel, linear_from_srgb};
+use rayset::Cloud;
+use rayset::Region;
+use rayset::file::Header;
 use rayset::image::Development;
-use rayset::octree::Cloud;
-use rayset::octree::format::Header;
+use rayset::image::linear_from_srgb;
+use rayset::scene::Kernel;
 use rayset::scene::{
     CloudObject, ColorMap, ColorRule, Colormap, Lighting, MapInput, Phase, RenderSettings, Scene, Step,
     TransferFunction,
 };
-use rayset::trace::Region;
 
 use crate::values;
 

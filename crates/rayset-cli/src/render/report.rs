@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::Duration;
 
-use rayset::trace::RenderCounts;
-use rayset::trace::memory::MemoryPlan;
+use rayset::RenderCounts;
+use rayset::memory::MemoryPlan;
 
 use super::work::Work;
 use crate::memory::peak_rss;
@@ -33,16 +33,16 @@ impl RenderReport {
     pub(super) fn new(work: &Work, plan: &MemoryPlan, counts: RenderCounts, elapsed: Duration) -> Self {
         Self {
             seconds: elapsed.as_secs_f64(),
-            threads: work.session.exec().threads,
-            simd: work.session.exec().simd.name(),
-            predictor: work.session.exec().predictor.name(),
-            io: work.io.clone(),
+            threads: work.session.threads(),
+            simd: work.session.simd().name(),
+            predictor: work.prediction.name(),
+            io: work.session.io().to_owned(),
             page_bytes: plan.largest_page_bytes,
             memory_bytes: work.memory,
             pages_budget_bytes: plan.page_bytes,
             peak_rss_bytes: peak_rss(),
             counts: counts.into(),
-            pages: (&work.session.pages().statistics()).into(),
+            pages: (&work.session.statistics()).into(),
         }
     }
 

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use rayset::image::{Band, Development, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::scene::RenderSettings;
-use rayset::trace::{BandSink, Region, SinkError};
+use rayset::{BandSink, Region, SinkError};
 
 use crate::progress::Meter;
 

@@ -1,16 +1,14 @@
 //! The means of a render, none of which changes a pixel: memory, threads, reads.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Result, anyhow, ensure};
 use clap::{Args, ValueEnum};
-use rayset::field::SimdLevel;
-use rayset::trace::memory::{self, MemoryPlan, SceneNeeds};
-use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
-use rayset::trace::{ExecSettings, Session};
-use rayset::working_set::read::{self, BackendKind, Delayed};
-use rayset::working_set::{Kind, Limits, PagedFiles, WorkingSet};
+use rayset::SimdLevel;
+use rayset::memory::{self, MemoryPlan, SceneNeeds};
+use rayset::memory::{Kind, Limits};
+use rayset::storage::BackendKind;
+use rayset::{Prediction, RenderError, Session};
 
 use super::shot::Shot;
 use crate::memory::PROCESS_BYTES;
@@ -51,6 +49,10 @@ pub(crate) struct WorkArgs {
     pub(crate) slab: usize,
 }
 
+fn processors() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 fn slab(text: &str) -> Result<usize, String> {
     let samples = text.parse().ok().filter(|samples| (1..=32).contains(samples));
     samples.ok_or_else(|| format!("`{text}` is not a number from 1 to 32"))
@@ -64,11 +66,11 @@ pub(crate) enum PredictorArg {
 }
 
 impl PredictorArg {
-    pub(crate) fn predictor(self) -> Arc<dyn Predictor> {
+    pub(crate) fn prediction(self) -> Prediction {
         match self {
-            Self::None => Arc::new(NoPredictor),
-            Self::Line => Arc::new(LinePredictor),
-            Self::Packet => Arc::new(PacketPredictor::default()),
+            Self::None => Prediction::None,
+            Self::Line => Prediction::Line,
+            Self::Packet => Prediction::Packet,
         }
     }
 }
@@ -84,14 +86,14 @@ pub(crate) enum IoArg {
 pub(crate) struct Work {
     pub(crate) session: Session,
     pub(crate) memory: u64,
-    pub(crate) io: String,
+    pub(crate) prediction: Prediction,
 }
 
 impl Work {
     pub(super) fn prepare(args: &WorkArgs, shot: &Shot) -> Result<(Self, MemoryPlan)> {
         let settings = shot.settings;
         let needs = SceneNeeds::of(&shot.scene, &settings).with_loading(shot.loading_bytes);
-        let threads = args.threads.unwrap_or_else(|| ExecSettings::default().threads).max(1);
+        let threads = args.threads.unwrap_or_else(processors).max(1);
         let stored = needs.clouds().iter().map(|cloud| cloud.header().render_memory).max().filter(|&m| m > 0);
         let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);
         let plan = memory::plan(&needs, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
@@ -109,23 +111,24 @@ impl Work {
             IoArg::Uring => BackendKind::Uring,
             IoArg::Pool => BackendKind::Pool,
         };
-        let mut backend = read::backend(kind).context("io_uring is not available here; try --io pool")?;
-        if let Some(milliseconds) = args.read_delay {
-            ensure!((0.0..1e6).contains(&milliseconds), "--read-delay {milliseconds} is out of range");
-            backend = Arc::new(Delayed::new(backend, Duration::from_secs_f64(milliseconds / 1e3))?);
-        }
-        let io = format!("{}{}", backend.name(), if args.direct { ", direct" } else { "" });
+        let milliseconds = args.read_delay.unwrap_or(0.0);
+        ensure!((0.0..1e6).contains(&milliseconds), "--read-delay {milliseconds} is out of range");
         let limits = Limits::total(plan.page_bytes).with_kind(Kind::Shadows, plan.shadow_bytes);
-        let files = PagedFiles::new(WorkingSet::new(limits, backend));
-        let predictor = args.predictor.predictor();
-        let exec = ExecSettings {
-            threads,
-            predictor,
-            simd: args.simd,
-            tile_pixels: args.tile,
-            slab_samples: args.slab,
-            direct: args.direct,
-        };
-        Ok((Self { session: Session::over(files, exec)?, memory, io }, plan))
+        let session = Session::builder()
+            .page_limits(limits)
+            .threads(threads)
+            .prediction(args.predictor.prediction())
+            .simd(args.simd)
+            .tile_pixels(args.tile)
+            .slab_samples(args.slab)
+            .io(kind)
+            .direct(args.direct)
+            .read_delay(Duration::from_secs_f64(milliseconds / 1e3))
+            .build();
+        let session = session.map_err(|error| match error {
+            RenderError::Io(_) => anyhow!("{error}; try --io pool"),
+            other => other.into(),
+        })?;
+        Ok((Self { session, memory, prediction: args.predictor.prediction() }, plan))
     }
 }

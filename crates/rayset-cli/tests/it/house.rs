@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 17] = [
+const ORDER: [&str; 22] = [
+    "parse",
     "sync",
     "cancel",
     "geometry",
@@ -21,6 +22,10 @@ const ORDER: [&str; 17] = [
     "image",
     "trace",
     "scene_file",
+    "build",
+    "file",
+    "memory",
+    "volumes",
 ];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {

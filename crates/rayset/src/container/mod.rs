@@ -30,6 +30,9 @@ pub(crate) use self::identity::{RecordSum, StreamHash};
 pub(crate) use self::page::PAGE_CHECKSUM_AT;
 pub(crate) use self::write::{Metadata, seal_file};
 
+/// Bytes of the shortest cloud or grid file: a header and a footer.
+pub const LEAST_FILE_BYTES: u64 = 2 * BLOCK_BYTES as u64;
+
 /// CRC-32C of a block with the four bytes of its checksum left out, going on from `seed`.
 fn checksum_around(seed: u32, bytes: &[u8], checksum_at: usize) -> u32 {
     let head = crc32c::crc32c_append(seed, &bytes[..checksum_at]);

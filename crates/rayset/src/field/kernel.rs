@@ -11,6 +11,8 @@ use std::str::FromStr;
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
 
+use crate::parse::ParseError;
+
 /// A radial basis function ω(x), x = d/r: 1 at the centre, 0 from x = 1 on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Kernel {
@@ -131,18 +133,15 @@ impl fmt::Display for Kernel {
     }
 }
 
-/// A kernel name that is none of [`Kernel::ALL`].
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "unknown kernel `{0}`; expected one of wyvill, chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight"
-)]
-pub struct UnknownKernel(String);
-
 impl FromStr for Kernel {
-    type Err = UnknownKernel;
+    type Err = ParseError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
-        Self::ALL.into_iter().find(|k| k.name() == s).ok_or_else(|| UnknownKernel(s.to_owned()))
+        let known = Self::ALL.into_iter().find(|k| k.name() == s);
+        known.ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            ParseError::new(s, |s| format!("unknown kernel `{s}`; expected one of {names}"))
+        })
     }
 }
 

@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use fearless_simd::Level;
 
+use crate::parse::ParseError;
+
 /// A set of vector instructions. The same source is compiled for each; results may differ in the last bits between
 /// those that have fused multiply–add (AVX2, AVX-512, NEON) and those that have not.
 #[derive(Clone, Copy, Debug)]
@@ -68,16 +70,8 @@ impl fmt::Display for SimdLevel {
     }
 }
 
-/// A name that is no level of this processor.
-#[derive(Debug, thiserror::Error)]
-#[error("`{name}` is no instruction set of this processor; expected auto, {available}")]
-pub struct UnknownLevel {
-    name: String,
-    available: String,
-}
-
 impl FromStr for SimdLevel {
-    type Err = UnknownLevel;
+    type Err = ParseError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
         if s == "auto" {
@@ -86,6 +80,10 @@ impl FromStr for SimdLevel {
         let levels = Self::available();
         let names: Vec<&str> = levels.iter().map(|l| l.name()).collect();
         let available = names.join(", ");
-        levels.into_iter().find(|l| l.name() == s).ok_or(UnknownLevel { name: s.to_owned(), available })
+        levels.into_iter().find(|l| l.name() == s).ok_or_else(|| {
+            ParseError::new(s, |s| {
+                format!("`{s}` is no instruction set of this processor; expected auto, {available}")
+            })
+        })
     }
 }

@@ -33,3 +33,9 @@ impl Development {
         }
     }
 }
+
+/// Encodes linear light for display (IEC 61966-2-1), 0 to 1.
+#[must_use]
+pub fn srgb_from_linear(v: f64) -> f64 {
+    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}

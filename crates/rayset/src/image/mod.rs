@@ -4,9 +4,16 @@ mod develop;
 mod exr_out;
 mod png_out;
 
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub use develop::srgb_from_linear;
+#[cfg(not(feature = "internals"))]
+pub(crate) use develop::srgb_from_linear;
 pub use develop::{Development, ToneMapping};
 pub use exr_out::{ExrBands, ExrError};
 pub use png_out::{PngBands, PngError};
+
+pub use crate::field::linear_from_srgb;
 
 /// Rows of a picture: premultiplied colour and opacity in linear light.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,10 +76,4 @@ impl Band {
     pub fn pixel(&self, x: u32, y: u32) -> [f32; 4] {
         self.pixels[(y - self.first_row) as usize * self.width as usize + x as usize]
     }
-}
-
-/// Encodes linear light for display (IEC 61966-2-1), 0 to 1.
-#[must_use]
-pub fn srgb_from_linear(v: f64) -> f64 {
-    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }

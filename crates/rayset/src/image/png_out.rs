@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use super::{Band, Development, srgb_from_linear};
+use crate::output::OutputError;
 
 /// Why a picture could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -14,6 +15,9 @@ pub enum PngError {
     /// The system refused.
     #[error(transparent)]
     Io(#[from] io::Error),
+    /// The file cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
 }
 
 impl From<png::EncodingError> for PngError {

@@ -66,11 +66,11 @@ impl Column {
 /// A stored attribute: a column with a name and a type.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeInfo {
-    /// Name, at most [`NAME_BYTES`] bytes.
+    /// Name, at most 64 bytes.
     pub name: String,
     /// Type of the numbers.
     pub kind: ColumnType,
-    /// Unit as the source named it, at most [`NAME_BYTES`] bytes; empty where it named none.
+    /// Unit as the source named it, at most 64 bytes; empty where it named none.
     pub unit: String,
     /// Whether the numbers name classes, between which nothing may be interpolated.
     pub is_class: bool,
@@ -126,7 +126,7 @@ impl ColumnLayout {
 pub struct Header {
     /// What tells the file from others.
     pub identity: Identity,
-    /// Bytes of a page, a multiple of [`BLOCK_BYTES`].
+    /// Bytes of a page, a multiple of 4096.
     pub page_bytes: u32,
     /// Pages that hold points; they come first.
     pub point_pages: u32,

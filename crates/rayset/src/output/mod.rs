@@ -16,7 +16,6 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use self::destination::Destination;
-pub use self::partial::remove_own_partials;
 pub(crate) use self::partial::{Purpose, create_unique, remove_leftovers};
 pub use self::writer::{OutputFile, OutputWriter};
 

@@ -130,9 +130,8 @@ pub(crate) fn remove_leftovers(folder: &Path, output: &Destination) {
     });
 }
 
-/// Removes what this process is writing at the moment for a destination, though it is locked: for a process that is about
-/// to end by a signal. `temp_dir` is where temporary files lie, if not beside the output.
-pub fn remove_own_partials(destination: &Destination, temp_dir: Option<&Path>) {
+/// See [`Destination::remove_own_partials`].
+pub(super) fn remove_own_partials(destination: &Destination, temp_dir: Option<&Path>) {
     if destination.is_stream() {
         return;
     }

@@ -20,15 +20,31 @@ mod text;
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub use self::array::ArraySource;
+#[cfg(not(feature = "internals"))]
+pub(crate) use self::array::ArraySource;
 pub use self::column::{ColumnInfo, ColumnType, Values};
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub use self::las::LasSource;
+#[cfg(not(feature = "internals"))]
+use self::las::LasSource;
 pub use self::mesh::MeshSource;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub use self::ply::PlySource;
+#[cfg(not(feature = "internals"))]
+use self::ply::PlySource;
 pub use self::ply_write::PlyWriter;
 pub use self::slices::{ColumnLengthError, ColumnSlice, PositionSlice, SliceSource};
-pub use self::synthetic::{UnknownWorkload, View, Workload};
+pub use self::synthetic::{View, Workload};
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub use self::text::TextSource;
+#[cfg(not(feature = "internals"))]
+use self::text::TextSource;
 
 /// How the numbers of the colour columns of a source are to be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

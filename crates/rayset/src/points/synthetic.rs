@@ -9,6 +9,7 @@ use std::str::FromStr;
 
 use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema};
 use crate::geometry::DVec3;
+use crate::parse::ParseError;
 
 /// What a workload's points are spread over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,18 +113,17 @@ impl fmt::Display for Workload {
     }
 }
 
-/// A name that is no workload.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "unknown workload `{0}`; expected sphere-N, cube-N, knot-N, galaxy-N or vase-N, N as 5000, 100k or 1m"
-)]
-pub struct UnknownWorkload(String);
-
 impl FromStr for Workload {
-    type Err = UnknownWorkload;
+    type Err = ParseError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
-        let unknown = || UnknownWorkload(s.to_owned());
+        let unknown = || {
+            ParseError::new(s, |s| {
+                format!(
+                    "unknown workload `{s}`; expected sphere-N, cube-N, knot-N, galaxy-N or vase-N, N as 5000, 100k or 1m"
+                )
+            })
+        };
         let (shape, count) = s.split_once('-').ok_or_else(unknown)?;
         let shape = match shape {
             "sphere" => Shape::Sphere,

@@ -7,6 +7,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::parse::ParseError;
+
 /// A colour for every number from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Colormap {
@@ -59,22 +61,22 @@ impl fmt::Display for Colormap {
     }
 }
 
-/// A name that is no colour map.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "unknown colour map `{0}`; expected viridis, inferno, magma, plasma, turbo, grey or coolwarm, or one of these with `_r`"
-)]
-pub struct UnknownColormap(String);
-
 impl FromStr for Colormap {
-    type Err = UnknownColormap;
+    type Err = ParseError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {
         let (base, reversed) = s.strip_suffix("_r").map_or((s, false), |base| (base, true));
         let found = NAMED.iter().find(|(name, _)| *name == base);
         found
             .map(|&(name, knots)| Self { knots, name, reversed })
-            .ok_or_else(|| UnknownColormap(s.to_owned()))
+            .ok_or_else(|| {
+                ParseError::new(s, |s| {
+                    format!(
+                        "unknown colour map `{s}`; expected viridis, inferno, magma, plasma, turbo, grey or coolwarm, \
+                         or one of these with `_r`"
+                    )
+                })
+            })
     }
 }
 

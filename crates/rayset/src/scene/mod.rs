@@ -16,15 +16,21 @@ mod transfer;
 
 use std::sync::Arc;
 
+pub use crate::field::Kernel;
 use crate::geometry::Aabb;
 
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
-pub use colormap::{Colormap, UnknownColormap};
+pub use colormap::Colormap;
 pub(crate) use graph::check_transform;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub use graph::largest_stretch;
+#[cfg(not(feature = "internals"))]
+pub(crate) use graph::largest_stretch;
 pub use graph::{
     Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_ATTRIBUTES, MOST_PLACES, Node, Operator,
-    SceneError, Shape, Transfer, largest_stretch,
+    SceneError, Shape, Transfer,
 };
 pub use light::{Light, LightKind, Lighting};
 pub use material::Material;
@@ -34,8 +40,12 @@ pub use procedural::{Pattern, Procedural, ProceduralSample};
 pub use solid::{Form, Solid};
 pub use transfer::{
     ColorMap, ColorRule, MAX_OPACITY, MapInput, OpacityRule, Palette, TransferError, TransferFunction,
-    curve_at, max_extinction,
 };
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub use transfer::{curve_at, max_extinction};
+#[cfg(not(feature = "internals"))]
+pub(crate) use transfer::{curve_at, max_extinction};
 
 /// Coordinates and lengths reach this far.
 pub const FARTHEST: f64 = 1e18;

@@ -573,7 +573,7 @@ fn palette(at: &Cursor<'_>) -> Result<Palette, SceneFileError> {
         return name
             .parse()
             .map(Palette::Named)
-            .map_err(|e: crate::scene::UnknownColormap| at.error(e.to_string()));
+            .map_err(|e: crate::parse::ParseError| at.error(e.to_string()));
     }
     let mut stops: Vec<(f64, [f64; 3])> = Vec::new();
     for item in at.list(MOST_STOPS)? {

@@ -341,6 +341,44 @@ pub fn plan(
     })
 }
 
+/// Divides the memory of a session that has prepared these scenes: bytes for pages, and how many of these tables of shadows
+/// may take.
+///
+/// # Errors
+/// The smallest memory that would do.
+pub(super) fn divide(scenes: &[&SceneNeeds], threads: usize, total: u64) -> Result<(u64, u64), u64> {
+    let block = BLOCK_BYTES as u64;
+    let files = || scenes.iter().flat_map(|needs| needs.files());
+    let shadow_blocks: u64 = scenes.iter().map(|needs| needs.shadow_blocks).sum();
+    let page = files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
+    let (largest, unit) = if shadow_blocks > 0 { (page.max(block), page.min(block)) } else { (page, page) };
+    let pages: u64 = files().map(|(pages, _)| pages).sum();
+    let slots = u32::try_from(pages + shadow_blocks).unwrap_or(u32::MAX);
+    let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
+    // Each thread works on one scene at a time.
+    let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
+    let fixed = of_scenes
+        + threads as u64 * of_thread
+        + WorkingSet::overhead_bytes(slots)
+        + pages * LOOKAHEAD_BYTES
+        + READING_BYTES;
+    let mixed = shadow_blocks > 0 && files().any(|(_, bytes)| bytes != block);
+    let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
+    let least = fixed + least_pages(threads) * (largest + OVERHEAD_BYTES + largest / part);
+    if total < least {
+        return Err(least);
+    }
+    let page_bytes = (total - fixed) / (unit + OVERHEAD_BYTES + unit / part) * unit;
+    let page_bytes = page_bytes.max(least_pages(threads) * largest);
+    let file_bytes: u64 = files().map(|(pages, bytes)| pages * bytes).sum();
+    let shadow_bytes = page_bytes
+        .saturating_sub(file_bytes)
+        .max(page_bytes / 2)
+        .max(block * (threads as u64 + 1))
+        .min(page_bytes);
+    Ok((page_bytes, shadow_bytes))
+}
+
 /// Pages without which threads could wait for each other for ever: each retains one at a time, and one is on its way.
 #[must_use]
 pub fn least_pages(threads: usize) -> u64 {

@@ -40,8 +40,9 @@ use std::io;
 use std::path::PathBuf;
 
 pub use self::counts::RenderCounts;
+pub use self::predict::Prediction;
 pub use self::prepared::PreparedScene;
-pub use self::session::{ExecSettings, Session, render_once};
+pub use self::session::{ExecSettings, Session, SessionBuilder, render_once};
 pub use self::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 pub use self::view::{MAX_TILE_PIXELS, Region, Tile, View, Work};
 use crate::scene::{CameraError, SceneError};
@@ -75,6 +76,17 @@ pub enum RenderError {
         path: PathBuf,
         /// The system's reason.
         r#source: io::Error,
+    },
+    /// There is no way to read as was asked for.
+    #[error("io_uring is not available here: {0}")]
+    Io(io::Error),
+    /// The session's memory does not do for the scenes that it has prepared.
+    #[error("a memory budget of {given} bytes is too small: this scene needs at least {needed}")]
+    Memory {
+        /// The budget.
+        given: u64,
+        /// The smallest that would do, besides what else is prepared.
+        needed: u64,
     },
     /// The system gives no threads.
     #[error("cannot start a thread: {0}")]

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::RenderError;
-use super::session::{ExecSettings, Session};
+use super::session::{ExecSettings, Reservation, Session};
 use super::view::View;
 use super::world::World;
 use crate::scene::{Camera, RenderSettings};
@@ -18,6 +18,8 @@ pub struct PreparedScene(Arc<Prepared>);
 pub(super) struct Prepared {
     pub(super) world: World,
     settings: RenderSettings,
+    // Given back before the session goes.
+    _reservation: Option<Reservation>,
     session: Session,
 }
 
@@ -38,8 +40,13 @@ impl Prepared {
 }
 
 impl PreparedScene {
-    pub(super) fn new(world: World, settings: RenderSettings, session: Session) -> Self {
-        Self(Arc::new(Prepared { world, settings, session }))
+    pub(super) fn new(
+        world: World,
+        settings: RenderSettings,
+        session: Session,
+        reservation: Option<Reservation>,
+    ) -> Self {
+        Self(Arc::new(Prepared { world, settings, _reservation: reservation, session }))
     }
 
     /// A look at the scene, in a picture of the settings' size.

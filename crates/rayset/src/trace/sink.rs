@@ -1,9 +1,13 @@
 //! Where finished tiles go.
 
+use std::io::BufWriter;
+use std::path::Path;
+
 use super::view::{Region, Tile};
 use super::{RenderCounts, RenderError, View, Work};
 use crate::cancel::CancelToken;
-use crate::image::{Band, LayerPixel};
+use crate::image::{Band, Development, LayerPixel, PngBands, PngError};
+use crate::output::{Destination, OutputFile};
 
 /// Why a sink refuses a tile or a band; it ends the render.
 pub type SinkError = Box<dyn std::error::Error + Send + Sync>;
@@ -69,6 +73,23 @@ pub struct Picture {
     pub pixels: Vec<[f32; 4]>,
     /// What else is known of each pixel, where it was asked for; else empty.
     pub layers: Vec<LayerPixel>,
+}
+
+impl Picture {
+    /// Writes the picture as a PNG of 8 bits, with the exposure and tone mapping of [`Development::default`]. The file gets
+    /// its name when it is whole.
+    ///
+    /// # Errors
+    /// [`PngError`]; what stood under the name is then as it was.
+    pub fn save_png(&self, path: &Path) -> Result<(), PngError> {
+        let file = OutputFile::create(&Destination::new(path)?)?;
+        let output = BufWriter::new(file.writer());
+        let mut png = PngBands::new(output, self.width, self.height, Development::default())?;
+        let (width, pixels, layers) = (self.width, self.pixels.clone(), Vec::new());
+        png.write(&Band { first_row: 0, width, pixels, layers })?;
+        png.finish()?;
+        Ok(file.publish()?)
+    }
 }
 
 impl BandSink for Picture {

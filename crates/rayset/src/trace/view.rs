@@ -45,7 +45,7 @@ impl Region {
 }
 
 /// A rectangle of pixels that is traced together: its upper left pixel and its size, each edge 1 to
-/// [`MAX_TILE_PIXELS`].
+/// 8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tile {
     /// Left column.

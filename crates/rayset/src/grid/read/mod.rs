@@ -17,7 +17,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use self::data::{Voxels, what_of};
-pub use self::raw::{RawLayout, UnknownLayout};
+pub use self::raw::RawLayout;
 use self::stored::Stored;
 use super::VoxelKind;
 use crate::geometry::{DAffine3, DVec3};

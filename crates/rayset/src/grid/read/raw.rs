@@ -6,6 +6,7 @@ use std::str::FromStr;
 use super::data::Place;
 use super::{Described, ReadError, Stored, VolumeSource};
 use crate::geometry::{DAffine3, DVec3};
+use crate::parse::ParseError;
 
 /// How a raw file is laid out: `256x256x128,u16`, then optionally `be` or `le`, `skip=512`, `spacing=1x1x2.5`. The file
 /// may go on behind the voxels.
@@ -18,16 +19,17 @@ pub struct RawLayout {
     spacing: [f64; 3],
 }
 
-/// A text that is no layout.
-#[derive(Debug, thiserror::Error)]
-#[error("`{0}` is not a layout; write it as 256x256x128,u16 or 256x256x128,f32,be,skip=512,spacing=1x1x2.5")]
-pub struct UnknownLayout(String);
-
 impl FromStr for RawLayout {
-    type Err = UnknownLayout;
+    type Err = ParseError;
 
-    fn from_str(text: &str) -> Result<Self, UnknownLayout> {
-        parse(text).ok_or_else(|| UnknownLayout(text.to_owned()))
+    fn from_str(text: &str) -> Result<Self, ParseError> {
+        parse(text).ok_or_else(|| {
+            ParseError::new(text, |text| {
+                format!(
+                    "`{text}` is not a layout; write it as 256x256x128,u16 or 256x256x128,f32,be,skip=512,spacing=1x1x2.5"
+                )
+            })
+        })
     }
 }
 

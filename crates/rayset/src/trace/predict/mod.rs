@@ -1,5 +1,7 @@
 //! Bringing pages in before rays need them. A prediction can be wrong without harm to the picture.
 
+use std::sync::Arc;
+
 mod lookahead;
 mod scout;
 
@@ -22,6 +24,34 @@ pub trait Predictor: Send + Sync {
 
     /// What to call it in reports.
     fn name(&self) -> &'static str;
+}
+
+/// What brings pages in before rays need them. It changes no picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Prediction {
+    /// Nothing: every page is read when it is needed.
+    None,
+    /// The paper's predictor (its Algorithms 1 and 2): what lies ahead on the line of a packet's samples.
+    Line,
+    /// The rays of the next tiles are known, and the octree is walked ahead of them.
+    #[default]
+    Packet,
+}
+
+impl Prediction {
+    /// The name: `none`, `line`, `packet`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.predictor().name()
+    }
+
+    pub(crate) fn predictor(self) -> Arc<dyn Predictor> {
+        match self {
+            Self::None => Arc::new(NoPredictor),
+            Self::Line => Arc::new(LinePredictor),
+            Self::Packet => Arc::new(PacketPredictor::default()),
+        }
+    }
 }
 
 /// Predicts nothing: every page is read when it is needed.

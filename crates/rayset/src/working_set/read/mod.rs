@@ -20,7 +20,7 @@ pub use self::pool::Pool;
 #[cfg(target_os = "linux")]
 pub use self::uring::Uring;
 use super::PageBuffer;
-pub use crate::storage::{FileStorage, MemoryStorage, Storage};
+pub use crate::storage::{BackendKind, FileStorage, MemoryStorage, Storage};
 
 /// What is called when a read has ended, with the buffer and the outcome.
 pub type Completion = Box<dyn FnOnce(PageBuffer, io::Result<()>) + Send>;
@@ -53,18 +53,6 @@ pub trait ReadBackend: Send + Sync {
     fn submit(&self, batch: Vec<Read>);
     /// What to call it in reports.
     fn name(&self) -> String;
-}
-
-/// The backends that a user can choose from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum BackendKind {
-    /// io_uring where the system has it, else the pool.
-    #[default]
-    Auto,
-    /// io_uring or an error.
-    Uring,
-    /// Threads that read at positions.
-    Pool,
 }
 
 /// Reads in flight at once, and threads of the pool.
