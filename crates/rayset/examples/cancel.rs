@@ -1,5 +1,6 @@
 //! Cancels a render at random moments and says how long the calls took to return, which is next to nothing; then renders
 //! on in the same session: `cargo run --release --example cancel`.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::thread;
 use std::time::{Duration, Instant};

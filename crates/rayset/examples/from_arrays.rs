@@ -1,5 +1,6 @@
 //! Points of one's own arrays become a cloud in memory, and a picture of it; no file is made but the picture:
 //! `cargo run --release --example from_arrays -- [picture.png]`.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
 use std::sync::Arc;

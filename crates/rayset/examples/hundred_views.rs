@@ -1,5 +1,6 @@
 //! A hundred views of one prepared scene: it is compiled once, and each block of its tables of shadows is made once:
 //! `cargo run --release --example hundred_views -- [picture of the last]`.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
 use std::time::Instant;

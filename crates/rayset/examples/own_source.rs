@@ -1,5 +1,6 @@
 //! A source of points of one's own: anything that can hand out points in batches is built like a file, out of core if need
 //! be. This one makes terrain as it is asked for it: `cargo run --release --example own_source -- [picture.png]`.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
 use std::sync::Arc;

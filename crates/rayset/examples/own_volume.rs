@@ -1,5 +1,6 @@
 //! A procedural volume of one's own, combined with others by operators, lit and shadowed like them:
 //! `cargo run --release --example own_volume -- [picture.png]`.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
 use std::sync::Arc;

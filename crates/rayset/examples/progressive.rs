@@ -1,5 +1,6 @@
 //! A picture that becomes better pass by pass, from its middle outward; the last pass is the batch picture, bit for bit:
 //! `cargo run --release --example progressive -- [folder]`.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
 use std::time::Instant;

@@ -1,6 +1,7 @@
 //! Renders a scene file: `cargo run --release --example render_scene -- [scene.json [picture.png]]`.
 //!
 //! Without arguments it renders a small scene of its own, in which a sphere is cut open under a lamp that throws shadows.
+#![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
 

@@ -131,12 +131,18 @@ pub(super) struct EvictionQueue {
 }
 
 impl EvictionQueue {
-    /// A page has come into memory.
-    pub(super) fn insert(&mut self, object: Arc<Object>, page: u32, serial: u32, last_use: u64) {
+    /// A page is about to come into memory.
+    pub(super) fn insert(&mut self, object: &Arc<Object>, page: u32, resident: &Resident) {
         let queue = &mut self.queues[object.kind(page).index()];
-        queue.resident += 1;
-        queue.by_age.push(Reverse(Entry { last_use, serial, page, object }));
+        // Before it is entered: its slot does not say yet that it is there.
         queue.drop_stale();
+        let (last_use, serial) = (resident.last_use.load(Ordering::Relaxed), resident.serial);
+        let entry = Entry { last_use, serial, page, object: object.clone() };
+        if resident.retired.load(Ordering::Relaxed) {
+            queue.retired.push_back(entry.clone());
+        }
+        queue.by_age.push(Reverse(entry));
+        queue.resident += 1;
     }
 
     /// A page has been retired.

@@ -21,13 +21,15 @@ mod cloud;
 mod eviction;
 mod files;
 mod grid;
+#[cfg(all(test, feature = "model"))]
+mod models;
 mod object;
 mod pool;
 pub mod read;
 mod request;
 mod source;
 mod stats;
-#[cfg(test)]
+#[cfg(all(test, not(feature = "model")))]
 mod tests;
 
 use std::sync::Arc;

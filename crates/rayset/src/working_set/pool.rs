@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use super::budget::{Budget, Limits, Obstacle};
 use super::buffer::PageBuffer;
 use super::eviction::{Evicted, EvictionQueue};
-use super::object::Object;
+use super::object::{Object, Resident, Slot};
 use super::source::{KINDS, Kind};
 use crate::cancel::CancelToken;
 use crate::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
@@ -230,39 +230,35 @@ impl PagePool {
         Computing { pool: self, thread }
     }
 
-    /// The number of a page's stay in memory, for which room has been reserved.
-    pub(super) fn next_serial(&self) -> u32 {
-        let mut state = lock(&self.state);
-        state.last_serial = state.last_serial.wrapping_add(1);
-        state.last_serial
-    }
-
-    /// A page is there. Returns what had to go, where limits have been lowered meanwhile.
-    pub(super) fn loaded(
+    /// A page for which room was reserved is there: from now on it can be had, and evicted unless `hold` retains it.
+    /// Returns what `hold` does, and what had to go, where limits have been lowered meanwhile.
+    pub(super) fn loaded<T>(
         &self,
         object: &Arc<Object>,
         page: u32,
-        serial: u32,
-        last_use: u64,
-        retired: bool,
-    ) -> Vec<Evicted> {
+        mut resident: Resident,
+        hold: impl FnOnce(&Arc<Resident>) -> T,
+    ) -> (T, Vec<Evicted>) {
         let mut state = lock(&self.state);
         state.loading -= 1;
-        state.queue.insert(object.clone(), page, serial, last_use);
-        if retired {
-            state.queue.retire(object.clone(), page, serial);
-        }
+        state.last_serial = state.last_serial.wrapping_add(1);
+        resident.serial = state.last_serial;
+        let resident = Arc::new(resident);
+        state.queue.insert(object, page, &resident);
+        let held = hold(&resident);
+        *object.slot(page) = Slot::Resident(resident);
         let evicted = state.evict_excess(self.tick());
         drop(state);
         self.notify_waiting();
-        evicted
+        (held, evicted)
     }
 
-    /// A page will not come: its room is free again.
-    pub(super) fn failed(&self, kind: Kind, object: &Object, buffer: PageBuffer) {
+    /// A page will not come: its slot says why, and its room is free again.
+    pub(super) fn failed(&self, object: &Object, page: u32, slot: Slot, buffer: PageBuffer) {
         let mut state = lock(&self.state);
         state.loading -= 1;
-        state.budget.give_back(kind, object.bytes());
+        *object.slot(page) = slot;
+        state.budget.give_back(object.kind(page), object.bytes());
         // For whoever takes the room: freed and taken again, pages would crumble the allocator's memory.
         state.recycled.push(buffer);
         drop(state);

@@ -208,26 +208,20 @@ impl PageClient {
                 if object.touch(page, self.shared.period.load(Ordering::Relaxed)) {
                     counters.computed_unique.fetch_add(1, Ordering::Relaxed);
                 }
-                let resident = Arc::new(Resident {
-                    buffer,
-                    serial: self.shared.pool.next_serial(),
-                    last_use: AtomicU64::new(self.shared.pool.tick()),
-                    user: AtomicU32::new(self.number),
-                    retired: AtomicBool::new(false),
-                    hint: AtomicU32::new(HintMark::None.word()),
-                });
-                let guard = PageGuard::new(&resident, &self.shared);
-                self.shared.become_resident(object, page, resident);
+                let resident = self.shared.resident(buffer, self.number, HintMark::None, false);
+                let hold = |resident: &Arc<Resident>| PageGuard::new(resident, &self.shared);
+                let (guard, evicted) = self.shared.pool.loaded(object, page, resident, hold);
+                self.shared.count_evictions(&evicted);
                 Ok(guard)
             }
             Ok(Err(error)) => {
-                self.shared.fail(object, page, Slot::Absent, buffer);
+                self.shared.pool.failed(object, page, Slot::Absent, buffer);
                 Err(error)
             }
             Err(panic) => {
                 // Whoever waits for the page must learn that it will not come.
                 let fault = PageFault::Panicked { name: object.source.name(), page };
-                self.shared.fail(object, page, Slot::Failed(Box::new(fault)), buffer);
+                self.shared.pool.failed(object, page, Slot::Failed(Box::new(fault)), buffer);
                 resume_unwind(panic);
             }
         }
@@ -325,37 +319,29 @@ impl Shared {
                 if !wanted {
                     self.hint_was_used(client, object.bytes());
                 }
-                let resident = Resident {
-                    buffer,
-                    serial: self.pool.next_serial(),
-                    last_use: AtomicU64::new(self.pool.tick()),
-                    user: AtomicU32::new(client),
-                    retired: AtomicBool::new(!wanted),
-                    hint: AtomicU32::new(mark.word()),
-                };
-                self.become_resident(object, page, Arc::new(resident));
+                let resident = self.resident(buffer, client, mark, !wanted);
+                let ((), evicted) = self.pool.loaded(object, page, resident, |_| ());
+                self.count_evictions(&evicted);
             }
             Err(fault) => {
                 if hint.is_some() {
                     self.hint_was_used(client, object.bytes());
                 }
-                self.fail(object, page, Slot::Failed(Box::new(fault)), buffer);
+                self.pool.failed(object, page, Slot::Failed(Box::new(fault)), buffer);
             }
         }
     }
 
-    /// A page is there, and in its slot; where it is not wanted, it is the first to go.
-    fn become_resident(&self, object: &Arc<Object>, page: u32, resident: Arc<Resident>) {
-        let (serial, retired) = (resident.serial, resident.retired.load(Ordering::Relaxed));
-        let last_use = resident.last_use.load(Ordering::Relaxed);
-        *object.slot(page) = Slot::Resident(resident);
-        let evicted = self.pool.loaded(object, page, serial, last_use, retired);
-        self.count_evictions(&evicted);
-    }
-
-    /// A page will not come.
-    fn fail(&self, object: &Object, page: u32, slot: Slot, buffer: PageBuffer) {
-        *object.slot(page) = slot;
-        self.pool.failed(object.kind(page), object, buffer);
+    /// A page as it comes into memory; the first to go where it is `retired` already.
+    fn resident(&self, buffer: PageBuffer, client: u32, mark: HintMark, retired: bool) -> Resident {
+        Resident {
+            buffer,
+            // Given by the pool.
+            serial: 0,
+            last_use: AtomicU64::new(self.pool.tick()),
+            user: AtomicU32::new(client),
+            retired: AtomicBool::new(retired),
+            hint: AtomicU32::new(mark.word()),
+        }
     }
 }
