@@ -126,6 +126,12 @@ impl Object {
     /// What the set itself keeps for every page of an object, in memory or not.
     pub(super) const BYTES_A_PAGE: usize = size_of::<Mutex<Slot>>() + size_of::<AtomicU32>();
 
+    /// What its lists of pages take.
+    #[cfg(test)]
+    pub(super) fn bytes_kept(&self) -> usize {
+        self.slots.capacity() * size_of::<Mutex<Slot>>() + self.touched.capacity() * size_of::<AtomicU32>()
+    }
+
     pub(super) fn slot(&self, page: u32) -> MutexGuard<'_, Slot> {
         lock(&self.slots[page as usize])
     }

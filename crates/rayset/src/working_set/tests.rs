@@ -246,3 +246,12 @@ fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
     until_resident(&set, &object, 0..5);
     assert_eq!(hints_taken(&client, &object), 8);
 }
+
+/// A billion points are some 200 000 pages; what the set keeps of them must be small beside any budget.
+#[test]
+fn a_page_takes_at_most_32_bytes_outside_the_budget() {
+    assert!(WorkingSet::overhead_bytes(1) <= 32, "{} bytes", WorkingSet::overhead_bytes(1));
+    assert_eq!(WorkingSet::overhead_bytes(200_000), 200_000 * WorkingSet::overhead_bytes(1));
+    let object = Object::new(Arc::new(Source(Arc::new(Zeros { pages: 1000, delay_milliseconds: 0.into() }))));
+    assert!(object.bytes_kept() <= WorkingSet::overhead_bytes(1000) as usize + 64, "{}", object.bytes_kept());
+}

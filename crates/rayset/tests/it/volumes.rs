@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use flate2::Compression;
-use flate2::write::{GzEncoder, ZlibEncoder};
+use flate2::write::GzEncoder;
 use proptest::prelude::*;
 use rayset::geometry::DVec3;
 use rayset::grid::Grid;
@@ -12,7 +12,7 @@ use rayset::grid::build::{GridBuildOptions, build};
 use rayset::grid::read::{RawLayout, VolumeSource};
 
 use crate::common::folder;
-use crate::vti_text::{base64, blocks, vti};
+use crate::vti_text::{base64, blocks, vti, zipped};
 
 pub(crate) const SIZE: [u64; 3] = [5, 4, 3];
 
@@ -23,12 +23,6 @@ pub(crate) fn voxels() -> Vec<u8> {
 
 pub(crate) fn gzipped(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
-    encoder.write_all(bytes).expect("a write");
-    encoder.finish().expect("it ends")
-}
-
-pub(crate) fn zipped(bytes: &[u8]) -> Vec<u8> {
-    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
     encoder.write_all(bytes).expect("a write");
     encoder.finish().expect("it ends")
 }

@@ -41,7 +41,7 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
 
 /// Each file of the library with its module and its code without comments.
 fn library() -> Vec<(PathBuf, String, String)> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/src");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut files = Vec::new();
     sources(&root, &mut files);
     assert!(files.len() > 40, "the library has moved: {}", root.display());
@@ -69,6 +69,26 @@ fn modules_know_only_those_before_them() {
         for other in ORDER.iter().skip(own + 1) {
             let known = format!("crate::{other}::");
             assert!(!code.contains(&known), "{} knows `{other}`, which comes after it", path.display());
+        }
+    }
+}
+
+/// They are compiled with the feature that opens the rest, for the sake of tests.
+#[test]
+fn examples_use_the_public_surface_alone() {
+    let lib = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs");
+    let lib = std::fs::read_to_string(lib).expect("the root of the library");
+    let hidden: Vec<&str> =
+        lib.split("#[doc(hidden)]\npub mod ").skip(1).filter_map(|rest| rest.split(';').next()).collect();
+    assert!(hidden.contains(&"working_set") && hidden.contains(&"trace"), "{hidden:?}");
+    let mut files = Vec::new();
+    sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("examples"), &mut files);
+    assert!(files.len() > 6);
+    for path in files {
+        let code = std::fs::read_to_string(&path).expect("an example");
+        for module in &hidden {
+            assert!(!code.contains(&format!("rayset::{module}")), "{} uses `{module}`", path.display());
+            assert!(!code.contains(&format!("    {module}::")), "{} uses `{module}`", path.display());
         }
     }
 }

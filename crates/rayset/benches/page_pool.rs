@@ -1,0 +1,128 @@
+//! What a request for a page costs, by the number of pages and of threads: `cargo bench -p rayset --bench page_pool`.
+//!
+//! Pages are small and their reads cost nothing, so that what is measured is the pool itself. `hits`: all pages fit. `half`: half
+//! of them do, and every other request evicts. With `RAYSET_POOL_ONCE=PAGES,FIT,REQUESTS` it makes so many requests once, for
+//! counting instructions (`valgrind --tool=callgrind`).
+
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group};
+use rayset::cancel::CancelToken;
+use rayset::storage::Storage;
+use rayset::working_set::read::{Read, ReadBackend};
+use rayset::working_set::{Kind, Limits, Object, PageSource, WorkingSet};
+
+const PAGE: usize = 512;
+
+struct Pages(u32);
+
+impl Storage for Pages {
+    fn length(&self) -> io::Result<u64> {
+        Ok(u64::from(self.0) * PAGE as u64)
+    }
+
+    fn read_exact_at(&self, buffer: &mut [u8], _offset: u64) -> io::Result<()> {
+        buffer[0] = 1;
+        Ok(())
+    }
+}
+
+impl PageSource for Pages {
+    fn pages(&self) -> u32 {
+        self.0
+    }
+    fn page_bytes(&self) -> usize {
+        PAGE
+    }
+    fn kind(&self, page: u32) -> Kind {
+        if page.is_multiple_of(16) { Kind::Octree } else { Kind::Points }
+    }
+    fn offset(&self, page: u32) -> u64 {
+        u64::from(page) * PAGE as u64
+    }
+    fn storage(&self) -> Arc<dyn Storage> {
+        Arc::new(Self(self.0))
+    }
+    fn check(&self, _page: u32, _bytes: &[u8]) -> Result<(), String> {
+        Ok(())
+    }
+    fn name(&self) -> String {
+        "pages".into()
+    }
+}
+
+/// Reads on the thread that asks.
+struct AtOnce;
+
+impl ReadBackend for AtOnce {
+    fn submit(&self, batch: Vec<Read>) {
+        batch.into_iter().for_each(Read::run);
+    }
+    fn name(&self) -> String {
+        "at once".into()
+    }
+}
+
+/// A set of which `fit` of `pages` pages fit, with as many of them in memory.
+fn set(pages: u32, fit: u32) -> (WorkingSet, Arc<Object>) {
+    let set = WorkingSet::new(Limits::total(u64::from(fit) * PAGE as u64), Arc::new(AtOnce));
+    let object = set.add(Arc::new(Pages(pages)));
+    let client = set.client(&CancelToken::new());
+    (0..pages).for_each(|page| drop(client.retain(&object, page).expect("a page")));
+    (set, object)
+}
+
+/// Makes requests for pages at random.
+fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, count: u64, seed: u64) {
+    let client = set.client(&CancelToken::new());
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    for _ in 0..count {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        let page = ((state >> 32) * u64::from(pages) >> 32) as u32;
+        drop(client.retain(object, page).expect("a page"));
+    }
+}
+
+/// The time of `count` requests, divided among threads.
+fn time(set: &WorkingSet, object: &Arc<Object>, pages: u32, threads: u64, count: u64) -> Duration {
+    let started = Instant::now();
+    std::thread::scope(|scope| {
+        for thread in 0..threads {
+            scope.spawn(move || requests(set, object, pages, count.div_ceil(threads), thread + 1));
+        }
+    });
+    started.elapsed()
+}
+
+fn pool(criterion: &mut Criterion) {
+    for (name, part) in [("hits", 1), ("half", 2)] {
+        let mut group = criterion.benchmark_group(name);
+        group.throughput(Throughput::Elements(1)).measurement_time(Duration::from_secs(3));
+        for threads in [1, 2, 16] {
+            for pages in [1000, 200_000] {
+                let (set, object) = set(pages, pages / part);
+                group.bench_function(BenchmarkId::new(format!("{threads} threads"), pages), |bencher| {
+                    bencher.iter_custom(|count| time(&set, &object, pages, threads, count));
+                });
+            }
+        }
+    }
+}
+
+criterion_group!(benches, pool);
+
+fn main() {
+    if let Ok(once) = std::env::var("RAYSET_POOL_ONCE") {
+        let numbers: Vec<u32> = once.split(',').map(|n| n.parse().expect("a number")).collect();
+        let [pages, fit, count] = numbers[..] else { panic!("three numbers") };
+        let (set, object) = set(pages, fit);
+        requests(&set, &object, pages, count.into(), 1);
+        return;
+    }
+    benches();
+    Criterion::default().configure_from_args().final_summary();
+}

@@ -1,0 +1,37 @@
+//! What rayset promises, tested: the library by itself, in one binary.
+#![allow(missing_docs, reason = "tests are named after what they promise")]
+#![allow(clippy::print_stderr, reason = "a test that is skipped says so")]
+#![allow(clippy::type_complexity, reason = "tables of cases are clearest written out")]
+
+mod bad_bytes;
+mod bounces;
+mod build_control;
+mod build_is_pure;
+mod colormaps;
+mod common;
+mod corpus;
+mod edges;
+mod figures;
+mod format;
+mod golden;
+mod graph;
+mod grid_borders;
+mod grids;
+mod house;
+#[allow(dead_code, reason = "the program's tests use the rest")]
+mod las_writer;
+mod layers;
+mod ply_files;
+mod readers;
+mod right_picture;
+mod same_picture;
+mod scattered;
+mod schema;
+mod sessions;
+mod shadows;
+mod tables;
+mod volumes;
+mod vti;
+mod vti_text;
+mod working_set;
+mod wrong_scenes;
