@@ -1,7 +1,8 @@
 //! What a request for a page costs, by the number of pages and of threads: `cargo bench -p rayset --bench page_pool`.
 //!
 //! Pages are small and their reads cost nothing, so that what is measured is the pool itself. `hits`: all pages fit. `half`: half
-//! of them do, and every other request evicts. With `RAYSET_POOL_ONCE=PAGES,FIT,REQUESTS` it makes so many requests once, for
+//! of them do. `walk`: requests are for 32 neighbours at a time, as those of a tile are; `random`: for any page, which costs
+//! what the processor's caches do not hold. With `RAYSET_POOL_ONCE=PAGES,FIT,NEIGHBOURS,REQUESTS` it makes so many requests once, for
 //! counting instructions (`valgrind --tool=callgrind`).
 
 use std::io;
@@ -74,39 +75,61 @@ fn set(pages: u32, fit: u32) -> (WorkingSet, Arc<Object>) {
     (set, object)
 }
 
-/// Makes requests for pages at random.
-fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, count: u64, seed: u64) {
+/// Makes requests for pages: at random among so many neighbours (a power of two), for four times as long as there are of
+/// them, and then elsewhere. All pages are their neighbours where there are more than pages.
+fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, neighbours: u32, count: u64, seed: u64) {
     let client = set.client(&CancelToken::new());
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-    for _ in 0..count {
+    let mut place = 0;
+    for number in 0..count {
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
-        let page = ((state >> 32) * u64::from(pages) >> 32) as u32;
+        let anywhere = ((state >> 32) * u64::from(pages) >> 32) as u32;
+        if number % (4 * u64::from(neighbours)) == 0 {
+            place = anywhere;
+        }
+        let near = (place + (state as u32 & (neighbours - 1))) % pages;
+        let page = if neighbours > pages { anywhere } else { near };
         drop(client.retain(object, page).expect("a page"));
     }
 }
 
 /// The time of `count` requests, divided among threads.
-fn time(set: &WorkingSet, object: &Arc<Object>, pages: u32, threads: u64, count: u64) -> Duration {
+fn time(
+    set: &WorkingSet,
+    object: &Arc<Object>,
+    (pages, neighbours): (u32, u32),
+    threads: u64,
+    count: u64,
+) -> Duration {
     let started = Instant::now();
     std::thread::scope(|scope| {
         for thread in 0..threads {
-            scope.spawn(move || requests(set, object, pages, count.div_ceil(threads), thread + 1));
+            scope
+                .spawn(move || requests(set, object, pages, neighbours, count.div_ceil(threads), thread + 1));
         }
     });
     started.elapsed()
 }
 
+/// Every page is a neighbour.
+const ANYWHERE: u32 = 1 << 30;
+
 fn pool(criterion: &mut Criterion) {
-    for (name, part) in [("hits", 1), ("half", 2)] {
+    for (name, part, neighbours) in [
+        ("walk, hits", 1, 32),
+        ("walk, half", 2, 32),
+        ("random, hits", 1, ANYWHERE),
+        ("random, half", 2, ANYWHERE),
+    ] {
         let mut group = criterion.benchmark_group(name);
         group.throughput(Throughput::Elements(1)).measurement_time(Duration::from_secs(3));
         for threads in [1, 2, 16] {
             for pages in [1000, 200_000] {
                 let (set, object) = set(pages, pages / part);
                 group.bench_function(BenchmarkId::new(format!("{threads} threads"), pages), |bencher| {
-                    bencher.iter_custom(|count| time(&set, &object, pages, threads, count));
+                    bencher.iter_custom(|count| time(&set, &object, (pages, neighbours), threads, count));
                 });
             }
         }
@@ -118,9 +141,9 @@ criterion_group!(benches, pool);
 fn main() {
     if let Ok(once) = std::env::var("RAYSET_POOL_ONCE") {
         let numbers: Vec<u32> = once.split(',').map(|n| n.parse().expect("a number")).collect();
-        let [pages, fit, count] = numbers[..] else { panic!("three numbers") };
+        let [pages, fit, neighbours, count] = numbers[..] else { panic!("four numbers") };
         let (set, object) = set(pages, fit);
-        requests(&set, &object, pages, count.into(), 1);
+        requests(&set, &object, pages, neighbours, count.into(), 1);
         return;
     }
     benches();

@@ -1,13 +1,12 @@
-//! Which page gives way: pages that are retired first, then the least recently used.
+//! Which page gives way: pages that are retired first, then the one that was used the longest time ago.
 //!
-//! Every page in memory has one entry in the heap of its kind, ordered by when it was used at the time of entering. A use
-//! does not touch the heap: it only makes the page younger than its entry says. So the oldest entry is never younger than
-//! the page that has waited longest, and an entry that turns out to be too old goes back with the right age. Each use pays
-//! for one such return, so that an eviction costs O(log n) of n pages in memory, taken over all uses; and one that meets
-//! many pages that were used since looks at no more than [`MOST_LOOKED_AT`] of them, and takes the oldest.
+//! Every page in memory stands in a queue of its kind, with the time of its last use when it came to stand there. A use does
+//! not touch the queue: it only makes the page younger than its entry says. An eviction takes the front of the queue; a page
+//! that turns out to be younger goes to the end, and has its second chance. Each use pays for one such return, so that an
+//! eviction takes the same few steps whatever the number of pages, and no more than [`MOST_LOOKED_AT`]. Where pages are few
+//! ([`FEW`]), every one counts, and all of them are looked at for the oldest.
 
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::budget::Obstacle;
@@ -18,6 +17,8 @@ use crate::sync::atomic::Ordering;
 
 /// Pages found younger than their entries, of which an eviction takes the oldest rather than look further.
 const MOST_LOOKED_AT: usize = 64;
+/// So many pages are few.
+const FEW: usize = 128;
 
 /// A page in memory, and when it had been used when it was entered.
 #[derive(Clone)]
@@ -26,23 +27,6 @@ struct Entry {
     serial: u32,
     page: u32,
     object: Arc<Object>,
-}
-
-impl PartialEq for Entry {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Entry {}
-impl PartialOrd for Entry {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Entry {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.last_use, self.serial).cmp(&(other.last_use, other.serial))
-    }
 }
 
 /// A page that went.
@@ -93,6 +77,16 @@ impl Entry {
         }
     }
 
+    /// When the page was last used, and whether it is retained; `None` where the entry is of an earlier stay in memory.
+    fn last_use_if_current(&self) -> Option<(u64, bool)> {
+        match &*self.object.slot(self.page) {
+            Slot::Resident(resident) if resident.serial == self.serial => {
+                Some((resident.last_use.load(Ordering::Relaxed), Arc::strong_count(resident) > 1))
+            }
+            _ => None,
+        }
+    }
+
     /// Whether the page is still retired.
     fn is_retired(&self) -> bool {
         let slot = self.object.slot(self.page);
@@ -103,8 +97,8 @@ impl Entry {
 /// The pages of one kind in memory.
 #[derive(Default)]
 struct Queue {
-    /// Every page once, and some that have gone.
-    by_age: BinaryHeap<Reverse<Entry>>,
+    /// Every page once, and some that have gone; roughly in the order of their uses.
+    by_age: VecDeque<Entry>,
     /// Those that were retired, in that order, and some that were used since or have gone.
     retired: VecDeque<Entry>,
     /// Pages in memory.
@@ -116,7 +110,7 @@ impl Queue {
     fn drop_stale(&mut self) {
         if self.by_age.len() > 2 * self.resident + 64 {
             let is_current = |entry: &Entry| matches!(&*entry.object.slot(entry.page), Slot::Resident(r) if r.serial == entry.serial);
-            self.by_age.retain(|Reverse(entry)| is_current(entry));
+            self.by_age.retain(is_current);
         }
         if self.retired.len() > self.resident + 64 {
             self.retired.retain(Entry::is_retired);
@@ -141,7 +135,7 @@ impl EvictionQueue {
         if resident.retired.load(Ordering::Relaxed) {
             queue.retired.push_back(entry.clone());
         }
-        queue.by_age.push(Reverse(entry));
+        queue.by_age.push_back(entry);
         queue.resident += 1;
     }
 
@@ -173,24 +167,65 @@ impl EvictionQueue {
     }
 
     fn evict_oldest(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
-        let mut retained: Vec<(Kind, Entry)> = Vec::new();
+        let pages: usize = obstacle.kinds().map(|kind| self.queues[kind.index()].by_age.len()).sum();
+        let found =
+            if pages <= FEW { self.take_oldest(obstacle) } else { self.take_in_turn(obstacle, pages, now) };
+        found.map(|(kind, entry, resident)| {
+            self.queues[kind.index()].resident -= 1;
+            Evicted { object: entry.object, kind, resident }
+        })
+    }
+
+    /// Looks at all pages for the oldest that is not retained.
+    fn take_oldest(&mut self, obstacle: Obstacle) -> Option<(Kind, Entry, Resident)> {
+        loop {
+            let mut oldest: Option<(u64, Kind, usize)> = None;
+            for kind in obstacle.kinds() {
+                let queue = &mut self.queues[kind.index()].by_age;
+                queue.retain(|entry| entry.last_use_if_current().is_some());
+                for (at, entry) in queue.iter().enumerate() {
+                    if let Some((last_use, false)) = entry.last_use_if_current()
+                        && oldest.is_none_or(|(other, ..)| last_use < other)
+                    {
+                        oldest = Some((last_use, kind, at));
+                    }
+                }
+            }
+            let (_, kind, at) = oldest?;
+            let entry = self.queues[kind.index()].by_age.remove(at)?;
+            match entry.evict(false) {
+                Outcome::Evicted(resident) => return Some((kind, entry, resident)),
+                // Somebody has come in between.
+                Outcome::Younger(_) | Outcome::Retained => self.queues[kind.index()].by_age.push_back(entry),
+                Outcome::Stale => {}
+            }
+        }
+    }
+
+    /// Takes the page at the front of the queues that has not been used since it came to stand there.
+    fn take_in_turn(
+        &mut self,
+        obstacle: Obstacle,
+        pages: usize,
+        now: u64,
+    ) -> Option<(Kind, Entry, Resident)> {
         let mut oldest_younger: Option<(Kind, Entry)> = None;
         let mut looked_at = 0;
-        let mut found = None;
-        while found.is_none()
-            && let Some((kind, entry)) = self.pop_oldest(obstacle)
-        {
+        // Every page once as it stands, and once more after its second chance.
+        for _ in 0..2 * pages {
+            let (kind, entry) = self.pop_front(obstacle)?;
+            let queue = &mut self.queues[kind.index()].by_age;
             match entry.evict(true) {
-                Outcome::Evicted(resident) => found = Some((kind, entry, resident)),
+                Outcome::Evicted(resident) => return Some((kind, entry, resident)),
                 Outcome::Younger(last_use) => {
                     let entry = Entry { last_use, ..entry };
-                    if oldest_younger.as_ref().is_none_or(|(_, other)| entry < *other) {
+                    if oldest_younger.as_ref().is_none_or(|(_, other)| last_use < other.last_use) {
                         oldest_younger = Some((kind, entry.clone()));
                     }
-                    self.queues[kind.index()].by_age.push(Reverse(entry));
+                    queue.push_back(entry);
                     looked_at += 1;
                 }
-                Outcome::Retained => retained.push((kind, Entry { last_use: now, ..entry })),
+                Outcome::Retained => queue.push_back(Entry { last_use: now, ..entry }),
                 Outcome::Stale => {}
             }
             if looked_at >= MOST_LOOKED_AT
@@ -198,35 +233,28 @@ impl EvictionQueue {
             {
                 looked_at = 0;
                 if let Outcome::Evicted(resident) = entry.evict(false) {
-                    found = Some((kind, entry, resident));
+                    return Some((kind, entry, resident));
                 }
             }
         }
-        for (kind, entry) in retained {
-            self.queues[kind.index()].by_age.push(Reverse(entry));
-        }
-        found.map(|(kind, entry, resident)| {
-            self.queues[kind.index()].resident -= 1;
-            Evicted { object: entry.object, kind, resident }
-        })
+        None
     }
 
-    fn pop_oldest(&mut self, obstacle: Obstacle) -> Option<(Kind, Entry)> {
-        let tops = obstacle
+    fn pop_front(&mut self, obstacle: Obstacle) -> Option<(Kind, Entry)> {
+        let fronts = obstacle
             .kinds()
-            .filter_map(|kind| Some((self.queues[kind.index()].by_age.peek()?.0.last_use, kind)));
-        let (_, kind) = tops.min_by_key(|&(last_use, _)| last_use)?;
-        self.queues[kind.index()].by_age.pop().map(|Reverse(entry)| (kind, entry))
+            .filter_map(|kind| Some((self.queues[kind.index()].by_age.front()?.last_use, kind)));
+        let (_, kind) = fronts.min_by_key(|&(last_use, _)| last_use)?;
+        self.queues[kind.index()].by_age.pop_front().map(|entry| (kind, entry))
     }
 
     /// Evicts every page of an object that is not retained.
     pub(super) fn evict_object(&mut self, object: &Object) -> Vec<Evicted> {
         let mut evicted = Vec::new();
         for (kind, queue) in Kind::ALL.into_iter().zip(&mut self.queues) {
-            let mut kept = Vec::with_capacity(queue.by_age.len());
-            for Reverse(entry) in queue.by_age.drain() {
+            for entry in std::mem::take(&mut queue.by_age) {
                 if !std::ptr::eq(&raw const *entry.object, object) {
-                    kept.push(Reverse(entry));
+                    queue.by_age.push_back(entry);
                     continue;
                 }
                 match entry.evict(false) {
@@ -234,11 +262,10 @@ impl EvictionQueue {
                         queue.resident -= 1;
                         evicted.push(Evicted { object: entry.object, kind, resident });
                     }
-                    Outcome::Retained => kept.push(Reverse(entry)),
+                    Outcome::Retained => queue.by_age.push_back(entry),
                     Outcome::Younger(_) | Outcome::Stale => {}
                 }
             }
-            queue.by_age = kept.into();
             queue.retired.retain(Entry::is_retired);
         }
         evicted
@@ -246,11 +273,8 @@ impl EvictionQueue {
 
     /// Bytes of the pages that are retained: looks at them all.
     pub(super) fn retained_bytes(&self) -> u64 {
-        let entries = self.queues.iter().flat_map(|queue| &queue.by_age).map(|Reverse(entry)| entry);
-        let retained = entries.filter(|entry| {
-            matches!(&*entry.object.slot(entry.page),
-                Slot::Resident(r) if r.serial == entry.serial && Arc::strong_count(r) > 1)
-        });
+        let entries = self.queues.iter().flat_map(|queue| &queue.by_age);
+        let retained = entries.filter(|entry| matches!(entry.last_use_if_current(), Some((_, true))));
         retained.map(|entry| entry.object.bytes()).sum()
     }
 }
