@@ -11,7 +11,7 @@ use rayset::grid::Grid;
 use rayset::grid::build::{self as grid_build, GridBuildOptions};
 use rayset::grid::read::VolumeSource;
 use rayset::octree::Cloud;
-use rayset::octree::build::{self, BuildOptions, BuildControl, Rule};
+use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::octree::verify::{Depth, verify};
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
@@ -109,7 +109,7 @@ pub fn volumes(data: &[u8]) {
     }
     let grid = folder().join("built.rset");
     let options = GridBuildOptions { memory_bytes: 4 << 20, temp_dir: None };
-    match grid_build::build(source, &grid, &options, &mut |_, _| {}) {
+    match grid_build::build(source, &grid, &options, &rayset::build::BuildControl::default()) {
         Err(error) => sentence(&error),
         Ok(_) => {
             let grid = Grid::open(&grid).expect("what is built opens");
@@ -189,12 +189,13 @@ fn picture(scene: &Scene, camera: &Camera, settings: &RenderSettings) {
 fn data_of_scenes() {
     let source = "knot-500".parse::<points::Workload>().expect("a workload").source();
     let options = BuildOptions { attributes: vec!["weight".into()], threads: 1, ..BuildOptions::default() };
-    build::run(vec![source], &folder().join("cloud.rset"), &options, &BuildControl::default()).expect("it builds");
+    build::run(vec![source], &folder().join("cloud.rset"), &options, &BuildControl::default())
+        .expect("it builds");
     let raw = folder().join("voxels.raw");
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
     let layout = "10x10x10,u8".parse().expect("a layout");
     let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
-    grid_build::build(source, &folder().join("grid.rset"), &GridBuildOptions::default(), &mut |_, _| {})
+    grid_build::build(source, &folder().join("grid.rset"), &GridBuildOptions::default(), &rayset::build::BuildControl::default())
         .expect("it builds");
     let maps = r#"[{"Name": "Fire", "RGBPoints": [0, 0, 0, 0, 1, 1, 0.5, 0], "Points": [0, 0, 0.5, 0, 1, 1, 0.5, 0]}]"#;
     std::fs::write(folder().join("maps.json"), maps).expect("a write");

@@ -3,10 +3,10 @@
 
 use std::cell::Cell;
 
-use rayset::field::judge::JudgeSample;
+use rayset::field::reference::ReferenceSample;
 use rayset::geometry::DVec3;
 use rayset::scene::CloudObject;
-use rayset::trace::judge::{PointField, Purpose};
+use rayset::trace::reference::{PointField, Purpose};
 
 use crate::engine::add;
 use crate::index::Limits;
@@ -182,8 +182,8 @@ impl<'a> CellField<'a> {
 }
 
 impl PointField for CellField<'_> {
-    fn sample(&self, q: DVec3, _purpose: Purpose) -> JudgeSample {
-        let mut sum = JudgeSample::default();
+    fn sample(&self, q: DVec3, _purpose: Purpose) -> ReferenceSample {
+        let mut sum = ReferenceSample::default();
         let Some((list, steps)) = self.tree.find(q) else { return sum };
         let mut reaching = 0;
         for &number in list {

@@ -4,11 +4,11 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use rayset::field::Kernel;
-use rayset::field::judge::JudgeSample;
+use rayset::field::reference::ReferenceSample;
 use rayset::geometry::{DVec3, Ray};
 use rayset::scene::{Camera, CloudObject, RenderSettings};
 use rayset::scene::{CameraError, Scene};
-use rayset::trace::judge::{Judge, JudgeError, PointField, Purpose};
+use rayset::trace::reference::{PointField, Purpose, ReferenceError, ReferenceRenderer};
 
 use crate::cache::CacheError;
 use crate::predict::{Foresight, Predictor};
@@ -29,7 +29,7 @@ pub enum EngineError {
     Cache(#[from] CacheError),
     /// The scene.
     #[error(transparent)]
-    Scene(#[from] JudgeError),
+    Scene(#[from] ReferenceError),
     /// The camera.
     #[error(transparent)]
     Camera(#[from] CameraError),
@@ -177,10 +177,10 @@ impl<R: Records> IndexField<R> {
         }
     }
 
-    fn sample_or_fail(&self, s: DVec3, priority: u8) -> Result<JudgeSample, CacheError> {
+    fn sample_or_fail(&self, s: DVec3, priority: u8) -> Result<ReferenceSample, CacheError> {
         let mut records = self.records.borrow_mut();
         let (place, predictor) = &mut *self.state.borrow_mut();
-        let mut sum = JudgeSample::default();
+        let mut sum = ReferenceSample::default();
         records.work(Work::Sample);
         let Some(leaf) = place.find(&mut *records, s, priority)? else { return Ok(sum) };
         if let Some(way) = predictor.access(s, leaf) {
@@ -207,21 +207,21 @@ impl<R: Records> PointField for IndexField<R> {
         self.state.borrow_mut().1.ray(ray.origin);
     }
 
-    fn sample(&self, q: DVec3, purpose: Purpose) -> JudgeSample {
+    fn sample(&self, q: DVec3, purpose: Purpose) -> ReferenceSample {
         if self.failure.borrow().is_some() {
-            return JudgeSample::default();
+            return ReferenceSample::default();
         }
         let priority = if purpose == Purpose::Shadow { SHADOW_PRIORITY } else { OPACITY_PRIORITY };
         self.sample_or_fail(q, priority).unwrap_or_else(|error| {
             *self.failure.borrow_mut() = Some(error);
-            JudgeSample::default()
+            ReferenceSample::default()
         })
     }
 }
 
 /// Adds a point to the field at a place; false where it does not reach that far.
 pub(crate) fn add(
-    sum: &mut JudgeSample,
+    sum: &mut ReferenceSample,
     point: &Point,
     q: DVec3,
     kernel: Kernel,
@@ -267,8 +267,8 @@ impl BruteForce {
 }
 
 impl PointField for BruteForce {
-    fn sample(&self, q: DVec3, _purpose: Purpose) -> JudgeSample {
-        let mut sum = JudgeSample::default();
+    fn sample(&self, q: DVec3, _purpose: Purpose) -> ReferenceSample {
+        let mut sum = ReferenceSample::default();
         for point in &self.points {
             add(&mut sum, point, q, self.kernel, self.normalised, self.gradient);
         }
@@ -290,10 +290,10 @@ pub fn render<'a>(
     field: impl FnMut(&CloudObject) -> &'a dyn PointField,
     pixels: impl IntoIterator<Item = (u32, u32)>,
 ) -> Result<Picture, EngineError> {
-    let judge = Judge::with_fields(scene, field)?;
+    let reference_renderer = ReferenceRenderer::with_fields(scene, field)?;
     let mut picture = Picture::new();
     for (x, y) in pixels {
-        let pixel = judge.pixel(camera, settings, step, x, y)?;
+        let pixel = reference_renderer.pixel(camera, settings, step, x, y)?;
         if let Some(error) = failure.borrow_mut().take() {
             return Err(error.into());
         }

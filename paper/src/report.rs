@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
 use plotters::prelude::*;
-use rayset::image::{Band, Development, PngBands};
+use rayset::image::{Band, DisplayTransform, PngBands};
 
 use crate::engine::Picture;
 
@@ -221,7 +221,7 @@ pub fn sheet(path: &Path, side: u32, rows: &[Vec<Picture>]) -> Result<()> {
         }
     }
     let file = std::fs::File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-    let mut png = PngBands::new(std::io::BufWriter::new(file), width, height, Development::default())?;
+    let mut png = PngBands::new(std::io::BufWriter::new(file), width, height, DisplayTransform::default())?;
     png.write(&band)?;
     Ok(png.finish()?)
 }

@@ -132,8 +132,8 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
         memory_bytes: args.memory.saturating_sub(PROCESS_BYTES),
         temp_dir: args.temp_dir.clone(),
     };
-    let mut progress = |done, total| meter.show("reading", done, total);
-    let built = build::grid_to_file(source, &args.output, &options, &mut progress);
+    let control = build::BuildControl::from(&meter as &dyn build::Progress);
+    let built = build::grid_to_file(source, &args.output, &options, &control);
     meter.finish();
     let header = built.map_err(|e| match e {
         GridBuildError::Memory { needed, .. } => anyhow::anyhow!(

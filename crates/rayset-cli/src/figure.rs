@@ -259,7 +259,7 @@ impl Preparation<'_> {
             Some(volume) => self.rescaled(volume)?,
             None => centred(self.noise()?),
         };
-        grid_to_file(source, &path, &self.grid_options(), &mut |_, _| {})?;
+        grid_to_file(source, &path, &self.grid_options(), &rayset::build::BuildControl::default())?;
         Ok(())
     }
 
@@ -267,8 +267,12 @@ impl Preparation<'_> {
     fn rescaled(&self, volume: &Path) -> Result<VolumeSource> {
         let open = || Ok::<_, anyhow::Error>(centred(VolumeSource::open(volume)?));
         let first = TemporaryFolder::within(self.folder, "range")?;
-        let header =
-            grid_to_file(open()?, &first.path().join("volume.rset"), &self.grid_options(), &mut |_, _| {})?;
+        let header = grid_to_file(
+            open()?,
+            &first.path().join("volume.rset"),
+            &self.grid_options(),
+            &rayset::build::BuildControl::default(),
+        )?;
         let (low, high) = header.value_range();
         let mut source = open()?;
         if high > low {

@@ -51,7 +51,7 @@ impl From<RenderCounts> for WorkStatistics {
             primary_pairs: (counts.splats - counts.shadow_splats - counts.bounced_splats).into(),
             shadow_pairs: counts.shadow_splats.into(),
             bounced_pairs: counts.bounced_splats.into(),
-            tiles_put_off: counts.put_off,
+            tiles_put_off: counts.deferred,
             slabs: counts.slabs,
             runs_decoded: counts.runs,
         }

@@ -85,7 +85,7 @@ fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, neighbours: u32,
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
-        let anywhere = ((state >> 32) * u64::from(pages) >> 32) as u32;
+        let anywhere = (((state >> 32) * u64::from(pages)) >> 32) as u32;
         if number % (4 * u64::from(neighbours)) == 0 {
             place = anywhere;
         }

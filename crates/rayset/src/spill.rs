@@ -1,8 +1,8 @@
 //! Where records wait: temporary files, few, large, beside the output, and gone after any exit; or memory.
 //!
 //! On Linux a temporary file never has a name, where the file system knows such files; on other Unix systems it loses its
-//! name as soon as it is open. So nothing of it survives the process, not even one that is killed. Elsewhere it is removed when dropped, and a later build of the same output removes what
-//! a killed one left.
+//! name as soon as it is open. So nothing of it survives the process, not even one that is killed. Elsewhere it is removed when
+//! dropped, and a later build of the same output removes what a killed one left.
 
 use std::fs::File;
 use std::io;

@@ -6,7 +6,7 @@ use std::rc::Rc;
 use anyhow::Result;
 use rayset::points::Workload;
 use rayset::scene::CloudObject;
-use rayset::trace::judge::PointField;
+use rayset::trace::reference::PointField;
 
 use super::{BATCH, Setting, Subject, differing, same_picture_note};
 use crate::cache::CacheError;

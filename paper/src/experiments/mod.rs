@@ -28,8 +28,8 @@ use rayset::points::{self, PointSource, ReadOptions, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, Step, TransferFunction,
 };
-use rayset::trace::judge::PointField;
 use rayset::trace::predict::{NoPredictor, Predictor};
+use rayset::trace::reference::PointField;
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind, ReadBackend};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};

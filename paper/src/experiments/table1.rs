@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use rayset::points::Workload;
 use rayset::scene::CloudObject;
-use rayset::trace::judge::PointField;
+use rayset::trace::reference::PointField;
 
 use super::{Setting, Subject, differing, in_core, same_picture_note};
 use crate::engine::{self, BruteForce, all_pixels};

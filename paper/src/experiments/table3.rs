@@ -9,8 +9,8 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use rayset::octree::Cloud;
 use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
-use rayset::trace::judge::PointField;
 use rayset::trace::predict::NoPredictor;
+use rayset::trace::reference::PointField;
 use rayset::working_set::read::{self, BackendKind};
 
 use super::sets::{OBJECTS, scene, shipping_cpu_seconds, view};

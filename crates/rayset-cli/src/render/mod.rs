@@ -111,7 +111,7 @@ fn render(
     plan: &MemoryPlan,
 ) -> Result<()> {
     let started = Instant::now();
-    let mut sink = PictureSink::create(output, region, &shot.settings, shot.development)?;
+    let mut sink = PictureSink::create(output, region, &shot.settings, shot.display_transform)?;
     work.session.reset_statistics();
     let view = prepared.view(camera)?;
     let counts = view.render_bands(region, plan.band_rows, &CancelToken::new(), &mut sink)?;

@@ -7,12 +7,12 @@ use clap::{Args, ValueEnum};
 use rayset::Cloud;
 use rayset::Region;
 use rayset::file::Header;
-use rayset::image::Development;
+use rayset::image::DisplayTransform;
 use rayset::image::linear_from_srgb;
 use rayset::scene::Kernel;
 use rayset::scene::{
-    CloudObject, ColorMap, ColorRule, Colormap, Lighting, MapInput, Phase, RenderSettings, Scene, Step,
-    TransferFunction,
+    CloudObject, ColorMap, ColorRule, Colormap, Lighting, MapInput, RenderSettings, SampleOffset, Scene,
+    Step, TransferFunction,
 };
 
 use crate::values;
@@ -108,12 +108,12 @@ enum PhaseArg {
 
 impl PictureArgs {
     /// Changes what a scene says where the command line says something else.
-    pub(super) fn apply(&self, settings: &mut RenderSettings, development: &mut Development) {
+    pub(super) fn apply(&self, settings: &mut RenderSettings, display_transform: &mut DisplayTransform) {
         if let Some((width, height)) = self.size {
             (settings.width, settings.height) = (width, height);
         }
         settings.samples = self.samples.unwrap_or(settings.samples);
-        development.exposure = self.exposure.unwrap_or(development.exposure);
+        display_transform.exposure = self.exposure.unwrap_or(display_transform.exposure);
     }
 
     pub(super) fn region(&self, settings: RenderSettings) -> Result<Region> {
@@ -164,9 +164,9 @@ impl LookArgs {
         let plain = RenderSettings::default();
         Ok(RenderSettings {
             step,
-            phase: match self.phase {
-                None | Some(PhaseArg::Half) => Phase::Half,
-                Some(PhaseArg::Hashed) => Phase::Hashed,
+            sample_offset: match self.phase {
+                None | Some(PhaseArg::Half) => SampleOffset::Half,
+                Some(PhaseArg::Hashed) => SampleOffset::Hashed,
             },
             stop_transmittance: self.stop.unwrap_or(plain.stop_transmittance),
             ..plain

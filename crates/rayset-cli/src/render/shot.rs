@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
-use rayset::image::Development;
+use rayset::image::DisplayTransform;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
 
@@ -18,7 +18,7 @@ pub(super) struct Shot {
     pub(super) camera: Camera,
     pub(super) path: Option<CameraPath>,
     pub(super) settings: RenderSettings,
-    pub(super) development: Development,
+    pub(super) display_transform: DisplayTransform,
     /// Every file that it was read from.
     pub(super) files: Vec<PathBuf>,
     /// An upper bound of the memory that reading the scene took.
@@ -41,21 +41,21 @@ impl Shot {
         if args.camera.is_given() {
             bail!("the camera stands in {}; change it there", args.input.display());
         }
-        let SceneFile { scene, camera, path, mut settings, mut development, mut files, loading_bytes } =
+        let SceneFile { scene, camera, path, mut settings, mut display_transform, mut files, loading_bytes } =
             SceneFile::load(&args.input)?;
-        args.picture.apply(&mut settings, &mut development);
+        args.picture.apply(&mut settings, &mut display_transform);
         files.push(args.input.clone());
-        Ok(Self { scene, camera, path, settings, development, files, loading_bytes })
+        Ok(Self { scene, camera, path, settings, display_transform, files, loading_bytes })
     }
 
     fn of_cloud(args: &RenderArgs) -> Result<Self> {
         let cloud = kinds::open_cloud(&args.input)?;
-        let (mut settings, mut development) = (args.look.settings()?, Development::default());
-        args.picture.apply(&mut settings, &mut development);
+        let (mut settings, mut display_transform) = (args.look.settings()?, DisplayTransform::default());
+        args.picture.apply(&mut settings, &mut display_transform);
         let camera = args.camera.camera(cloud.header(), settings)?;
         warn_of_small_radii(cloud.header(), &camera, settings);
         let (scene, files) = (args.look.scene(&cloud)?, vec![args.input.clone()]);
-        Ok(Self { scene, path: None, camera, settings, development, files, loading_bytes: 0 })
+        Ok(Self { scene, path: None, camera, settings, display_transform, files, loading_bytes: 0 })
     }
 
     /// The camera, turned about the middle of the scene.

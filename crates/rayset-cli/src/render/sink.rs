@@ -3,7 +3,7 @@
 use std::io::BufWriter;
 
 use anyhow::{Context, Result, bail};
-use rayset::image::{Band, Development, ExrBands, PngBands};
+use rayset::image::{Band, DisplayTransform, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::scene::RenderSettings;
 use rayset::{BandSink, Region, SinkError};
@@ -50,7 +50,7 @@ impl PictureSink {
         to: &Destination,
         region: &Region,
         settings: &RenderSettings,
-        development: Development,
+        display_transform: DisplayTransform,
     ) -> Result<Self> {
         let doing = || format!("cannot write {}", to.path().display());
         let format = Format::of(to)?;
@@ -59,7 +59,7 @@ impl PictureSink {
         let (width, height) = (region.columns.len() as u32, region.rows.len() as u32);
         let encoder = match format {
             Format::Png => {
-                let png = PngBands::new(output, width, height, development).with_context(doing)?;
+                let png = PngBands::new(output, width, height, display_transform).with_context(doing)?;
                 Encoder::Png(Box::new(png))
             }
             Format::Exr => {

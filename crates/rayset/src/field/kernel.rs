@@ -1,4 +1,4 @@
-//! The seven radial basis functions, once, for the judge in `f64` and for sixteen samples at a time.
+//! The seven radial basis functions, once, for the reference renderer in `f64` and for sixteen samples at a time.
 //!
 //! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. All but two are polynomials in s = x², so that is
 //! the argument here; no square root is taken where none is needed. For gradients the useful form is

@@ -2,10 +2,10 @@
 //! brute-force judge that all of it is measured against.
 
 mod bare;
-pub mod judge;
 pub mod kernel;
 mod packet;
 mod ray_columns;
+pub mod reference;
 mod run;
 mod simd;
 mod splat;

@@ -29,7 +29,7 @@ pub struct Packet {
     pub(super) step_f32: [f32; LANES],
     pub(super) per_step: [f64; LANES],
     /// Offset of the lattice, ξ in [0, 1).
-    pub(super) phase: [f64; LANES],
+    pub(super) sample_offset: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
     /// 1 / direction, large and of the right sign where the direction has no extent along an axis.
     pub(super) inverse_direction: [[f32; LANES]; 3],
@@ -52,7 +52,7 @@ impl Packet {
             step: [step_world; LANES],
             step_f32: [step_world as f32; LANES],
             per_step: [1.0 / step_world; LANES],
-            phase: [0.0; LANES],
+            sample_offset: [0.0; LANES],
             direction_f32: [[0.0; LANES]; 3],
             inverse_direction: [[0.0; LANES]; 3],
             rays: rays.len(),
@@ -61,9 +61,9 @@ impl Packet {
         };
         for lane in 0..LANES {
             // Lanes that are left over repeat the last ray; their results are never looked at.
-            let (ray, phase) = rays[lane.min(rays.len() - 1)];
+            let (ray, sample_offset) = rays[lane.min(rays.len() - 1)];
             packet.set_ray(lane, &ray);
-            packet.phase[lane] = phase;
+            packet.sample_offset[lane] = sample_offset;
         }
         packet
     }
@@ -108,13 +108,13 @@ impl Packet {
     /// Distance of sample `sample` of a ray from its origin, in the packet's space.
     #[must_use]
     pub fn sample_t(&self, lane: usize, sample: u64) -> f64 {
-        (sample as f64 + self.phase[lane]) * self.step[lane]
+        (sample as f64 + self.sample_offset[lane]) * self.step[lane]
     }
 
     /// Distance of sample `sample` of a ray from its origin, world space.
     #[must_use]
     pub fn sample_t_world(&self, lane: usize, sample: u64) -> f64 {
-        (sample as f64 + self.phase[lane]) * self.step_world
+        (sample as f64 + self.sample_offset[lane]) * self.step_world
     }
 
     /// Direction of a ray in single precision.
@@ -125,8 +125,8 @@ impl Packet {
 
     /// ξ of a ray.
     #[must_use]
-    pub fn phase(&self, lane: usize) -> f64 {
-        self.phase[lane]
+    pub fn sample_offset(&self, lane: usize) -> f64 {
+        self.sample_offset[lane]
     }
 
     /// A lower bound of the distance between samples in the packet's space, that does not depend on its rays.
@@ -183,7 +183,7 @@ impl Packet {
     }
 
     /// The numbers of the samples that may lie in a box on any ray of a beam of this packet's: an inclusive range, never
-    /// too small, or nothing where no ray meets the box.
+    /// too small, or `None` where no ray meets the box.
     #[must_use]
     pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
         let (enter, exit) = beam.span(bounds)?;

@@ -217,7 +217,8 @@ impl Frames {
             frames.foot[2][lane] = (z + t_foot * d[2][lane]) as f32;
             let nearest = (t_foot * packet.per_step[lane]).floor();
             frames.first_sample[lane] = (first - nearest) as f32;
-            frames.sample_zero[lane] = ((nearest + packet.phase[lane]) * packet.step[lane] - t_foot) as f32;
+            frames.sample_zero[lane] =
+                ((nearest + packet.sample_offset[lane]) * packet.step[lane] - t_foot) as f32;
         }
         frames
     }
@@ -541,7 +542,7 @@ fn splat_wide<const GRADIENT: bool>(kernel: Kernel, wide: &WideRun, job: &mut Jo
             }
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
             // Samples in reach, one to spare on either side. Conversions round towards 0, and numbers below it become 0.
-            let number = |t: f64| t / packet.step[lane] - packet.phase[lane];
+            let number = |t: f64| t / packet.step[lane] - packet.sample_offset[lane];
             let first = ((number(nearest - half) - 1.0) as u64).max(slab.first);
             let last = ((number(nearest + half) + 2.0) as u64).min(slab.end() - 1);
             if number(nearest + half) <= -2.0 || last < first {

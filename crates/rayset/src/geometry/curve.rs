@@ -13,7 +13,7 @@ fn spread(v: u32) -> u64 {
     (x | x << 2) & 0x1249_2492_4924_9249
 }
 
-/// Morton code of a cell at [`MAX_LEVEL`], x in the lowest bit of each triple.
+/// Hilbert code of a cell at [`MAX_LEVEL`], x in the lowest bit of each triple.
 fn morton(cell: [u32; 3]) -> u64 {
     spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
 }
@@ -54,7 +54,7 @@ const fn turns() -> [[u8; 8]; 24] {
 }
 
 /// Place of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits number the cell of
-/// level `l` that holds it, so the curve orders an octree as a Morton code does, without its jumps.
+/// level `l` that holds it, so the curve orders an octree as a Hilbert code does, without its jumps.
 #[must_use]
 pub fn hilbert(cell: [u32; 3]) -> u64 {
     let interleaved = morton(cell);

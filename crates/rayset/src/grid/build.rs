@@ -13,6 +13,7 @@ use crate::container::{
     BLOCK_BYTES, FileKind, Identity, PAGE_CHECKSUM_AT, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind,
     seal_file,
 };
+use crate::octree::build::{BuildControl, Stage};
 use crate::output::{Destination, OutputError, OutputFile, OutputWriter, remove_leftovers};
 use crate::spill::Spill;
 
@@ -20,6 +21,9 @@ use crate::spill::Spill;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GridBuildError {
+    /// The build was cancelled.
+    #[error("cancelled")]
+    Cancelled,
     /// The input.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -79,7 +83,8 @@ impl Default for GridBuildOptions {
     }
 }
 
-/// Builds a grid file, beside its name until it is whole. `progress` hears of slices done.
+/// Builds a grid file, beside its name until it is whole. The control's progress hears of slices done,
+/// as [`Stage::Read`].
 ///
 /// # Errors
 /// [`GridBuildError`]; no file is left then.
@@ -87,7 +92,7 @@ pub fn build(
     mut source: VolumeSource,
     path: &Path,
     options: &GridBuildOptions,
-    progress: &mut dyn FnMut(u64, u64),
+    control: &BuildControl<'_>,
 ) -> Result<GridHeader, GridBuildError> {
     let mut header = header_of(&source)?;
     let room = Room::divide(options.memory_bytes, &header)?;
@@ -108,10 +113,14 @@ pub fn build(
     let failed = |failure| match failure {
         Failure::Slices(SliceError::Read(error)) => error.into(),
         Failure::Slices(SliceError::Spill(error)) => temporary(error),
+        Failure::Slices(SliceError::Cancelled) => GridBuildError::Cancelled,
         Failure::Write(source) => GridBuildError::Write { path: path.to_owned(), source },
     };
     let writer = Writer::create(&file, &header).map_err(|e| failed(Failure::Write(e)))?;
-    write(&mut source, slices, room.bricks_at_once, writer, &mut header, progress).map_err(failed)?;
+    write(&mut source, slices, room.bricks_at_once, writer, &mut header, control).map_err(failed)?;
+    if control.cancel.is_cancelled() {
+        return Err(GridBuildError::Cancelled);
+    }
     file.publish()?;
     Ok(header)
 }
@@ -185,17 +194,20 @@ fn write(
     bricks_at_once: u64,
     mut writer: Writer,
     header: &mut GridHeader,
-    progress: &mut dyn FnMut(u64, u64),
+    control: &BuildControl<'_>,
 ) -> Result<(), Failure> {
     let [columns, rows, layers] = header.bricks();
     let mut window = Window::new();
     for layer in 0..layers {
         let z = voxels_of(header, 2, layer..layer + 1);
-        slices.advance(source, z.clone())?;
-        progress(z.end, header.size[2]);
+        slices.advance(source, z.clone(), &control.cancel)?;
+        control.progress.update(Stage::Read, z.end, header.size[2]);
         for row in 0..rows {
             let y = voxels_of(header, 1, row..row + 1);
             for first in (0..columns).step_by(bricks_at_once as usize) {
+                if control.cancel.is_cancelled() {
+                    return Err(Failure::Slices(SliceError::Cancelled));
+                }
                 let bricks = first..(first + bricks_at_once).min(columns);
                 slices.look([voxels_of(header, 0, bricks.clone()), y.clone(), z.clone()], &mut window)?;
                 for column in bricks {

@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use super::format::GridHeader;
 use super::read::{ReadError, VolumeSource};
+use crate::cancel::CancelToken;
 use crate::container::{Identity, StreamHash};
 use crate::spill::Spill;
 
@@ -17,6 +18,7 @@ pub(super) enum SliceError {
     Read(ReadError),
     /// The temporary file.
     Spill(io::Error),
+    Cancelled,
 }
 
 /// Consecutive slices, little-endian.
@@ -84,7 +86,12 @@ impl Slices {
     }
 
     /// Lets go of what comes before the numbers given, and reads on to their end.
-    pub(super) fn advance(&mut self, source: &mut VolumeSource, to: Range<u64>) -> Result<(), SliceError> {
+    pub(super) fn advance(
+        &mut self,
+        source: &mut VolumeSource,
+        to: Range<u64>,
+        cancel: &CancelToken,
+    ) -> Result<(), SliceError> {
         while self.numbers.start < to.start {
             if let Held::Memory(slices) = &mut self.held {
                 slices.pop_front();
@@ -92,13 +99,13 @@ impl Slices {
             self.numbers.start += 1;
         }
         while self.numbers.end < to.end {
-            self.read_slice(source)?;
+            self.read_slice(source, cancel)?;
             self.numbers.end += 1;
         }
         Ok(())
     }
 
-    fn read_slice(&mut self, source: &mut VolumeSource) -> Result<(), SliceError> {
+    fn read_slice(&mut self, source: &mut VolumeSource, cancel: &CancelToken) -> Result<(), SliceError> {
         let number = self.numbers.end;
         let mut slice = match &self.held {
             Held::Memory(_) => Vec::with_capacity(self.slice_bytes as usize),
@@ -106,6 +113,9 @@ impl Slices {
         };
         let mut done = 0;
         while done < self.slice_bytes {
+            if cancel.is_cancelled() {
+                return Err(SliceError::Cancelled);
+            }
             self.piece.resize((self.slice_bytes - done).min(PIECE_BYTES as u64) as usize, 0);
             source.read(&mut self.piece).map_err(SliceError::Read)?;
             self.hash.update(&self.piece);

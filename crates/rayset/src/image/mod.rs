@@ -1,15 +1,15 @@
 //! Pictures: bands of rows in linear light; PNG, and OpenEXR with layers.
 
-mod develop;
+mod display;
 mod exr_out;
 mod png_out;
 
 #[cfg(feature = "internals")]
 #[doc(hidden)]
-pub use develop::srgb_from_linear;
+pub use display::srgb_from_linear;
 #[cfg(not(feature = "internals"))]
-pub(crate) use develop::srgb_from_linear;
-pub use develop::{Development, ToneMapping};
+pub(crate) use display::srgb_from_linear;
+pub use display::{DisplayTransform, ToneMapping};
 pub use exr_out::{ExrBands, ExrError};
 pub use png_out::{PngBands, PngError};
 

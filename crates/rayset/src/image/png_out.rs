@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::{Band, Development, srgb_from_linear};
+use super::{Band, DisplayTransform, srgb_from_linear};
 use crate::output::OutputError;
 
 /// Why a picture could not be written.
@@ -37,7 +37,7 @@ pub struct PngBands<W: Write + 'static> {
     writer: png::StreamWriter<'static, W>,
     row: Vec<u8>,
     table: Vec<u8>,
-    development: Development,
+    display_transform: DisplayTransform,
 }
 
 impl<W: Write + 'static> PngBands<W> {
@@ -45,7 +45,12 @@ impl<W: Write + 'static> PngBands<W> {
     ///
     /// # Errors
     /// [`PngError`] where the size is zero or the system refuses.
-    pub fn new(output: W, width: u32, height: u32, development: Development) -> Result<Self, PngError> {
+    pub fn new(
+        output: W,
+        width: u32,
+        height: u32,
+        display_transform: DisplayTransform,
+    ) -> Result<Self, PngError> {
         let mut encoder = png::Encoder::new(output, width, height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
@@ -53,7 +58,7 @@ impl<W: Write + 'static> PngBands<W> {
         encoder.set_compression(png::Compression::Fast);
         let writer = encoder.write_header()?.into_stream_writer()?;
         let byte = |i| (srgb_from_linear(i as f64 / (TABLE - 1) as f64) * 255.0).round() as u8;
-        Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect(), development })
+        Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect(), display_transform })
     }
 
     /// Appends a band.
@@ -67,7 +72,7 @@ impl<W: Write + 'static> PngBands<W> {
                 let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
                 // A component that is not a number becomes 0 in the cast.
                 let byte = |v: f32| {
-                    let shown = self.development.apply(v * straight).clamp(0.0, 1.0);
+                    let shown = self.display_transform.apply(v * straight).clamp(0.0, 1.0);
                     self.table[(shown * (TABLE - 1) as f32).round() as usize]
                 };
                 let alpha = (opacity.clamp(0.0, 1.0) * 255.0).round() as u8;

@@ -171,7 +171,7 @@ impl Default for Step {
 
 /// Where the lattice of samples of a ray begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum Phase {
+pub enum SampleOffset {
     /// Half a step from the origin, on every ray.
     #[default]
     Half,
@@ -211,7 +211,7 @@ pub struct RenderSettings {
     /// Distance between samples.
     pub step: Step,
     /// Beginning of the samples of a ray.
-    pub phase: Phase,
+    pub sample_offset: SampleOffset,
     /// A ray ends at its first sample behind which less than this is seen. 0: rays go on to the end.
     pub stop_transmittance: f32,
     /// Rays through a pixel are this number squared.
@@ -232,7 +232,7 @@ impl Default for RenderSettings {
             width: 512,
             height: 512,
             step: Step::default(),
-            phase: Phase::Half,
+            sample_offset: SampleOffset::Half,
             stop_transmittance: 0.01,
             samples: 1,
             sampling: Sampling::Fixed,
@@ -246,10 +246,10 @@ impl Default for RenderSettings {
 impl RenderSettings {
     /// ξ of the ray through a pixel, or through a cell of a pixel where there are several: then cells are counted.
     #[must_use]
-    pub fn phase_of(&self, x: u32, y: u32) -> f64 {
-        match self.phase {
-            Phase::Half => 0.5,
-            Phase::Hashed => hash(x, y, 0),
+    pub fn sample_offset_of(&self, x: u32, y: u32) -> f64 {
+        match self.sample_offset {
+            SampleOffset::Half => 0.5,
+            SampleOffset::Hashed => hash(x, y, 0),
         }
     }
 

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use self::graph::GraphReader;
 use self::json::Json;
 use self::reader::{Cursor, Document, Object};
-use crate::image::Development;
+use crate::image::DisplayTransform;
 use crate::regular_file;
 use crate::scene::{
     BRIGHTEST, Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError,
@@ -51,7 +51,7 @@ pub struct SceneFile {
     /// Size of the picture and everything else that decides pixels.
     pub settings: RenderSettings,
     /// From light to the picture's numbers.
-    pub development: Development,
+    pub display_transform: DisplayTransform,
     /// Files that it names: clouds, grids and colour-map presets.
     pub files: Vec<PathBuf>,
     /// An upper bound of the memory that reading took, for a plan of the whole process: most of it is free again.
@@ -128,7 +128,7 @@ impl SceneFile {
         let root = graph.node(&root_at)?;
         // Before anything else walks the graph: one of few nodes can stand for more places than there is time for.
         root.check().map_err(|e| root_at.error(e.to_string()))?;
-        let (settings, development) = view::settings(&file)?;
+        let (settings, display_transform) = view::settings(&file)?;
         let bounds = root.bounds();
         let scene = Scene {
             lighting: lighting(&file)?,
@@ -148,7 +148,7 @@ impl SceneFile {
         let path = view::path(&file, &bounds, &settings)?;
         let files = document.named.take().into_iter().collect();
         let loading_bytes = loading_bytes(text, &value);
-        Ok(Self { scene, camera, path, settings, development, files, loading_bytes })
+        Ok(Self { scene, camera, path, settings, display_transform, files, loading_bytes })
     }
 }
 

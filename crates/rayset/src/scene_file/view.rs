@@ -3,17 +3,17 @@
 use super::reader::{Cursor, Object};
 use super::{MOST_KEYS, SceneFileError};
 use crate::geometry::{Aabb, DVec3};
-use crate::image::{Development, ToneMapping};
+use crate::image::{DisplayTransform, ToneMapping};
 use crate::scene::{
-    Camera, CameraPath, Phase, Projection, RenderSettings, SHORTEST, Sampling, Shadows, Step,
+    Camera, CameraPath, Projection, RenderSettings, SHORTEST, SampleOffset, Sampling, Shadows, Step,
 };
 
 /// Size of a picture where the file does not say.
 const SIZE: u32 = 512;
 
-pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, Development), SceneFileError> {
+pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTransform), SceneFileError> {
     let mut settings = RenderSettings { width: SIZE, height: SIZE, ..RenderSettings::default() };
-    let mut development = Development::default();
+    let mut display_transform = DisplayTransform::default();
     if let Some(at) = file.get("image") {
         let image = at.object(&["size", "samples", "pattern", "exposure", "toneMapping"])?;
         if let Some(at) = image.get("size") {
@@ -26,9 +26,9 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, Development
         settings.samples = image.read_or("samples", 1, |at| at.whole(1, 16))?;
         let patterns = [("fixed", Sampling::Fixed), ("stratified", Sampling::Stratified)];
         settings.sampling = image.read_or("pattern", Sampling::Fixed, |at| at.one_of(&patterns))?;
-        development.exposure = image.read_or("exposure", 0.0, |at| at.number(-32.0, 32.0))?;
+        display_transform.exposure = image.read_or("exposure", 0.0, |at| at.number(-32.0, 32.0))?;
         let mappings = [("none", ToneMapping::None), ("filmic", ToneMapping::Filmic)];
-        development.tone_mapping =
+        display_transform.tone_mapping =
             image.read_or("toneMapping", ToneMapping::None, |at| at.one_of(&mappings))?;
     }
     if let Some(at) = file.get("rendering") {
@@ -44,8 +44,9 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, Development
         ];
         let rendering = at.object(&known)?;
         settings.step = step(&rendering)?;
-        let phases = [("half", Phase::Half), ("hashed", Phase::Hashed)];
-        settings.phase = rendering.read_or("phase", settings.phase, |at| at.one_of(&phases))?;
+        let phases = [("half", SampleOffset::Half), ("hashed", SampleOffset::Hashed)];
+        settings.sample_offset =
+            rendering.read_or("phase", settings.sample_offset, |at| at.one_of(&phases))?;
         let stop = rendering.read_or("stopTransmittance", 0.01, |at| at.number(0.0, 0.999))?;
         settings.stop_transmittance = stop as f32;
         settings.max_depth = rendering.read_or("maxDepth", settings.max_depth, |at| at.whole(0, 16))?;
@@ -54,7 +55,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, Development
         settings.shadows =
             rendering.read_or("shadows", Shadows::Cached { resolution }, |at| at.one_of(&kinds))?;
     }
-    Ok((settings, development))
+    Ok((settings, display_transform))
 }
 
 fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {

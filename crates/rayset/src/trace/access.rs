@@ -1,4 +1,4 @@
-//! How one attempt at a tile comes by its pages: it waits for those that are absent, or is put off until they are there.
+//! How one attempt at a tile comes by its pages: it waits for those that are absent, or is deferred until they are there.
 
 use std::cell::Cell;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ pub(super) struct Lacking {
 /// Why an attempt ended early.
 pub(super) enum Halt {
     /// A page is absent. It has been asked for where there was room; the tile is to be traced again, from its beginning.
-    PutOff(Lacking),
+    Deferred(Lacking),
     Failed(RenderError),
 }
 
@@ -59,7 +59,7 @@ impl Access<'_> {
             Some(outcome) => Ok(outcome?),
             None => {
                 self.pages.hint(object, &[page], u64::MAX);
-                Err(Halt::PutOff(Lacking { object: object.clone(), page }))
+                Err(Halt::Deferred(Lacking { object: object.clone(), page }))
             }
         }
     }

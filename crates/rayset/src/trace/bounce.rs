@@ -5,8 +5,10 @@
 //! reflect, and as far as they follow each other along a ray they do so together: one ray from their mean place, with the
 //! weight of them all.
 
-use super::block::{Block, MATERIAL, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane};
 use super::composite::RayState;
+use super::node_samples::{
+    MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane,
+};
 use super::shade::Shader;
 use crate::field::{LANES, Packet, Slab};
 use crate::geometry::{DVec3, Ray};
@@ -24,12 +26,12 @@ pub(super) fn most_rays_of_a_pixel(max_depth: u32) -> usize {
 
 /// What the materials of a scene do to the direction of rays.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Turns {
+pub(super) struct ScatterKinds {
     reflects: bool,
     refracts: bool,
 }
 
-impl Turns {
+impl ScatterKinds {
     pub(super) fn of(materials: &[[f32; MATERIAL]]) -> Self {
         Self {
             reflects: materials.iter().any(|m| m[REFLECTANCE] > 0.0),
@@ -45,7 +47,7 @@ impl Turns {
 /// How far rays are followed that turn.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounces {
-    pub(super) turns: Turns,
+    pub(super) turns: ScatterKinds,
     pub(super) max_depth: u32,
     /// Samples within this distance behind a boundary reflect there.
     pub(super) reach_world: f64,
@@ -56,7 +58,7 @@ pub(super) struct Bounces {
 pub(super) struct TreeRay {
     pub(super) ray: Ray,
     /// Where its samples lie, ξ.
-    pub(super) phase: f64,
+    pub(super) sample_offset: f64,
     /// Place of its pixel in the tile.
     pub(super) pixel: usize,
     /// What part of its light reaches the pixel.
@@ -72,9 +74,9 @@ pub(super) struct TreeRay {
 
 impl TreeRay {
     /// A ray from the eye.
-    pub(super) fn primary(ray: Ray, phase: f64, pixel: usize) -> Self {
+    pub(super) fn primary(ray: Ray, sample_offset: f64, pixel: usize) -> Self {
         let (weight, covers, depth) = (1.0, true, 0);
-        Self { ray, phase, pixel, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
+        Self { ray, sample_offset, pixel, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
     }
 
     /// Whether it comes from the eye.
@@ -122,7 +124,7 @@ struct Bent {
 
 /// A ray on its way.
 #[derive(Clone, Copy, Debug)]
-struct Course {
+struct RefractionState {
     from: TreeRay,
     index: f32,
     inside: Inside,
@@ -131,9 +133,9 @@ struct Course {
 }
 
 /// The rays of a packet on their way, as far as they may turn.
-pub(super) struct Courses {
+pub(super) struct RefractionStates {
     bounces: Bounces,
-    courses: Vec<Course>,
+    states_of_rays: Vec<RefractionState>,
     /// Lanes of rays that others may follow.
     deepens: u64,
     replaced: u64,
@@ -141,26 +143,26 @@ pub(super) struct Courses {
     next: Vec<(usize, TreeRay)>,
 }
 
-impl Courses {
+impl RefractionStates {
     /// Room for the rays of a packet; [`begin`](Self::begin) comes first.
     pub(super) fn new(bounces: Bounces) -> Self {
-        let courses = Vec::with_capacity(LANES);
-        Self { bounces, courses, deepens: 0, replaced: 0, next: Vec::with_capacity(LANES) }
+        let states_of_rays = Vec::with_capacity(LANES);
+        Self { bounces, states_of_rays, deepens: 0, replaced: 0, next: Vec::with_capacity(LANES) }
     }
 
     /// Sets out with the rays of a packet, lane by lane.
     pub(super) fn begin(&mut self, rays: impl Iterator<Item = TreeRay>) {
-        self.courses.clear();
-        self.courses.extend(rays.map(|from| Course {
+        self.states_of_rays.clear();
+        self.states_of_rays.extend(rays.map(|from| RefractionState {
             from,
             index: from.index,
             inside: Inside { t: 0.0, normal: from.normal, depth: 0.0, reflectance: 0.0 },
             mirror: None,
             bent: None,
         }));
-        let deepens = |c: &Course| c.from.depth < self.bounces.max_depth;
-        self.deepens = (self.courses.iter().enumerate())
-            .fold(0, |lanes, (lane, course)| lanes | u64::from(deepens(course)) << lane);
+        let deepens = |c: &RefractionState| c.from.depth < self.bounces.max_depth;
+        self.deepens = (self.states_of_rays.iter().enumerate())
+            .fold(0, |lanes, (lane, state)| lanes | u64::from(deepens(state)) << lane);
         self.replaced = 0;
         self.next.clear();
     }
@@ -171,29 +173,29 @@ impl Courses {
         &mut self,
         packet: &Packet,
         slab: Slab,
-        block: &mut Block,
+        node: &mut NodeSamples,
         going: u64,
         shader: &Shader,
     ) {
         each_lane(self.may_bend(going), |lane| {
-            let course = &mut self.courses[lane];
-            let touched = block.touched >> lane & 1 == 1;
-            if !touched && course.index == 1.0 {
+            let state = &mut self.states_of_rays[lane];
+            let touched = node.touched >> lane & 1 == 1;
+            if !touched && state.index == 1.0 {
                 return;
             }
             for j in 0..slab.samples {
-                let depth = if touched { -f64::from(block.boundary[lane].0[j]) } else { 0.0 };
+                let depth = if touched { -f64::from(node.boundary[lane].0[j]) } else { 0.0 };
                 let (mut inside, mut index) = (None, 1.0);
-                if touched && block.opacity[lane].0[j] > 0.0 && depth > 0.0 {
-                    let material = shader.material_at(block, lane, j);
+                if touched && node.opacity[lane].0[j] > 0.0 && depth > 0.0 {
+                    let material = shader.material_at(node, lane, j);
                     let t = packet.sample_t_world(lane, slab.first + j as u64);
-                    let (normal, reflectance) = (block.normal_at(lane, j), material[REFLECTANCE]);
+                    let (normal, reflectance) = (node.normal_at(lane, j), material[REFLECTANCE]);
                     inside = Some(Inside { t, normal, depth, reflectance });
                     index = material[REFRACTIVE_INDEX];
                 }
-                if course.comes_to(inside, index, packet.step_world()) {
+                if state.comes_to(inside, index, packet.step_world()) {
                     if touched {
-                        block.opacity[lane].0[j..].fill(0.0);
+                        node.opacity[lane].0[j..].fill(0.0);
                     }
                     return;
                 }
@@ -205,7 +207,7 @@ impl Courses {
     /// lanes of those that end.
     pub(super) fn leave(&mut self, packet: &Packet, going: u64, states: &[RayState; LANES]) -> u64 {
         each_lane(self.may_bend(going), |lane| {
-            self.courses[lane].comes_to(None, 1.0, packet.step_world());
+            self.states_of_rays[lane].comes_to(None, 1.0, packet.step_world());
         });
         self.follow(going, states)
     }
@@ -215,10 +217,10 @@ impl Courses {
     pub(super) fn follow(&mut self, going: u64, states: &[RayState; LANES]) -> u64 {
         let mut ended = 0;
         each_lane(self.may_bend(going), |lane| {
-            let course = &mut self.courses[lane];
-            let Some(Bent { through, mirrored }) = course.bent.take() else { return };
+            let state = &mut self.states_of_rays[lane];
+            let Some(Bent { through, mirrored }) = state.bent.take() else { return };
             ended |= 1 << lane;
-            let mut weight = course.from.weight * states[lane].transmittance;
+            let mut weight = state.from.weight * states[lane].transmittance;
             if let Some((mirrored, part)) = mirrored
                 && weight * part >= LEAST_WEIGHT
             {
@@ -255,22 +257,22 @@ impl Courses {
         &mut self,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         lane: usize,
         j: usize,
         weight: f32,
         color: [f32; 3],
     ) -> [f32; 3] {
         let sample = slab.first + j as u64;
-        let normal = block.normal_at(lane, j);
+        let normal = node.normal_at(lane, j);
         let goes_on = |m: &Mirror| m.last_sample + 1 == sample && m.normal.dot(normal) > 0.0;
-        let ended = if self.courses[lane].mirror.as_ref().is_some_and(goes_on) {
+        let ended = if self.states_of_rays[lane].mirror.as_ref().is_some_and(goes_on) {
             [0.0; 3]
         } else {
             self.end_mirror(packet, lane)
         };
         // What reflects is the boundary, as far as the light of the sample reaches from there.
-        let depth = -f64::from(block.boundary[lane].0[j]);
+        let depth = -f64::from(node.boundary[lane].0[j]);
         let reach = self.bounces.reach_world.max(STEPS_TO_BOUNDARY * packet.step_world());
         let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
         let none = Mirror {
@@ -280,7 +282,7 @@ impl Courses {
             color: [0.0; 3],
             last_sample: sample,
         };
-        let mirror = self.courses[lane].mirror.get_or_insert(none);
+        let mirror = self.states_of_rays[lane].mirror.get_or_insert(none);
         let part = f64::from(weight);
         mirror.weight += part;
         mirror.place += part * (packet.ray(lane).at(packet.sample_t_world(lane, sample)) + lift * normal);
@@ -294,19 +296,19 @@ impl Courses {
 
     /// Ends the samples of a lane that reflect together: a ray goes on from them, or they have their own colour.
     fn end_mirror(&mut self, packet: &Packet, lane: usize) -> [f32; 3] {
-        let course = &mut self.courses[lane];
-        let Some(mirror) = course.mirror.take() else { return [0.0; 3] };
-        let weight = course.from.weight * mirror.weight;
+        let state = &mut self.states_of_rays[lane];
+        let Some(mirror) = state.mirror.take() else { return [0.0; 3] };
+        let weight = state.from.weight * mirror.weight;
         let Some(normal) = mirror.normal.try_normalize().filter(|_| weight >= LEAST_WEIGHT) else {
             return mirror.color;
         };
-        let direction = mirrored(course.from.ray.direction, normal);
+        let direction = mirrored(state.from.ray.direction, normal);
         let place = mirror.place / mirror.weight;
         // As of a shadow ray, its first sample is (½ + ξ) steps from where it starts.
         let ray = Ray { origin: place + direction * (0.5 * packet.step_world()), direction };
-        let depth = course.from.depth + 1;
+        let depth = state.from.depth + 1;
         self.next
-            .push((lane, TreeRay { ray, weight, depth, index: 1.0, normal, covers: false, ..course.from }));
+            .push((lane, TreeRay { ray, weight, depth, index: 1.0, normal, covers: false, ..state.from }));
         [0.0; 3]
     }
 
@@ -324,7 +326,7 @@ impl Courses {
     }
 }
 
-impl Course {
+impl RefractionState {
     /// Comes to a sample, inside of something or not, of a refractive index. True where the ray is bent.
     fn comes_to(&mut self, here: Option<Inside>, index: f32, step: f64) -> bool {
         let before = self.index;

@@ -7,10 +7,12 @@ use fearless_simd::dispatch;
 
 use super::RenderError;
 use super::access::{Access, Halt};
-use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, normalize, numbers};
 use super::counts::RenderCounts;
 use super::frontier::{ActiveRuns, Frontier, LiveRays, Place, Runs, bits_between, run_bounds};
 use super::math::{absorbed, ln};
+use super::node_samples::{
+    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, each_lane, normalize, numbers,
+};
 use super::transfer::ColorTable;
 use crate::field::{
     AttributeColumns, Channels, DecodedRun, FieldSamples, Packet, RunDecoder, SLAB_SAMPLES, SampleRow,
@@ -45,7 +47,7 @@ pub(super) struct CloudVolume {
     pub(super) file: u32,
     pub(super) root_cell: RootCell,
     pub(super) first_node_page: u32,
-    /// Nothing where local space is the world's.
+    /// `None` where local space is the world's.
     local_from_world: Option<DAffine3>,
     pub(super) world_from_local: DAffine3,
     /// The least that a unit of the world becomes here, along any direction.
@@ -64,7 +66,7 @@ pub(super) struct CloudVolume {
 }
 
 impl CloudVolume {
-    /// Nothing where the cloud's pages are in no working set.
+    /// `None` where the cloud's pages are in no working set.
     pub(super) fn new(
         object: &CloudObject,
         world_from_local: &DAffine3,
@@ -103,17 +105,17 @@ impl CloudVolume {
     }
 
     /// Says what is wanted of it, and the names of the program's attributes. Nothing but densities comes before.
-    pub(super) fn carry(&mut self, wants: Wants, names: &[Arc<str>]) {
+    pub(super) fn carry(&mut self, required: RequiredOutputs, names: &[Arc<str>]) {
         let header = self.object.cloud.header();
         let mut columns = AttributeColumns::default();
         let mut scalar = None;
-        if wants.color {
+        if required.color {
             columns.color = matches!(self.color, Color::Points);
             scalar = if let Color::Map { attribute, .. } = self.color { attribute } else { None };
         }
         columns.scalars.extend(scalar);
         self.named = vec![None; names.len()];
-        for number in numbers(wants.attributes) {
+        for number in numbers(required.attributes) {
             let Some(index) = header.attributes.iter().position(|a| a.name == *names[number]) else {
                 continue;
             };
@@ -215,8 +217,8 @@ impl CloudVolume {
     }
 
     /// What the field has to carry for a node of which so much is wanted.
-    fn channels(&self, wants: Wants) -> Channels {
-        Channels { gradient: wants.normal || wants.boundary, attributes: self.columns.channels() }
+    fn channels(&self, required: RequiredOutputs) -> Channels {
+        Channels { gradient: required.normal || required.boundary, attributes: self.columns.channels() }
     }
 
     /// From the field to opacity, colour and shading vector.
@@ -224,23 +226,23 @@ impl CloudVolume {
         &self,
         field: &FieldSamples,
         measure: Measure,
-        wants: Wants,
+        required: RequiredOutputs,
         simd: SimdLevel,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) {
         out.touched = field.touched;
         each_lane(field.touched, |lane| {
             out.opacity[lane] = self.opacity(&field.density[lane], measure, simd);
-            if wants.color {
+            if required.color {
                 self.fill_color(field, lane, out);
             }
-            for number in numbers(wants.attributes) {
+            for number in numbers(required.attributes) {
                 self.fill_attribute(field, lane, number, out);
             }
-            if wants.normal || wants.boundary {
-                self.fill_normal(field, lane, wants, simd, out);
+            if required.normal || required.boundary {
+                self.fill_normal(field, lane, required, simd, out);
             }
-            if wants.material {
+            if required.material {
                 for (rows, &v) in out.material.iter_mut().zip(&self.material) {
                     rows[lane].0.fill(v);
                 }
@@ -252,31 +254,35 @@ impl CloudVolume {
         match (&self.object.transfer.opacity, measure) {
             (OpacityRule::Extinction(kappa), _) => {
                 let per_density = (kappa * self.unit_distance) as f32;
-                let thickness =
-                    dispatch!(simd.level(), _simd => thickness_of_extinction(density, per_density));
+                let optical_depth =
+                    dispatch!(simd.level(), _simd => optical_depth_of_extinction(density, per_density));
                 match measure {
-                    Measure::Thickness => thickness,
-                    Measure::Opacity => dispatch!(simd.level(), _simd => opacity_of_thickness(&thickness)),
+                    Measure::OpticalDepth => optical_depth,
+                    Measure::Opacity => {
+                        dispatch!(simd.level(), _simd => opacity_of_optical_depth(&optical_depth))
+                    }
                 }
             }
             (OpacityRule::Clamp, Measure::Opacity) => {
                 SampleRow(density.0.map(|d| if d > 0.0 { d.min(MAX_OPACITY as f32) } else { 0.0 }))
             }
-            (OpacityRule::Clamp, Measure::Thickness) => {
-                dispatch!(simd.level(), _simd => thickness_of_opacity(density))
+            (OpacityRule::Clamp, Measure::OpticalDepth) => {
+                dispatch!(simd.level(), _simd => optical_depth_of_opacity(density))
             }
             (OpacityRule::Curve(_), _) => {
                 let curve = |d| self.object.transfer.opacity.opacity(f64::from(d), self.unit_distance) as f32;
                 let opacity = SampleRow(density.0.map(curve));
                 match measure {
                     Measure::Opacity => opacity,
-                    Measure::Thickness => dispatch!(simd.level(), _simd => thickness_of_opacity(&opacity)),
+                    Measure::OpticalDepth => {
+                        dispatch!(simd.level(), _simd => optical_depth_of_opacity(&opacity))
+                    }
                 }
             }
         }
     }
 
-    fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut Block) {
+    fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut NodeSamples) {
         let density = &field.density[lane].0;
         match &self.color {
             Color::Uniform(color) => {
@@ -301,7 +307,7 @@ impl CloudVolume {
         }
     }
 
-    fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut Block) {
+    fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut NodeSamples) {
         out.attributes[number][lane] = match self.named.get(number).copied().flatten() {
             Some(channel) => self.mean(field, lane, channel),
             None => SampleRow([0.0; SLAB_SAMPLES]),
@@ -315,17 +321,24 @@ impl CloudVolume {
         SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
     }
 
-    fn fill_normal(&self, field: &FieldSamples, lane: usize, wants: Wants, simd: SimdLevel, out: &mut Block) {
+    fn fill_normal(
+        &self,
+        field: &FieldSamples,
+        lane: usize,
+        required: RequiredOutputs,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
         // Gradients come to the world by the transpose of the inverse; the shading vector points to where the cloud thins.
         let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
         let map = self.local_from_world.as_ref().map_or(DMat3::IDENTITY, |map| map.matrix3.transpose());
         let m = (-map).to_cols_array_2d().map(|column| column.map(|v| v as f32));
-        let boundary = wants.boundary.then_some((&field.density[lane], self.boundary_density));
+        let boundary = required.boundary.then_some((&field.density[lane], self.boundary_density));
         let distance = dispatch!(simd.level(), _simd => turn(&m, &mut x, &mut y, &mut z, boundary));
-        if wants.boundary {
+        if required.boundary {
             out.boundary[lane] = distance;
         }
-        if wants.normal {
+        if required.normal {
             for (rows, row) in out.normal.iter_mut().zip([x, y, z]) {
                 rows[lane] = row;
             }
@@ -362,31 +375,31 @@ fn turn(
 // Loops, not `map`: the compiler leaves closures out of functions that are compiled for other instruction sets.
 
 #[inline(always)]
-fn thickness_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
-    let mut thickness = SampleRow([0.0; SLAB_SAMPLES]);
-    for (t, &d) in thickness.0.iter_mut().zip(&density.0) {
+fn optical_depth_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
+    let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
+    for (t, &d) in optical_depth.0.iter_mut().zip(&density.0) {
         // A density that is negative or not a number absorbs nothing.
-        *t = if d > 0.0 { (per_density * d).min(MAX_THICKNESS) } else { 0.0 };
+        *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
     }
-    thickness
+    optical_depth
 }
 
 #[inline(always)]
-fn opacity_of_thickness(thickness: &SampleRow) -> SampleRow {
+fn opacity_of_optical_depth(optical_depth: &SampleRow) -> SampleRow {
     let mut opacity = SampleRow([0.0; SLAB_SAMPLES]);
-    for (o, &t) in opacity.0.iter_mut().zip(&thickness.0) {
+    for (o, &t) in opacity.0.iter_mut().zip(&optical_depth.0) {
         *o = absorbed(t).min(MAX_OPACITY as f32);
     }
     opacity
 }
 
 #[inline(always)]
-fn thickness_of_opacity(opacity: &SampleRow) -> SampleRow {
-    let mut thickness = SampleRow([0.0; SLAB_SAMPLES]);
-    for (t, &o) in thickness.0.iter_mut().zip(&opacity.0) {
+fn optical_depth_of_opacity(opacity: &SampleRow) -> SampleRow {
+    let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
+    for (t, &o) in optical_depth.0.iter_mut().zip(&opacity.0) {
         *t = if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
     }
-    thickness
+    optical_depth
 }
 
 impl Access<'_> {
@@ -395,7 +408,7 @@ impl Access<'_> {
         self.retain_page(&volume.pages, page)
     }
 
-    /// The root node of a cloud, or nothing where it is empty.
+    /// The root node of a cloud, or `None` where it is empty.
     pub(super) fn root(&self, volume: &CloudVolume) -> Result<Option<Node>, Halt> {
         let header = volume.header();
         if header.points == 0 {
@@ -442,7 +455,7 @@ pub(super) struct Request<'a> {
     /// Lanes that have not ended.
     pub(super) going: u64,
     pub(super) measure: Measure,
-    pub(super) wants: Wants,
+    pub(super) required: RequiredOutputs,
     pub(super) simd: SimdLevel,
 }
 
@@ -483,9 +496,9 @@ impl CloudMarch {
         request: Request<'_>,
         scratch: &mut CloudScratch,
         counts: &mut RenderCounts,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let Request { access, slab, live, going, measure, wants, simd } = request;
+        let Request { access, slab, live, going, measure, required, simd } = request;
         out.touched = 0;
         let lanes = live.lanes() & going;
         let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
@@ -499,7 +512,7 @@ impl CloudMarch {
         if self.active.is_empty() {
             return Ok(());
         }
-        let channels = volume.channels(wants);
+        let channels = volume.channels(required);
         let known = scratch.fields.iter().position(|field| field.channels() == channels);
         let at = known.unwrap_or_else(|| {
             scratch.fields.push(FieldSamples::new(channels));
@@ -509,7 +522,7 @@ impl CloudMarch {
         field.clear();
         let splatter = Splatter { kernel: volume.object.kernel, channels, simd };
         self.gather(volume, request, lanes, &splatter, &mut scratch.run, counts, field)?;
-        volume.transfer(field, measure, wants, simd, out);
+        volume.transfer(field, measure, required, simd, out);
         Ok(())
     }
 

@@ -1,9 +1,9 @@
-//! From optical thickness at samples to what each sample adds to its ray: absorption, front to back.
+//! From optical depth at samples to what each sample adds to its ray: absorption, front to back.
 
 use fearless_simd::dispatch;
 
-use super::block::{Block, each_lane};
 use super::math::absorbed;
+use super::node_samples::{NodeSamples, each_lane};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 
 /// What a ray has gathered so far.
@@ -60,7 +60,7 @@ impl Absorption {
         &self,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         lanes: u64,
         states: &mut [RayState; LANES],
         shares: &mut Shares,
@@ -68,9 +68,9 @@ impl Absorption {
         let step_units = (packet.step_world() / self.unit_distance) as f32;
         let mut going = lanes;
         shares.samples.fill(0);
-        each_lane(lanes & block.touched, |lane| {
-            let thickness = &block.opacity[lane];
-            let taken = dispatch!(self.simd.level(), _simd => taken(thickness, step_units));
+        each_lane(lanes & node.touched, |lane| {
+            let optical_depth = &node.opacity[lane];
+            let taken = dispatch!(self.simd.level(), _simd => taken(optical_depth, step_units));
             let rows = (&mut shares.share[lane], &mut shares.behind[lane]);
             let (samples, ends) = self.through(&taken, slab, &mut states[lane].transmittance, rows);
             shares.samples[lane] = samples;
@@ -111,9 +111,9 @@ impl Absorption {
 
 /// The part of the light that each sample's step takes.
 #[inline(always)]
-fn taken(thickness: &SampleRow, step_units: f32) -> SampleRow {
+fn taken(optical_depth: &SampleRow, step_units: f32) -> SampleRow {
     let mut taken = SampleRow([0.0; SLAB_SAMPLES]);
-    for (a, &t) in taken.0.iter_mut().zip(&thickness.0) {
+    for (a, &t) in taken.0.iter_mut().zip(&optical_depth.0) {
         *a = absorbed(t * step_units);
     }
     taken

@@ -25,8 +25,8 @@ pub struct RenderCounts {
     pub bounced_rays: u64,
     /// Of the work on pairs, that for these and not for shadows.
     pub bounced_splats: SplatCounts,
-    /// Tiles that were put off because a page was absent. Work done on them until then is not counted.
-    pub put_off: u64,
+    /// Tiles that were deferred because a page was absent. Work done on them until then is not counted.
+    pub deferred: u64,
 }
 
 impl std::ops::AddAssign for RenderCounts {
@@ -41,7 +41,7 @@ impl std::ops::AddAssign for RenderCounts {
         self.shadow_splats += other.shadow_splats;
         self.bounced_rays += other.bounced_rays;
         self.bounced_splats += other.bounced_splats;
-        self.put_off += other.put_off;
+        self.deferred += other.deferred;
     }
 }
 

@@ -8,8 +8,8 @@ use std::collections::BinaryHeap;
 use std::ops::Range;
 
 use super::access::{Access, Halt};
-use super::block::{Live, each_lane};
 use super::cloud_volume::CloudVolume;
+use super::node_samples::{Live, each_lane};
 use crate::field::{LANES, Packet, RayColumns, SLAB_SAMPLES, SimdLevel, Slab};
 use crate::geometry::{Aabb, Beam};
 use crate::octree::format::NodeRef;
@@ -102,7 +102,7 @@ impl RaySet {
         Self { each, steps: packet.step_range(self.lanes), ..*self }
     }
 
-    /// The samples that may lie in a box, or nothing where none does.
+    /// The samples that may lie in a box, or `None` where none does.
     fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         let (first, last) = packet.samples_in(&self.beam, bounds)?;
         let Some(each) = &self.each else { return Some((first, last)) };
@@ -194,7 +194,7 @@ pub(super) struct LiveRays {
 }
 
 impl LiveRays {
-    /// The samples of rays that go on that may lie in a box, or nothing where none does.
+    /// The samples of rays that go on that may lie in a box, or `None` where none does.
     pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         self.going.samples_in(packet, bounds)
     }
@@ -301,7 +301,7 @@ impl Frontier {
                 continue;
             }
             let opened = self.open(place, &node);
-            if matches!(opened, Err(Halt::PutOff(_))) {
+            if matches!(opened, Err(Halt::Deferred(_))) {
                 self.request_ahead(place, &node, end);
             }
             opened?;

@@ -3,8 +3,10 @@
 use std::sync::Arc;
 
 use super::access::{Access, Halt};
-use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, numbers};
 use super::math::ln;
+use super::node_samples::{
+    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, each_lane, numbers,
+};
 use super::transfer::ColorTable;
 use crate::container::PAGE_HEAD_BYTES;
 use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
@@ -40,7 +42,7 @@ pub(super) struct GridVolume {
 /// A brick that samples are taken from, and where its first voxel is.
 struct Held {
     number: u64,
-    /// Nothing where no value in it shows.
+    /// `None` where no value in it shows.
     brick: Option<PageGuard>,
     first: [i64; 3],
 }
@@ -50,7 +52,7 @@ struct Held {
 const SAMPLE_BITS: u32 = (LANES * SLAB_SAMPLES).trailing_zeros();
 
 impl GridVolume {
-    /// Nothing where the grid's pages are in no working set.
+    /// `None` where the grid's pages are in no working set.
     pub(super) fn new(
         object: &GridObject,
         world_from_local: &DAffine3,
@@ -110,8 +112,8 @@ impl GridVolume {
         slab: Slab,
         live: &Live,
         measure: Measure,
-        wants: Wants,
-        out: &mut Block,
+        required: RequiredOutputs,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
         out.touched = 0;
         let lanes = self.lanes_within(packet, slab, live);
@@ -133,7 +135,7 @@ impl GridVolume {
             let place = self.place(packet, lane, slab.first + j as u64);
             let brick = self.hold(access, place, &mut held)?;
             let Some(page) = &brick.brick else { continue };
-            self.fill(page, brick.first, place, lane, j, (measure, wants), out);
+            self.fill(page, brick.first, place, lane, j, (measure, required), out);
         }
         Ok(())
     }
@@ -253,20 +255,20 @@ impl GridVolume {
         place: DVec3,
         lane: usize,
         j: usize,
-        (measure, wants): (Measure, Wants),
-        out: &mut Block,
+        (measure, required): (Measure, RequiredOutputs),
+        out: &mut NodeSamples,
     ) {
         let header = self.object.grid.header();
         let brick = Brick { bytes: &page[PAGE_HEAD_BYTES..PAGE_BYTES], kind: header.kind };
         let (cell, within) = cell_in_brick(header, place, first);
         let value = header.value(brick.trilinear(cell, within));
         let opacity = self.object.transfer.opacity.opacity_of_value(value, self.unit_distance) as f32;
-        if !(opacity > 0.0) && !wants.outside {
+        if !(opacity > 0.0) && !required.outside {
             return;
         }
         if out.touched >> lane & 1 == 0 {
-            out.clear_lane(lane, wants);
-            if wants.material {
+            out.clear_lane(lane, required);
+            if required.material {
                 for (rows, &v) in out.material.iter_mut().zip(&self.material) {
                     rows[lane].0.fill(v);
                 }
@@ -274,9 +276,9 @@ impl GridVolume {
         }
         out.opacity[lane].0[j] = match measure {
             Measure::Opacity => opacity,
-            Measure::Thickness => (-ln(1.0 - opacity.min(MAX_OPACITY as f32))).min(MAX_THICKNESS),
+            Measure::OpticalDepth => (-ln(1.0 - opacity.min(MAX_OPACITY as f32))).min(MAX_OPTICAL_DEPTH),
         };
-        if wants.color {
+        if required.color {
             let color = match &self.color {
                 Color::Uniform(color) => *color,
                 Color::Map(table) => table.color(value as f32),
@@ -285,20 +287,20 @@ impl GridVolume {
                 rows[lane].0[j] = v;
             }
         }
-        for number in numbers(wants.attributes) {
+        for number in numbers(required.attributes) {
             let own = self.value_number == Some(number);
             out.attributes[number][lane].0[j] = if own { value as f32 } else { 0.0 };
         }
-        if wants.normal || wants.boundary {
+        if required.normal || required.boundary {
             let over_voxels = brick.gradient(cell, within) * header.scale;
             let gradient = self.world_gradient * over_voxels * self.outward;
             let length = gradient.length();
-            if wants.normal && length > 0.0 {
+            if required.normal && length > 0.0 {
                 for (rows, v) in out.normal.iter_mut().zip((gradient / length).to_array()) {
                     rows[lane].0[j] = v as f32;
                 }
             }
-            if wants.boundary {
+            if required.boundary {
                 out.boundary[lane].0[j] = ((value - self.boundary_value) * self.outward / length) as f32;
             }
         }

@@ -10,7 +10,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use super::access::Halt;
 use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
-use super::predict::{Course, Lookahead};
+use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
 use super::scheduler::Turn;
 use super::tiles::{Attempt, Deferred, TileQueue};
@@ -34,7 +34,7 @@ pub(super) struct Job {
     passes: Vec<Range<u32>>,
     /// What the rays of each tile have seen in earlier passes; empty where there is one pass.
     earlier: Vec<Mutex<Option<Box<TileSums>>>>,
-    course: Course,
+    lookahead_state: LookaheadState,
     pages: PageClient,
     /// Ends this render alone.
     stop: CancelToken,
@@ -49,7 +49,7 @@ struct State {
     next: usize,
     /// Tiles of the pass that are finished.
     finished: usize,
-    /// Tiles that threads put off before they left.
+    /// Tiles that threads deferred before they left.
     left_behind: Vec<Deferred>,
     outputs: VecDeque<Output>,
     /// Threads at work.
@@ -88,7 +88,7 @@ impl Job {
         let passes = work.passes.ranges(view.settings.samples * view.settings.samples);
         let kept = if passes.len() > 1 { work.tiles.len() } else { 0 };
         Self {
-            course: Course::new(&prepared.world, &work.tiles, prepared.exec().threads),
+            lookahead_state: LookaheadState::new(&prepared.world, &work.tiles, prepared.exec().threads),
             pages: prepared.session().pages().client(stop),
             rays: view.rays,
             settings: view.settings,
@@ -126,15 +126,16 @@ impl Job {
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
+        let complete = state.pass == self.passes.len() && state.outputs.is_empty();
+        let (panic, error, counts) = (state.panic.take(), state.error.take(), state.counts);
+        drop(state);
         self.pages.forget_hints();
-        if let Some(panic) = state.panic.take() {
-            drop(state);
+        if let Some(panic) = panic {
             resume_unwind(panic);
         }
-        let complete = state.pass == self.passes.len() && state.outputs.is_empty();
-        Next::Finished(match state.error.take() {
+        Next::Finished(match error {
             Some(error) => Err(error),
-            None if complete => Ok(state.counts),
+            None if complete => Ok(counts),
             None => Err(RenderError::Cancelled),
         })
     }
@@ -184,16 +185,16 @@ impl Job {
         let asked_bytes = Cell::new(0);
         let mut queue = TileQueue::new(self, &self.pages, &*exec.predictor, &asked_bytes);
         while !self.stop.is_cancelled()
-            && let Some(attempt) = queue.next(self.lookahead().tiles_to_put_off())
+            && let Some(attempt) = queue.next(self.lookahead().tiles_to_defer())
         {
             exec.predictor.ahead(self.lookahead(), attempt.place.tile);
             let before = tracer.counts();
             asked_bytes.set(0);
             match self.trace(&attempt, &mut tracer) {
                 Ok(output) => self.finish(output, turn),
-                Err(Halt::PutOff(lacking)) => {
-                    tracer.put_off(before);
-                    queue.put_off(&attempt, lacking);
+                Err(Halt::Deferred(lacking)) => {
+                    tracer.deferred(before);
+                    queue.deferred(&attempt, lacking);
                 }
                 Err(Halt::Failed(error)) => self.fail(error),
             }
@@ -227,7 +228,7 @@ impl Job {
 
     fn lookahead(&self) -> Lookahead<'_> {
         let world = &self.prepared.world;
-        Lookahead { course: &self.course, world, rays: &self.rays, pages: &self.pages }
+        Lookahead { state: &self.lookahead_state, world, rays: &self.rays, pages: &self.pages }
     }
 
     /// Traces the rays of a tile in one pass.
@@ -242,7 +243,10 @@ impl Job {
             for y in tile.y..tile.y + tile.height {
                 for x in tile.x..tile.x + tile.width {
                     let (u, v) = self.settings.ray_place(x, y, i, j);
-                    places.push((self.rays.ray(u, v), self.settings.phase_of(x * cells + i, y * cells + j)));
+                    places.push((
+                        self.rays.ray(u, v),
+                        self.settings.sample_offset_of(x * cells + i, y * cells + j),
+                    ));
                 }
             }
             for (sum, seen) in sums.pixels.iter_mut().zip(tracer.trace(access, &places)?) {

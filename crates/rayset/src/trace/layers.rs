@@ -1,7 +1,7 @@
 //! What is known of pixels besides their colour: gathered from the samples that rays from the eye meet.
 
-use super::block::{Block, LEAF, each_lane};
 use super::composite::Shares;
+use super::node_samples::{LEAF, NodeSamples, each_lane};
 use super::shade::Shader;
 use crate::field::{LANES, Packet, Slab};
 use crate::image::LayerPixel;
@@ -39,7 +39,7 @@ impl Layers {
         &mut self,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         shares: &Shares,
         shader: &Shader,
         pixels: impl Fn(usize) -> usize,
@@ -51,16 +51,16 @@ impl Layers {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
                 let share = shares.share[lane].0[j];
-                let color = shader.color_at(block, lane, j);
+                let color = shader.color_at(node, lane, j);
                 pixel.weight += share;
                 pixel.depth += f64::from(share) * packet.sample_t_world(lane, slab.first + j as u64);
                 pixel.samples += 1;
                 for axis in 0..3 {
-                    pixel.normal[axis] += share * block.normal[axis][lane].0[j];
+                    pixel.normal[axis] += share * node.normal[axis][lane].0[j];
                     pixel.albedo[axis] += share * color[axis];
                 }
                 if share > pixel.largest.0 {
-                    pixel.largest = (share, block.material[LEAF][lane].0[j]);
+                    pixel.largest = (share, node.material[LEAF][lane].0[j]);
                 }
             }
         });

@@ -1,9 +1,9 @@
 //! One packet on its way through the whole graph: its samples, slab after slab.
 
 use super::access::{Access, Halt};
-use super::block::{Block, Live, Measure};
 use super::cloud_volume::{CloudMarch, CloudScratch, Request};
 use super::counts::RenderCounts;
+use super::node_samples::{Live, Measure, NodeSamples};
 use super::program::{Action, Instruction, Program};
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;
@@ -17,8 +17,8 @@ pub(super) struct March<'p> {
     /// For each instruction that is a cloud, and whether the packet has come to it.
     clouds: Vec<(Option<Box<CloudMarch>>, bool)>,
     /// For each instruction that several others need: its block, once it is known in a slab.
-    shared: Vec<Option<Block>>,
-    spare: Vec<Block>,
+    shared: Vec<Option<NodeSamples>>,
+    spare: Vec<NodeSamples>,
     scratch: CloudScratch,
 }
 
@@ -49,13 +49,13 @@ impl<'p> March<'p> {
     }
 
     /// A block to evaluate into.
-    pub(super) fn block(&mut self) -> Block {
-        self.spare.pop().unwrap_or_else(|| Block::new(self.program.wants))
+    pub(super) fn node_samples(&mut self) -> NodeSamples {
+        self.spare.pop().unwrap_or_else(|| NodeSamples::new(self.program.required))
     }
 
     /// Gives a block back.
-    pub(super) fn give_back(&mut self, block: Block) {
-        self.spare.push(block);
+    pub(super) fn give_back(&mut self, node: NodeSamples) {
+        self.spare.push(node);
     }
 
     /// Sets a packet at its start.
@@ -100,7 +100,7 @@ impl<'p> March<'p> {
         }
     }
 
-    /// Evaluates the graph at the samples of a slab, for the lanes that go on. Opacities come as thicknesses.
+    /// Evaluates the graph at the samples of a slab, for the lanes that go on. Opacities come as optical depths.
     pub(super) fn evaluate(
         &mut self,
         access: Access<'_>,
@@ -108,14 +108,14 @@ impl<'p> March<'p> {
         slab: Slab,
         going: u64,
         counts: &mut RenderCounts,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
         access.check()?;
         let all = Live::of(going);
         let asked = Asked { access, packet, slab, live: &all, all: &all, going };
-        let outcome = self.run(self.program.root(), asked, Measure::Thickness, counts, out);
-        for block in self.shared.iter_mut().filter_map(Option::take) {
-            self.spare.push(block);
+        let outcome = self.run(self.program.root(), asked, Measure::OpticalDepth, counts, out);
+        for node in self.shared.iter_mut().filter_map(Option::take) {
+            self.spare.push(node);
         }
         outcome
     }
@@ -132,7 +132,7 @@ impl<'p> March<'p> {
         asked: Asked<'_>,
         measure: Measure,
         counts: &mut RenderCounts,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
         let program = self.program;
         let instruction = &program.instructions[at];
@@ -141,17 +141,17 @@ impl<'p> March<'p> {
             return Ok(());
         }
         if instruction.uses > 1 {
-            let block = match self.shared[at].take() {
-                Some(block) => block,
+            let node = match self.shared[at].take() {
+                Some(node) => node,
                 None => {
                     // Others may need samples that do not matter here.
-                    let mut block = self.block();
-                    self.compute(at, Asked { live: asked.all, ..asked }, counts, &mut block)?;
-                    block
+                    let mut node = self.node_samples();
+                    self.compute(at, Asked { live: asked.all, ..asked }, counts, &mut node)?;
+                    node
                 }
             };
-            out.copy_from(&block, instruction.wants);
-            self.shared[at] = Some(block);
+            out.copy_from(&node, instruction.required);
+            self.shared[at] = Some(node);
         } else {
             self.compute(at, asked, counts, out)?;
         }
@@ -164,11 +164,11 @@ impl<'p> March<'p> {
         at: usize,
         asked: Asked<'_>,
         counts: &mut RenderCounts,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
         let program = self.program;
         let instruction = &program.instructions[at];
-        let Instruction { measures, wants, .. } = *instruction;
+        let Instruction { measures, required, .. } = *instruction;
         match &instruction.action {
             Action::Cloud(volume) => {
                 let (march, begun) = &mut self.clouds[at];
@@ -179,22 +179,22 @@ impl<'p> March<'p> {
                 }
                 let Asked { access, slab, live, going, .. } = asked;
                 let request =
-                    Request { access, slab, live, going, measure: measures.0, wants, simd: program.simd };
+                    Request { access, slab, live, going, measure: measures.0, required, simd: program.simd };
                 march.sample(volume, request, &mut self.scratch, counts, out)?;
             }
             Action::Grid(volume) => {
                 let Asked { access, packet, slab, live, .. } = asked;
-                volume.sample(access, packet, slab, live, measures.0, wants, out)?;
+                volume.sample(access, packet, slab, live, measures.0, required, out)?;
             }
             Action::Procedural(volume) => {
-                volume.sample(asked.packet, asked.slab, asked.live, measures.0, wants, out);
+                volume.sample(asked.packet, asked.slab, asked.live, measures.0, required, out);
             }
             Action::Operator(operator, children) => {
                 self.combine(*operator, children, instruction, asked, counts, out)?;
             }
         }
         for transfer in &instruction.transfers {
-            transfer.apply(out, wants.color);
+            transfer.apply(out, required.color);
         }
         out.measure(measures.0, measures.1, program.simd);
         Ok(())
@@ -208,13 +208,13 @@ impl<'p> March<'p> {
         instruction: &Instruction,
         asked: Asked<'_>,
         counts: &mut RenderCounts,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let (measure, wants) = (instruction.measures.0, instruction.wants);
+        let (measure, required) = (instruction.measures.0, instruction.required);
         if operator == Operator::Intersection {
             return self.intersect(children, instruction, asked, counts, out);
         }
-        let mut other = self.block();
+        let mut other = self.node_samples();
         let mut live = *asked.live;
         // Beyond the last child that may have anything here, nobody asks what is live.
         let last = children.iter().rposition(|&child| self.is_in(child, asked.slab)).unwrap_or(0);
@@ -228,7 +228,7 @@ impl<'p> March<'p> {
             match operator {
                 Operator::Union => {
                     if place > 0 {
-                        out.unite(&other, wants);
+                        out.unite(&other, required);
                     }
                     if place < last {
                         live = out.not_opaque(&live, measure);
@@ -236,17 +236,17 @@ impl<'p> March<'p> {
                 }
                 Operator::Difference => {
                     if place > 0 {
-                        out.subtract(&other, wants, self.program.reach as f32);
+                        out.subtract(&other, required, self.program.reach as f32);
                     }
                     if place < last {
                         live = out.not_empty(&live);
                     }
                 }
-                Operator::Blend | Operator::Intersection => out.add(&other, wants, place == 0),
+                Operator::Blend | Operator::Intersection => out.add(&other, required, place == 0),
             }
         }
         if operator == Operator::Blend {
-            out.finish_blend(wants);
+            out.finish_blend(required);
         }
         self.give_back(other);
         Ok(())
@@ -259,10 +259,10 @@ impl<'p> March<'p> {
         instruction: &Instruction,
         asked: Asked<'_>,
         counts: &mut RenderCounts,
-        out: &mut Block,
+        out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let (measure, wants) = (instruction.measures.0, instruction.wants);
-        let mut blocks: Vec<Block> = children.iter().map(|_| self.block()).collect();
+        let (measure, required) = (instruction.measures.0, instruction.required);
+        let mut blocks: Vec<NodeSamples> = children.iter().map(|_| self.node_samples()).collect();
         let mut order: Vec<usize> = (0..children.len()).collect();
         order.sort_by_key(|&place| self.cost(children[place]));
         let mut live = *asked.live;
@@ -277,16 +277,16 @@ impl<'p> March<'p> {
                     counts,
                     &mut blocks[place],
                 );
-                if !wants.outside {
+                if !required.outside {
                     live = blocks[place].not_empty(&live);
                 }
             }
         }
         if outcome.is_ok() {
-            Block::intersect(&mut blocks, wants);
-            out.copy_from(&blocks[0], wants);
+            NodeSamples::intersect(&mut blocks, required);
+            out.copy_from(&blocks[0], required);
         }
-        blocks.into_iter().for_each(|block| self.give_back(block));
+        blocks.into_iter().for_each(|node| self.give_back(node));
         outcome
     }
 

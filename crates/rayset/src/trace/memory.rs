@@ -3,10 +3,10 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use super::block::{Block, Wants};
+use super::node_samples::{NodeSamples, RequiredOutputs};
 use super::packet_tracer::tree_bytes;
 use super::program::PLACE_BYTES;
-use super::shadow::{BLOCK_BYTES, LightTable};
+use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES};
 use super::transfer::ColorTable;
 use crate::field::{LANES, SampleRow};
 use crate::geometry::DAffine3;
@@ -31,7 +31,7 @@ const ALLOCATOR_PART: u64 = 32;
 /// And more where pages and blocks of shadows, of other sizes, take each other's place.
 const MIXED_ALLOCATOR_PART: u64 = 14;
 /// What a march through the graph keeps of every place: its samples, its cloud's state, its block.
-const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<Block>>()) as u64;
+const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<NodeSamples>>()) as u64;
 /// Blocks of 16 rows of layers on their way into an OpenEXR file, for each column: six, with what compression takes.
 const EXR_BYTES: u64 = 6 * 16 * 60;
 /// Bytes of a pixel while its band is being made.
@@ -50,7 +50,7 @@ pub struct SceneNeeds {
     scene_bytes: u64,
     thread_bytes: u64,
     /// Blocks of cached shadows.
-    shadow_blocks: u64,
+    shadow_tiles: u64,
     layers: bool,
 }
 
@@ -80,7 +80,7 @@ impl SceneNeeds {
         };
         let turns = has(|n| n.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0));
         let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
-        let wants = Wants {
+        let required = RequiredOutputs {
             color: true,
             normal: lit || settings.layers,
             boundary: lit
@@ -93,10 +93,10 @@ impl SceneNeeds {
         };
         let census = Census::of(&scene.root);
         let most_blocks = blocks(&scene.root) + census.shared;
-        let picture = most_blocks * Block::bytes(wants);
-        let opacity_only = Wants { attributes: wants.attributes, ..Wants::default() };
+        let picture = most_blocks * NodeSamples::bytes(required);
+        let opacity_only = RequiredOutputs { attributes: required.attributes, ..RequiredOutputs::default() };
         let shadow =
-            if scene.lighting.throws_shadows() { most_blocks * Block::bytes(opacity_only) } else { 0 };
+            if scene.lighting.throws_shadows() { most_blocks * NodeSamples::bytes(opacity_only) } else { 0 };
         let passes = if shadow > 0 { 2 } else { 1 };
         // Shadows have a march for rays and one for tables, each with blocks and clouds of its own.
         let marches = if shadow > 0 { 3 } else { 1 };
@@ -115,8 +115,8 @@ impl SceneNeeds {
         let scene_bytes = census.given_bytes
             + passes * (census.places * PLACE_BYTES + census.table_bytes)
             + 4 * size_of_val(lights) as u64;
-        let shadow_blocks = LightTable::blocks_of(scene, settings.shadows);
-        Self { clouds, grids, scene_bytes, thread_bytes, shadow_blocks, layers: settings.layers }
+        let shadow_tiles = DeepShadowMap::tiles_of(scene, settings.shadows);
+        Self { clouds, grids, scene_bytes, thread_bytes, shadow_tiles, layers: settings.layers }
     }
 
     /// The same, with the memory that reading the scene took: little of it is free for pages again, for what stays lies in
@@ -294,7 +294,7 @@ pub fn plan(
     let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
     let row = u64::from(width) * pixel + u64::from(width) / 2;
     let pages: u64 = needs.files().map(|(pages, _)| pages).sum();
-    let slots = pages + needs.shadow_blocks;
+    let slots = pages + needs.shadow_tiles;
     let overhead = WorkingSet::overhead_bytes(u32::try_from(slots).unwrap_or(u32::MAX));
     let overhead = overhead + pages * LOOKAHEAD_BYTES;
     // The picture's rows also pass through the encoder.
@@ -302,8 +302,8 @@ pub fn plan(
     let fixed = process_bytes + needs.scene_bytes + threads_bytes + READING_BYTES + overhead + 8 * row;
     let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
     let fixed = fixed + encoder;
-    let block = BLOCK_BYTES as u64;
-    let largest = if needs.shadow_blocks > 0 { page.max(block) } else { page };
+    let block = SHADOW_TILE_BYTES as u64;
+    let largest = if needs.shadow_tiles > 0 { page.max(block) } else { page };
     let least_page_bytes = least_pages(threads) * (largest + OVERHEAD_BYTES + largest / MIXED_ALLOCATOR_PART);
     let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
@@ -321,8 +321,8 @@ pub fn plan(
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
     // What the allocator adds to each counts most where they are small.
-    let unit = if needs.shadow_blocks > 0 { page.min(block) } else { page };
-    let mixed = needs.shadow_blocks > 0 && needs.files().any(|(_, bytes)| bytes != block);
+    let unit = if needs.shadow_tiles > 0 { page.min(block) } else { page };
+    let mixed = needs.shadow_tiles > 0 && needs.files().any(|(_, bytes)| bytes != block);
     let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
     let page_bytes = (budget_bytes - fixed - picture) / (unit + OVERHEAD_BYTES + unit / part) * unit;
     let page_bytes = page_bytes.max(least_pages(threads) * largest);
@@ -347,13 +347,13 @@ pub fn plan(
 /// # Errors
 /// The smallest memory that would do.
 pub(super) fn divide(scenes: &[&SceneNeeds], threads: usize, total: u64) -> Result<(u64, u64), u64> {
-    let block = BLOCK_BYTES as u64;
+    let block = SHADOW_TILE_BYTES as u64;
     let files = || scenes.iter().flat_map(|needs| needs.files());
-    let shadow_blocks: u64 = scenes.iter().map(|needs| needs.shadow_blocks).sum();
+    let shadow_tiles: u64 = scenes.iter().map(|needs| needs.shadow_tiles).sum();
     let page = files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
-    let (largest, unit) = if shadow_blocks > 0 { (page.max(block), page.min(block)) } else { (page, page) };
+    let (largest, unit) = if shadow_tiles > 0 { (page.max(block), page.min(block)) } else { (page, page) };
     let pages: u64 = files().map(|(pages, _)| pages).sum();
-    let slots = u32::try_from(pages + shadow_blocks).unwrap_or(u32::MAX);
+    let slots = u32::try_from(pages + shadow_tiles).unwrap_or(u32::MAX);
     let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
     // Each thread works on one scene at a time.
     let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
@@ -362,7 +362,7 @@ pub(super) fn divide(scenes: &[&SceneNeeds], threads: usize, total: u64) -> Resu
         + WorkingSet::overhead_bytes(slots)
         + pages * LOOKAHEAD_BYTES
         + READING_BYTES;
-    let mixed = shadow_blocks > 0 && files().any(|(_, bytes)| bytes != block);
+    let mixed = shadow_tiles > 0 && files().any(|(_, bytes)| bytes != block);
     let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
     let least = fixed + least_pages(threads) * (largest + OVERHEAD_BYTES + largest / part);
     if total < least {

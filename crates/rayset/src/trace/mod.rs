@@ -6,7 +6,6 @@
 //! [`ExecSettings`] never do.
 
 mod access;
-mod block;
 mod bounce;
 mod cloud_volume;
 mod composite;
@@ -14,16 +13,17 @@ mod counts;
 mod frontier;
 mod grid_volume;
 mod job;
-pub mod judge;
 mod layers;
 mod march;
 mod math;
 pub mod memory;
+mod node_samples;
 mod packet_tracer;
 pub mod predict;
 mod prepared;
 mod procedural_volume;
 mod program;
+pub mod reference;
 mod scheduler;
 mod secondary;
 mod session;

@@ -3,12 +3,12 @@
 use std::ops::Range;
 
 use super::access::{Access, Halt};
-use super::block::Block;
-use super::bounce::{Courses, TreeRay, most_rays_of_a_pixel};
+use super::bounce::{RefractionStates, TreeRay, most_rays_of_a_pixel};
 use super::composite::{RayState, Shares};
 use super::counts::RenderCounts;
 use super::layers::Layers;
 use super::march::March;
+use super::node_samples::NodeSamples;
 use super::secondary::coherent_groups;
 use super::shadow::Shadows;
 use super::world::World;
@@ -20,7 +20,7 @@ pub(super) struct PacketTracer<'a> {
     world: &'a World,
     march: March<'a>,
     shadows: Option<Shadows<'a>>,
-    courses: Option<Courses>,
+    refraction: Option<RefractionStates>,
     layers: Option<Layers>,
     tree: Tree,
     shares: Shares,
@@ -70,7 +70,7 @@ impl<'a> PacketTracer<'a> {
             world,
             march: March::new(&world.program, slab_samples),
             shadows: Shadows::new(world, slab_samples),
-            courses: world.bounces.map(Courses::new),
+            refraction: world.bounces.map(RefractionStates::new),
             layers: world.layers.then(Layers::new),
             tree: Tree::default(),
             shares: Shares::new(),
@@ -83,9 +83,9 @@ impl<'a> PacketTracer<'a> {
         self.counts
     }
 
-    /// Forgets what has been counted since `counts`: the tile is put off.
-    pub(super) fn put_off(&mut self, counts: RenderCounts) {
-        self.counts = RenderCounts { put_off: counts.put_off + 1, ..counts };
+    /// Forgets what has been counted since `counts`: the tile is deferred.
+    pub(super) fn deferred(&mut self, counts: RenderCounts) {
+        self.counts = RenderCounts { deferred: counts.deferred + 1, ..counts };
     }
 
     /// What is known of the pixels of a tile, to which the rays traced from the eye belong.
@@ -164,7 +164,7 @@ impl<'a> PacketTracer<'a> {
 
     /// Which rays travel together, and their step.
     fn packets(&self, access: Access<'_>, rays: &[TreeRay]) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
-        let places: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.phase)).collect();
+        let places: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
         let steps = &self.world.steps;
         if rays[0].is_primary() {
             let groups = steps.groups(access, &self.world.program, &places)?;
@@ -195,25 +195,25 @@ impl<'a> PacketTracer<'a> {
         members: &[usize],
         step: f64,
     ) -> Result<(), Halt> {
-        let lanes: Vec<(Ray, f64)> = members.iter().map(|&i| (rays[i].ray, rays[i].phase)).collect();
+        let lanes: Vec<(Ray, f64)> = members.iter().map(|&i| (rays[i].ray, rays[i].sample_offset)).collect();
         let packet = Packet::new(&lanes, step);
-        let mut courses = self.courses.take();
-        if let Some(courses) = &mut courses {
-            courses.begin(members.iter().map(|&i| rays[i]));
+        let mut refraction = self.refraction.take();
+        if let Some(refraction) = &mut refraction {
+            refraction.begin(members.iter().map(|&i| rays[i]));
         }
         self.states.fill(RayState::START);
         self.counts.packets += 1;
         let before = self.counts;
         self.march.begin(&packet);
-        let mut block = self.march.block();
+        let mut node = self.march.node_samples();
         let places: Vec<usize> = members.iter().map(|&i| rays[i].pixel).collect();
         let pixels = rays[members[0]].is_primary().then_some(&places[..]);
-        let outcome = self.pass(access, &packet, pixels, courses.as_mut(), &mut block);
-        self.march.give_back(block);
-        if let Some(courses) = &courses {
-            next.extend(courses.next().iter().map(|&(lane, ray)| (members[lane], ray)));
+        let outcome = self.pass(access, &packet, pixels, refraction.as_mut(), &mut node);
+        self.march.give_back(node);
+        if let Some(refraction) = &refraction {
+            next.extend(refraction.next().iter().map(|&(lane, ray)| (members[lane], ray)));
         }
-        self.courses = courses;
+        self.refraction = refraction;
         let replaced = outcome?;
         if !rays[members[0]].is_primary() {
             self.counts.bounced_rays += members.len() as u64;
@@ -237,8 +237,8 @@ impl<'a> PacketTracer<'a> {
         access: Access<'_>,
         packet: &Packet,
         pixels: Option<&[usize]>,
-        mut courses: Option<&mut Courses>,
-        block: &mut Block,
+        mut refraction: Option<&mut RefractionStates>,
+        node: &mut NodeSamples,
     ) -> Result<u64, Halt> {
         let world = self.world;
         let mut going = packet.all();
@@ -246,34 +246,34 @@ impl<'a> PacketTracer<'a> {
         while going != 0
             && let Some(slab) = self.march.next_slab(from)
         {
-            if let Some(courses) = &mut courses
+            if let Some(refraction) = &mut refraction
                 && slab.first > from
             {
-                going &= !courses.leave(packet, going, &self.states);
+                going &= !refraction.leave(packet, going, &self.states);
             }
             from = slab.end();
-            self.march.evaluate(access, packet, slab, going, &mut self.counts, block)?;
+            self.march.evaluate(access, packet, slab, going, &mut self.counts, node)?;
             self.counts.slabs += 1;
             self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
-            if let Some(courses) = &mut courses {
-                courses.bend(packet, slab, block, going, &world.shader);
+            if let Some(refraction) = &mut refraction {
+                refraction.bend(packet, slab, node, going, &world.shader);
             }
-            going = world.absorption.absorb(packet, slab, block, going, &mut self.states, &mut self.shares);
+            going = world.absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
             self.counts.nonzero_samples += self.shares.count();
             if let (Some(layers), Some(pixels)) = (&mut self.layers, pixels) {
-                layers.gather(packet, slab, block, &self.shares, &world.shader, |lane| pixels[lane]);
+                layers.gather(packet, slab, node, &self.shares, &world.shader, |lane| pixels[lane]);
             }
             if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
-                self.shade(access, packet, slab, block, courses.as_deref_mut())?;
+                self.shade(access, packet, slab, node, refraction.as_deref_mut())?;
             }
-            if let Some(courses) = &mut courses {
-                going &= !courses.follow(going, &self.states);
+            if let Some(refraction) = &mut refraction {
+                going &= !refraction.follow(going, &self.states);
             }
         }
-        let Some(courses) = courses else { return Ok(0) };
-        courses.leave(packet, going, &self.states);
-        courses.end_mirrors(packet, &mut self.states);
-        Ok(courses.replaced())
+        let Some(refraction) = refraction else { return Ok(0) };
+        refraction.leave(packet, going, &self.states);
+        refraction.end_mirrors(packet, &mut self.states);
+        Ok(refraction.replaced())
     }
 
     /// Adds the light of the samples of a slab to their rays.
@@ -282,21 +282,21 @@ impl<'a> PacketTracer<'a> {
         access: Access<'_>,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
-        courses: Option<&mut Courses>,
+        node: &NodeSamples,
+        refraction: Option<&mut RefractionStates>,
     ) -> Result<(), Halt> {
         let (shader, none) = (&self.world.shader, Vec::new());
         let shadows = match &mut self.shadows {
             Some(shadows) => {
                 let before = self.counts.splats;
                 let rows =
-                    shadows.find(access, shader, packet, slab, block, &self.shares, &mut self.counts)?;
+                    shadows.find(access, shader, packet, slab, node, &self.shares, &mut self.counts)?;
                 self.counts.shadow_splats += self.counts.splats - before;
                 rows
             }
             None => &none,
         };
-        shader.shade(packet, slab, block, &self.shares, shadows, courses, &mut self.states);
+        shader.shade(packet, slab, node, &self.shares, shadows, refraction, &mut self.states);
         Ok(())
     }
 }

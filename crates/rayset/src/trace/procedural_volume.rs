@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
-use super::block::{Block, Live, MATERIAL, MAX_THICKNESS, Measure, Wants, each_lane, numbers};
 use super::math::ln;
+use super::node_samples::{
+    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, each_lane, numbers,
+};
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::scene::{MAX_OPACITY, Procedural, ProceduralSample, largest_stretch};
@@ -64,12 +66,12 @@ impl ProceduralVolume {
         slab: Slab,
         live: &Live,
         measure: Measure,
-        wants: Wants,
-        out: &mut Block,
+        required: RequiredOutputs,
+        out: &mut NodeSamples,
     ) {
         out.touched = 0;
         let bounds =
-            if wants.outside { self.bounds_local.inflated(self.reach_local) } else { self.bounds_local };
+            if required.outside { self.bounds_local.inflated(self.reach_local) } else { self.bounds_local };
         each_lane(live.lanes(), |lane| {
             let world = packet.ray(lane);
             let origin = self.local_from_world.transform_point3(world.origin);
@@ -80,7 +82,7 @@ impl ProceduralVolume {
             let first = (number(enter).floor().max(0.0)) as usize;
             let end = ((number(exit).ceil() + 1.0).max(0.0) as usize).min(slab.samples);
             if first < end {
-                self.fill_lane(packet, slab, lane, (origin, direction), first..end, measure, wants, out);
+                self.fill_lane(packet, slab, lane, (origin, direction), first..end, measure, required, out);
             }
         });
     }
@@ -94,8 +96,8 @@ impl ProceduralVolume {
         (origin, direction): (DVec3, DVec3),
         range: std::ops::Range<usize>,
         measure: Measure,
-        wants: Wants,
-        out: &mut Block,
+        required: RequiredOutputs,
+        out: &mut NodeSamples,
     ) {
         let mut places = [DVec3::ZERO; SLAB_SAMPLES];
         let mut samples = [ProceduralSample::default(); SLAB_SAMPLES];
@@ -103,43 +105,43 @@ impl ProceduralVolume {
             places[j] = origin + direction * packet.sample_t_world(lane, slab.first + j as u64);
         }
         self.field.sample_all(&places[range.clone()], &mut samples[range.clone()]);
-        if !wants.outside && samples[range.clone()].iter().all(|s| s.opacity <= 0.0) {
+        if !required.outside && samples[range.clone()].iter().all(|s| s.opacity <= 0.0) {
             return;
         }
-        out.clear_lane(lane, wants);
+        out.clear_lane(lane, required);
         for j in range {
             let sample = &samples[j];
             let opacity = sample.opacity.clamp(0.0, MAX_OPACITY) as f32;
             out.opacity[lane].0[j] = match measure {
                 Measure::Opacity => opacity,
-                Measure::Thickness => (-ln(1.0 - opacity)).min(MAX_THICKNESS),
+                Measure::OpticalDepth => (-ln(1.0 - opacity)).min(MAX_OPTICAL_DEPTH),
             };
-            if wants.color {
+            if required.color {
                 for (rows, v) in out.color.iter_mut().zip(sample.color) {
                     rows[lane].0[j] = v as f32;
                 }
             }
-            for number in numbers(wants.attributes) {
+            for number in numbers(required.attributes) {
                 let index = self.named.get(number).copied().flatten();
                 out.attributes[number][lane].0[j] =
                     index.map_or(0.0, |index| self.field.attribute(index, places[j]));
             }
-            if wants.normal || wants.boundary {
+            if required.normal || required.boundary {
                 let gradient = self.world_gradient * sample.gradient;
                 let length = gradient.length();
                 let normal = if length > 0.0 && length.is_finite() { gradient / length } else { DVec3::ZERO };
-                if wants.normal {
+                if required.normal {
                     for (rows, v) in out.normal.iter_mut().zip(normal.to_array()) {
                         rows[lane].0[j] = v as f32;
                     }
                 }
-                if wants.boundary {
+                if required.boundary {
                     // First order: exact where the implicit function is a distance.
                     out.boundary[lane].0[j] = (sample.implicit / length) as f32;
                 }
             }
         }
-        if wants.material {
+        if required.material {
             for (rows, &v) in out.material.iter_mut().zip(&self.material) {
                 rows[lane].0.fill(v);
             }

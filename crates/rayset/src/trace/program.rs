@@ -8,10 +8,10 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::RenderError;
-use super::block::{LEAF, MATERIAL, Measure, Wants};
-use super::bounce::Turns;
+use super::bounce::ScatterKinds;
 use super::cloud_volume::CloudVolume;
 use super::grid_volume::GridVolume;
+use super::node_samples::{LEAF, MATERIAL, Measure, RequiredOutputs};
 use super::procedural_volume::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
@@ -32,7 +32,7 @@ pub(super) struct Instruction {
     pub(super) action: Action,
     /// Outside, nothing of it is ever looked at; world space.
     pub(super) bounds: Aabb,
-    pub(super) wants: Wants,
+    pub(super) required: RequiredOutputs,
     /// How its opacity is written before its transfer functions, and after them.
     pub(super) measures: (Measure, Measure),
     pub(super) transfers: Vec<CompiledTransfer>,
@@ -58,7 +58,7 @@ pub(super) struct Program {
     /// The last is the root.
     pub(super) instructions: Vec<Instruction>,
     /// What any instruction wants.
-    pub(super) wants: Wants,
+    pub(super) required: RequiredOutputs,
     /// Boundaries farther from a cut than this do not light it; world space.
     pub(super) reach: f64,
     /// The material of every sample, if it is one.
@@ -122,8 +122,8 @@ impl Program {
     }
 
     /// What its materials do to the direction of rays.
-    pub(super) fn turns(&self) -> Turns {
-        Turns::of(&used_materials(&self.instructions))
+    pub(super) fn turns(&self) -> ScatterKinds {
+        ScatterKinds::of(&used_materials(&self.instructions))
     }
 
     /// The cloud of an instruction, if it is one.
@@ -212,7 +212,7 @@ impl Compiler<'_> {
                 let children: Vec<usize> = (children.iter())
                     .map(|child| self.add(child, &world_from_local, material))
                     .collect::<Result<_, _>>()?;
-                let (operator, children) = self.without_the_idle(*operator, children);
+                let (operator, children) = self.drop_unreachable_subtrahends(*operator, children);
                 let bounds = self.operator_bounds(operator, &children);
                 let first = self.instructions[children[0]].color;
                 let colored = if operator == Operator::Difference { &children[..1] } else { &children[..] };
@@ -226,7 +226,7 @@ impl Compiler<'_> {
         self.instructions.push(Instruction {
             action,
             bounds,
-            wants: Wants::default(),
+            required: RequiredOutputs::default(),
             measures: (Measure::Opacity, Measure::Opacity),
             transfers,
             uses: 1,
@@ -238,7 +238,11 @@ impl Compiler<'_> {
     }
 
     /// What is taken away where nothing is, and farther from it than boundaries light, is left out.
-    fn without_the_idle(&self, operator: Operator, mut children: Vec<usize>) -> (Operator, Vec<usize>) {
+    fn drop_unreachable_subtrahends(
+        &self,
+        operator: Operator,
+        mut children: Vec<usize>,
+    ) -> (Operator, Vec<usize>) {
         if operator != Operator::Difference {
             return (operator, children);
         }
@@ -267,35 +271,43 @@ impl Compiler<'_> {
         let material = if used.len() == 1 { used.first().copied() } else { None };
         let root = self.instructions.len() - 1;
         let color = self.instructions[root].color;
-        self.instructions[root].wants = self.wanted_of_root(purpose, color, material.is_none());
-        self.instructions[root].measures.1 = Measure::Thickness;
+        self.instructions[root].required = self.wanted_of_root(purpose, color, material.is_none());
+        self.instructions[root].measures.1 = Measure::OpticalDepth;
         for at in (0..=root).rev() {
             self.pass_down(at);
         }
         let reach = self.scene.unit_distance;
-        let mut wants = Wants::default();
+        let mut required = RequiredOutputs::default();
         for instruction in &mut self.instructions {
-            wants = wants.and(instruction.wants);
-            if instruction.wants.outside && !matches!(instruction.action, Action::Cloud(_) | Action::Grid(_))
+            required = required.and(instruction.required);
+            if instruction.required.outside
+                && !matches!(instruction.action, Action::Cloud(_) | Action::Grid(_))
             {
                 instruction.bounds = instruction.bounds.inflated(reach);
             }
         }
-        Program { instructions: self.instructions, wants, reach, material, color, simd: self.simd }
+        Program { instructions: self.instructions, required, reach, material, color, simd: self.simd }
     }
 
-    fn wanted_of_root(&self, purpose: Purpose, color: Option<[f32; 3]>, materials_differ: bool) -> Wants {
+    fn wanted_of_root(
+        &self,
+        purpose: Purpose,
+        color: Option<[f32; 3]>,
+        materials_differ: bool,
+    ) -> RequiredOutputs {
         if purpose == Purpose::Shadow {
-            return Wants::default();
+            return RequiredOutputs::default();
         }
         let layers = purpose == Purpose::Layers;
         let lights = match &self.scene.lighting {
             Lighting::Unlit if layers => &Vec::new(),
-            Lighting::Unlit => return Wants { color: color.is_none(), ..Wants::default() },
+            Lighting::Unlit => {
+                return RequiredOutputs { color: color.is_none(), ..RequiredOutputs::default() };
+            }
             Lighting::Lit(lights) => lights,
         };
-        let turns_rays = Turns::of(&used_materials(&self.instructions)).any();
-        Wants {
+        let turns_rays = ScatterKinds::of(&used_materials(&self.instructions)).any();
+        RequiredOutputs {
             color: color.is_none(),
             normal: layers || turns_rays || lights.iter().any(|l| l.kind != LightKind::Ambient),
             boundary: self.scene.lighting.throws_shadows() || turns_rays,
@@ -306,15 +318,16 @@ impl Compiler<'_> {
     }
 
     fn pass_down(&mut self, at: usize) {
-        let Instruction { wants, measures, transfers, action, .. } = &mut self.instructions[at];
+        let Instruction { required, measures, transfers, action, .. } = &mut self.instructions[at];
         let sums = matches!(action, Action::Operator(Operator::Difference | Operator::Blend, _));
         measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
         let reads_color = transfers.iter().any(|t| matches!(t.input, Input::Color(_)));
         let makes_color = transfers.iter().any(CompiledTransfer::makes_color);
         // Rows are there for both what goes in and what comes out.
-        wants.color |= reads_color;
-        wants.attributes = transfers.iter().fold(wants.attributes, |bits, t| bits | t.input.attributes());
-        let below = Wants { color: wants.color && (reads_color || !makes_color), ..*wants };
+        required.color |= reads_color;
+        required.attributes =
+            transfers.iter().fold(required.attributes, |bits, t| bits | t.input.attributes());
+        let below = RequiredOutputs { color: required.color && (reads_color || !makes_color), ..*required };
         let (operator, children) = match action {
             Action::Operator(operator, children) => (operator, children),
             Action::Cloud(volume) => return volume.carry(below, &self.names),
@@ -324,7 +337,7 @@ impl Compiler<'_> {
         let (operator, children, measure) = (*operator, children.clone(), measures.0);
         for (place, child) in children.into_iter().enumerate() {
             let of_child = match operator {
-                Operator::Difference => Wants {
+                Operator::Difference => RequiredOutputs {
                     boundary: below.boundary || below.normal,
                     outside: below.outside || (below.normal && place > 0),
                     color: below.color && place == 0,
@@ -335,7 +348,7 @@ impl Compiler<'_> {
                 _ => below,
             };
             let child = &mut self.instructions[child];
-            child.wants = child.wants.and(of_child);
+            child.required = child.required.and(of_child);
             child.measures.1 = measure;
         }
     }

@@ -1,22 +1,22 @@
 //! Light on samples: Blinn's local shading, two-sided, light by light.
 
-use super::block::{Block, MATERIAL, each_lane};
-use super::bounce::Courses;
+use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
 use super::math::power;
+use super::node_samples::{MATERIAL, NodeSamples, each_lane};
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::DVec3;
 use crate::scene::{Light, LightKind, Lighting};
 
 /// The lights of a scene, and what of samples is the same everywhere.
 pub(super) struct Shader {
-    /// Nothing where samples have the colours of their transfer functions.
+    /// `None` where samples have the colours of their transfer functions.
     lights: Option<Vec<Light>>,
     color: Option<[f32; 3]>,
     material: Option<[f32; MATERIAL]>,
 }
 
-/// For each light, how much of it reaches each sample; nothing for one that throws no shadows.
+/// For each light, how much of it reaches each sample; `None` for one that throws no shadows.
 pub(super) type ShadowRows = Vec<Option<Vec<SampleRow>>>;
 
 /// One sample, as light sees it.
@@ -61,10 +61,10 @@ impl Shader {
         &self,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         shares: &Shares,
         shadows: &ShadowRows,
-        mut courses: Option<&mut Courses>,
+        mut refraction: Option<&mut RefractionStates>,
         states: &mut [RayState; LANES],
     ) {
         each_lane(shares.lanes(), |lane| {
@@ -73,18 +73,18 @@ impl Shader {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
                 let color = match &self.lights {
-                    None => self.color_at(block, lane, j),
+                    None => self.color_at(node, lane, j),
                     Some(lights) => {
-                        let surface = self.surface(packet, block, lane, j);
+                        let surface = self.surface(packet, node, lane, j);
                         lit(lights, &surface, shadows, packet, slab, lane, j)
                     }
                 };
                 let share = shares.share[lane].0[j];
                 let mut given = color.map(|v| share * v);
-                if let Some(courses) = &mut courses {
-                    let mirrored = courses.reflectance(lane, &self.material_at(block, lane, j));
+                if let Some(refraction) = &mut refraction {
+                    let mirrored = refraction.reflectance(lane, &self.material_at(node, lane, j));
                     if mirrored > 0.0 {
-                        let before = courses.reflect(packet, slab, block, lane, j, share * mirrored, color);
+                        let before = refraction.reflect(packet, slab, node, lane, j, share * mirrored, color);
                         given = [0, 1, 2].map(|c| before[c] + (1.0 - mirrored) * given[c]);
                     }
                 }
@@ -95,24 +95,24 @@ impl Shader {
         });
     }
 
-    pub(super) fn color_at(&self, block: &Block, lane: usize, j: usize) -> [f32; 3] {
-        self.color.unwrap_or_else(|| block.color.each_ref().map(|rows| rows[lane].0[j]))
+    pub(super) fn color_at(&self, node: &NodeSamples, lane: usize, j: usize) -> [f32; 3] {
+        self.color.unwrap_or_else(|| node.color.each_ref().map(|rows| rows[lane].0[j]))
     }
 
-    pub(super) fn material_at(&self, block: &Block, lane: usize, j: usize) -> [f32; MATERIAL] {
-        self.material.unwrap_or_else(|| block.material.each_ref().map(|rows| rows[lane].0[j]))
+    pub(super) fn material_at(&self, node: &NodeSamples, lane: usize, j: usize) -> [f32; MATERIAL] {
+        self.material.unwrap_or_else(|| node.material.each_ref().map(|rows| rows[lane].0[j]))
     }
 
-    fn surface(&self, packet: &Packet, block: &Block, lane: usize, j: usize) -> Surface {
-        let normal = if block.normal[0].is_empty() {
+    fn surface(&self, packet: &Packet, node: &NodeSamples, lane: usize, j: usize) -> Surface {
+        let normal = if node.normal[0].is_empty() {
             [0.0; 3]
         } else {
-            block.normal.each_ref().map(|rows| rows[lane].0[j])
+            node.normal.each_ref().map(|rows| rows[lane].0[j])
         };
         Surface {
-            color: self.color_at(block, lane, j),
+            color: self.color_at(node, lane, j),
             normal,
-            material: self.material_at(block, lane, j),
+            material: self.material_at(node, lane, j),
             view: packet.direction_f32(lane).map(|v| -v),
         }
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::view::{Region, Tile};
 use super::{RenderCounts, RenderError, View, Work};
 use crate::cancel::CancelToken;
-use crate::image::{Band, Development, LayerPixel, PngBands, PngError};
+use crate::image::{Band, DisplayTransform, LayerPixel, PngBands, PngError};
 use crate::output::{Destination, OutputFile};
 
 /// Why a sink refuses a tile or a band; it ends the render.
@@ -76,7 +76,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Writes the picture as a PNG of 8 bits, with the exposure and tone mapping of [`Development::default`]. The file gets
+    /// Writes the picture as a PNG of 8 bits, with the exposure and tone mapping of [`DisplayTransform::default`]. The file gets
     /// its name when it is whole.
     ///
     /// # Errors
@@ -84,7 +84,7 @@ impl Picture {
     pub fn save_png(&self, path: &Path) -> Result<(), PngError> {
         let file = OutputFile::create(&Destination::new(path)?)?;
         let output = BufWriter::new(file.writer());
-        let mut png = PngBands::new(output, self.width, self.height, Development::default())?;
+        let mut png = PngBands::new(output, self.width, self.height, DisplayTransform::default())?;
         let (width, pixels, layers) = (self.width, self.pixels.clone(), Vec::new());
         png.write(&Band { first_row: 0, width, pixels, layers })?;
         png.finish()?;

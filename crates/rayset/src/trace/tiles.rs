@@ -77,7 +77,7 @@ impl<'a> TileQueue<'a> {
         Some(self.attempt(&deferred, true))
     }
 
-    pub(super) fn put_off(&mut self, attempt: &Attempt<'_>, lacking: Lacking) {
+    pub(super) fn deferred(&mut self, attempt: &Attempt<'_>, lacking: Lacking) {
         let lacking = Some(lacking);
         self.deferred.push_back(Deferred { place: attempt.place, attempts: attempt.number, lacking });
     }

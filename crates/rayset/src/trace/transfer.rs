@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::block::{Block, each_lane};
+use super::node_samples::{NodeSamples, each_lane};
 use crate::field::{SLAB_SAMPLES, linear_from_srgb};
 use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer, curve_at};
 
@@ -198,7 +198,7 @@ impl CompiledTransfer {
     }
 
     /// Rewrites a block of opacities. Where there was nothing, nothing comes to be.
-    pub(super) fn apply(&self, block: &mut Block, wants_color: bool) {
+    pub(super) fn apply(&self, block: &mut NodeSamples, wants_color: bool) {
         each_lane(block.touched, |lane| {
             for j in 0..SLAB_SAMPLES {
                 let opacity = block.opacity[lane].0[j];

@@ -15,7 +15,7 @@ use crate::scene::{RayMaker, RenderSettings};
 /// Longest edge of a tile in pixels.
 pub const MAX_TILE_PIXELS: u32 = 8;
 /// Edge of the squares of pixels whose tiles follow each other: those that are looked ahead at together.
-pub(super) const BLOCK_PIXELS: u32 = 32;
+pub(super) const LOOKAHEAD_TILE_PIXELS: u32 = 32;
 
 /// Pixels of a picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -169,11 +169,11 @@ impl View {
                 Tile { x, y, width, height }
             })
             .collect();
-        // Block by block along a curve of their own, so that each is come to once.
-        let block = |tile: &Tile| (tile.x / BLOCK_PIXELS, tile.y / BLOCK_PIXELS);
-        let first = (region.columns.start / BLOCK_PIXELS, region.rows.start / BLOCK_PIXELS);
-        let columns = region.columns.end.div_ceil(BLOCK_PIXELS).saturating_sub(first.0);
-        let rows = region.rows.end.div_ceil(BLOCK_PIXELS).saturating_sub(first.1);
+        // NodeSamples by block along a curve of their own, so that each is come to once.
+        let block = |tile: &Tile| (tile.x / LOOKAHEAD_TILE_PIXELS, tile.y / LOOKAHEAD_TILE_PIXELS);
+        let first = (region.columns.start / LOOKAHEAD_TILE_PIXELS, region.rows.start / LOOKAHEAD_TILE_PIXELS);
+        let columns = region.columns.end.div_ceil(LOOKAHEAD_TILE_PIXELS).saturating_sub(first.0);
+        let rows = region.rows.end.div_ceil(LOOKAHEAD_TILE_PIXELS).saturating_sub(first.1);
         let mut place = vec![0; columns as usize * rows as usize];
         for (at, (i, j)) in hilbert_order(columns, rows).into_iter().enumerate() {
             place[(j * columns + i) as usize] = at;

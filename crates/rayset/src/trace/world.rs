@@ -5,7 +5,7 @@ use super::bounce::Bounces;
 use super::composite::Absorption;
 use super::program::{Program, Purpose};
 use super::shade::Shader;
-use super::shadow::LightTable;
+use super::shadow::DeepShadowMap;
 use super::steps::StepRule;
 use crate::field::SimdLevel;
 use crate::scene::{Lighting, RenderSettings, Scene, Shadows};
@@ -14,14 +14,14 @@ use crate::working_set::PagedFiles;
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World {
     pub(super) program: Program,
-    /// The same graph, for its opacity alone; nothing where no light throws shadows.
+    /// The same graph, for its opacity alone; `None` where no light throws shadows.
     pub(super) shadow_program: Option<Program>,
     pub(super) shader: Shader,
-    /// For each light, where its shadows are looked up; nothing where they are exact or there are none.
-    pub(super) light_tables: Vec<Option<LightTable>>,
+    /// For each light, where its shadows are looked up; `None` where they are exact or there are none.
+    pub(super) light_tables: Vec<Option<DeepShadowMap>>,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
-    /// Nothing where all rays go straight on.
+    /// `None` where all rays go straight on.
     pub(super) bounces: Option<Bounces>,
     /// Whether more is asked of pixels than their colour.
     pub(super) layers: bool,
@@ -43,11 +43,11 @@ impl World {
             Some(_) => Some(Program::compile(scene, Purpose::Shadow, simd, paged)?),
             None => None,
         };
-        let mut light_tables: Vec<Option<LightTable>> = (0..shader.lights()).map(|_| None).collect();
+        let mut light_tables: Vec<Option<DeepShadowMap>> = (0..shader.lights()).map(|_| None).collect();
         if let Shadows::Cached { resolution } = settings.shadows {
             let bounds = scene.root.bounds();
             for (number, light) in shader.shadow_lights() {
-                light_tables[number] = LightTable::new(light, &bounds, resolution, &paged.pages);
+                light_tables[number] = DeepShadowMap::new(light, &bounds, resolution, &paged.pages);
             }
         }
         let absorption = Absorption {

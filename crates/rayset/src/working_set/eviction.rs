@@ -109,8 +109,7 @@ impl Queue {
     /// Entries of pages that have gone stay behind where these went by another way; they must not become many.
     fn drop_stale(&mut self) {
         if self.by_age.len() > 2 * self.resident + 64 {
-            let is_current = |entry: &Entry| matches!(&*entry.object.slot(entry.page), Slot::Resident(r) if r.serial == entry.serial);
-            self.by_age.retain(is_current);
+            self.by_age.retain(|entry| entry.last_use_if_current().is_some());
         }
         if self.retired.len() > self.resident + 64 {
             self.retired.retain(Entry::is_retired);

@@ -1,8 +1,9 @@
 //! The page pool: the budget, the order in which pages give way, and those who wait.
 //!
-//! **Locks**, in the order in which they are taken: the pool's, then a slot's, then the table of clients or a client's
-//! own list. None is held across a read, a check, a wait for anything but its own condition, or a search that grows with
-//! the number of pages. Nobody takes the pool's lock while holding that of a slot.
+//! **Locks**, in the order in which they are taken: a client's list of its hints, or the pool's; then a slot's; then the
+//! table of clients. None is held across a read, a check, or a wait for anything but its own condition; the pool's is held
+//! for a search through all pages only where an object is forgotten, where a budget is too small (to say by how much), and
+//! where entries of pages that have gone are thrown out, as many as have come since the last time.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! Reflection and refraction, against the judge and against optics.
+//! Reflection and refraction, against the reference renderer and against optics.
 
 use std::sync::Arc;
 

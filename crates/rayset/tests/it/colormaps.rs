@@ -1,4 +1,4 @@
-//! Colour maps and curves are what their stops say, however near to each other these are: against the judge, which looks
+//! Colour maps and curves are what their stops say, however near to each other these are: against the reference renderer, which looks
 //! them up stop by stop.
 
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use rayset::scene::{
     Channel, CloudObject, ColorMap, ColorRule, Form, Lighting, MapInput, Node, OpacityRule, Operator,
     Palette, Pattern, Procedural, RenderSettings, Scene, Shape, Solid, Step, Transfer, TransferFunction,
 };
-use rayset::trace::judge::Judge;
+use rayset::trace::reference::ReferenceRenderer;
 
 use crate::common::{Random, build_at, camera, folder, plain_picture, settings};
 
@@ -46,14 +46,14 @@ fn input() -> Channel {
     Channel::Attribute("gradient".into())
 }
 
-/// Pixels of a picture that are farther from the judge's than 1/1024, of those that show anything.
+/// Pixels of a picture that are farther from the reference renderer's than 1/1024, of those that show anything.
 fn wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64) -> (usize, usize) {
     let fast = plain_picture(scene, settings);
-    let judge = Judge::load(scene).expect("it reads");
+    let reference_renderer = ReferenceRenderer::load(scene).expect("it reads");
     let (mut wrong, mut shown) = (0, 0);
     for y in (0..settings.height).step_by(3) {
         for x in 0..settings.width {
-            let exact = judge.pixel(&camera(), settings, step, x, y).expect("a camera");
+            let exact = reference_renderer.pixel(&camera(), settings, step, x, y).expect("a camera");
             let found = fast[(y * settings.width + x) as usize];
             shown += usize::from(exact[3] > 0.0);
             wrong += usize::from((0..4).any(|c| (f64::from(found[c]) - exact[c]).abs() > 1.0 / 1024.0));

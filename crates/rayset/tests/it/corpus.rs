@@ -208,7 +208,8 @@ fn files(folder: &Path) {
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
     let source = VolumeSource::open_raw(&raw, &"10x10x10,u8".parse().expect("a layout")).expect("it opens");
     let path = folder.join("grid.rset");
-    build(source, &path, &GridBuildOptions::default(), &mut |_, _| {}).expect("it builds");
+    build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
+        .expect("it builds");
     keep("files", 9, &[&std::fs::read(&path).expect("a read")]);
 }
 

@@ -10,7 +10,7 @@ use rayset::octree::verify::{Depth, verify};
 use rayset::points::ArraySource;
 use rayset::scene::Camera;
 use rayset::trace::ExecSettings;
-use rayset::trace::judge::Judge;
+use rayset::trace::reference::ReferenceRenderer;
 
 use crate::common::{
     Random, build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
@@ -158,18 +158,18 @@ fn millimetres_at_ten_million_metres_keep_their_shape() {
         let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
         let size = settings(64, 64);
         let found = picture(&far, &eye, &size, &exec, &paged(&far, 1 << 30)).expect("a picture");
-        let judge = Judge::load(&far).expect("it reads");
+        let reference_renderer = ReferenceRenderer::load(&far).expect("it reads");
         let (mut covered, mut wrong) = (0, 0);
         for y in 0..64 {
             for x in 0..64 {
-                let exact = judge.pixel(&eye, &size, 0.001, x, y).expect("a camera");
+                let exact = reference_renderer.pixel(&eye, &size, 0.001, x, y).expect("a camera");
                 covered += usize::from(exact[3] > 0.01);
                 wrong +=
                     usize::from((exact[3] - f64::from(found[(y * 64 + x) as usize][3])).abs() > 1.0 / 1024.0);
             }
         }
         assert!(covered > 20, "the ring shows: {covered} pixels");
-        // The judge itself has digits to 2e-9 m there, and samples a hundred times wider apart.
+        // The reference renderer itself has digits to 2e-9 m there, and samples a hundred times wider apart.
         assert!(wrong <= 4, "{wrong} of 4096 pixels differ ({precision:?})");
     }
 }
@@ -191,10 +191,10 @@ fn rays_along_the_axes_and_from_inside_are_like_any_other() {
                 view.projection = rayset::scene::Projection::Orthographic { height: 1.2 };
             }
             let found = picture(&scene, &view, &size, &exec, &paged(&scene, 1 << 30)).expect("a picture");
-            let judge = Judge::load(&scene).expect("it reads");
+            let reference_renderer = ReferenceRenderer::load(&scene).expect("it reads");
             let step = f64::from(cloud.header().radius.max()) * 0.25;
             for (x, y) in [(3, 4), (12, 12), (20, 7), (11, 23)] {
-                let exact = judge.pixel(&view, &size, step, x, y).expect("a camera");
+                let exact = reference_renderer.pixel(&view, &size, step, x, y).expect("a camera");
                 let error = (exact[3] - f64::from(found[(y * 24 + x) as usize][3])).abs();
                 assert!(error < 1.0 / 1024.0, "{eye} to {target}: {error}");
             }

@@ -50,8 +50,13 @@ fn prepared() -> tempfile::TempDir {
     source.scale = 1.0 / 255.0;
     source.space_from_voxel =
         DAffine3::from_scale(DVec3::splat(1.0 / 39.0)) * DAffine3::from_translation(DVec3::splat(-19.5));
-    build_grid(source, &folder.path().join("volume.rset"), &GridBuildOptions::default(), &mut |_, _| {})
-        .expect("a grid");
+    build_grid(
+        source,
+        &folder.path().join("volume.rset"),
+        &GridBuildOptions::default(),
+        &rayset::build::BuildControl::default(),
+    )
+    .expect("a grid");
     folder
 }
 

@@ -1,4 +1,4 @@
-//! Scene graphs: every operator, transform, leaf and light, against the judge.
+//! Scene graphs: every operator, transform, leaf and light, against the reference renderer.
 
 use std::sync::Arc;
 
@@ -10,8 +10,8 @@ use rayset::scene::{
     RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
 };
 use rayset::trace::ExecSettings;
-use rayset::trace::judge::Judge;
 use rayset::trace::predict::NoPredictor;
+use rayset::trace::reference::ReferenceRenderer;
 
 use rayset::points::{ArraySource, Workload};
 
@@ -55,15 +55,15 @@ pub(crate) fn scene(root: Node, lights: Vec<Light>) -> Scene {
     }
 }
 
-/// Every pixel of a small picture against the judge.
+/// Every pixel of a small picture against the reference renderer.
 pub(crate) fn check(what: &str, scene: &Scene, wrong_allowed: usize) {
     let settings = RenderSettings { step: Step::Fixed(STEP), ..settings(SIDE, SIDE) };
     let found = plain_picture(scene, &settings);
-    let judge = Judge::load(scene).expect("the clouds read");
+    let reference_renderer = ReferenceRenderer::load(scene).expect("the clouds read");
     let (mut covered, mut wrong) = (0, 0);
     for y in 0..SIDE {
         for x in 0..SIDE {
-            let exact = judge.pixel(&camera(), &settings, STEP, x, y).expect("a camera");
+            let exact = reference_renderer.pixel(&camera(), &settings, STEP, x, y).expect("a camera");
             let pixel = found[(y * SIDE + x) as usize];
             covered += usize::from(exact[3] > 0.05);
             let worst = (0..4).map(|c| (f64::from(pixel[c]) - exact[c]).abs()).fold(0.0, f64::max);

@@ -12,7 +12,7 @@ use rayset::scene::{
     Scene, Shape, Step, TransferFunction,
 };
 use rayset::trace::ExecSettings;
-use rayset::trace::judge::Judge;
+use rayset::trace::reference::ReferenceRenderer;
 
 use crate::common::{Random, folder, paged, picture, settings};
 
@@ -32,7 +32,8 @@ fn random_grid(folder: &Path, size: [u64; 3], kind: VoxelKind) -> Arc<Grid> {
     let layout: RawLayout =
         format!("{}x{}x{},{}", size[0], size[1], size[2], kind.name()).parse().expect("a layout");
     let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
-    build(source, &path, &GridBuildOptions::default(), &mut |_, _| {}).expect("it builds");
+    build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
+        .expect("it builds");
     Arc::new(Grid::open(&path).expect("it opens"))
 }
 
@@ -87,10 +88,10 @@ fn compare(grid: &Arc<Grid>, camera: &Camera, what: &str) -> usize {
         let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
         let paged = paged(&scene, u64::MAX / 2);
         let found = picture(&scene, camera, &settings, &exec, &paged).expect("a picture");
-        let judge = Judge::load(&scene).expect("it loads");
+        let reference_renderer = ReferenceRenderer::load(&scene).expect("it loads");
         for (at, pixel) in found.iter().enumerate() {
             let (x, y) = (at as u32 % SIDE.0, at as u32 / SIDE.0);
-            let exact = judge.pixel(camera, &settings, STEP, x, y).expect("a camera");
+            let exact = reference_renderer.pixel(camera, &settings, STEP, x, y).expect("a camera");
             covered += usize::from(exact[3] > 0.05);
             for channel in 0..4 {
                 let difference = (f64::from(pixel[channel]) - exact[channel]).abs();

@@ -1,4 +1,4 @@
-//! Grid volumes: formats in, files out, and pictures against the judge.
+//! Grid volumes: formats in, files out, and pictures against the reference renderer.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use rayset::scene::{
     Scene, Shape, Solid, Step,
 };
 use rayset::trace::ExecSettings;
-use rayset::trace::judge::Judge;
+use rayset::trace::reference::ReferenceRenderer;
 
 use crate::common::{Random, bits, camera, folder, paged, picture, plain_picture, real_data, settings};
 
@@ -54,7 +54,8 @@ pub(crate) fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
     let layout: RawLayout =
         format!("45x37x52,{},spacing=0.03x0.035x0.028", kind.name()).parse().expect("a layout");
     let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
-    build(source, &path, &GridBuildOptions::default(), &mut |_, _| {}).expect("it builds");
+    build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
+        .expect("it builds");
     Arc::new(Grid::open(&path).expect("it opens"))
 }
 
@@ -82,7 +83,8 @@ fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
         let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
         let options = GridBuildOptions { memory_bytes, temp_dir: Some(folder.path().to_owned()) };
         let path = folder.path().join("v.rset");
-        build(source, &path, &options, &mut |_, _| {}).map(|_| std::fs::read(&path).expect("a read"))
+        build(source, &path, &options, &rayset::build::BuildControl::default())
+            .map(|_| std::fs::read(&path).expect("a read"))
     };
     for kind in VoxelKind::ALL {
         std::fs::write(&raw, voxels(kind, false)).expect("a write");
@@ -114,11 +116,11 @@ fn grids_of_every_kind_of_voxel_agree_with_the_judge() {
             let scene = scene(root);
             let settings = RenderSettings { step: Step::Fixed(0.02), ..settings(SIDE, SIDE) };
             let found = plain_picture(&scene, &settings);
-            let judge = Judge::load(&scene).expect("it loads");
+            let reference_renderer = ReferenceRenderer::load(&scene).expect("it loads");
             let (mut covered, mut wrong) = (0, 0);
             for (at, pixel) in found.iter().enumerate() {
                 let (x, y) = (at as u32 % SIDE, at as u32 / SIDE);
-                let exact = judge.pixel(&camera(), &settings, 0.02, x, y).expect("a camera");
+                let exact = reference_renderer.pixel(&camera(), &settings, 0.02, x, y).expect("a camera");
                 covered += usize::from(exact[3] > 0.1);
                 wrong +=
                     usize::from((0..4).any(|c| !((f64::from(pixel[c]) - exact[c]).abs() <= 1.0 / 1024.0)));
@@ -281,8 +283,9 @@ fn the_same_voxels_come_out_of_every_format() {
     for path in &paths {
         let source = VolumeSource::open(path).unwrap_or_else(|e| panic!("{e}"));
         let built = path.with_extension("rset");
-        let header = build(source, &built, &GridBuildOptions::default(), &mut |_, _| {})
-            .unwrap_or_else(|e| panic!("{e}"));
+        let header =
+            build(source, &built, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
+                .unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((header.size, header.kind), (SIZE, VoxelKind::I16), "{}", path.display());
         let corner = header.space_from_voxel.transform_point3(header.last_voxel());
         assert_eq!(corner, DVec3::new(89.0, 110.0, 207.0), "{}", path.display());
@@ -318,8 +321,13 @@ fn malformed_volumes_are_errors_that_say_where() {
     ] {
         let path = written(f, name, &[text.as_bytes()]);
         let outcome = VolumeSource::open(&path).map_err(|e| e.to_string()).and_then(|source| {
-            build(source, &f.join("out.rset"), &GridBuildOptions::default(), &mut |_, _| {})
-                .map_err(|e| e.to_string())
+            build(
+                source,
+                &f.join("out.rset"),
+                &GridBuildOptions::default(),
+                &rayset::build::BuildControl::default(),
+            )
+            .map_err(|e| e.to_string())
         });
         let message = outcome.expect_err("it is malformed");
         assert!(message.contains(expected), "{name}: {message}");
@@ -339,8 +347,12 @@ fn real_volumes_read() {
         let Some(path) = real_data(name) else { return };
         let folder = folder();
         let source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
-        let header =
-            build(source, &folder.path().join("v.rset"), &GridBuildOptions::default(), &mut |_, _| {});
+        let header = build(
+            source,
+            &folder.path().join("v.rset"),
+            &GridBuildOptions::default(),
+            &rayset::build::BuildControl::default(),
+        );
         let header = header.unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(size.is_none_or(|size| size == header.size), "{name}: {:?}", header.size);
         assert!(header.range.0 < header.range.1, "{name}: {:?}", header.range);

@@ -1,6 +1,6 @@
 //! Promise 2: the right picture, against brute force in `f64` at the same samples.
 
-use rayset::field::judge::JudgeField;
+use rayset::field::reference::ReferenceField;
 use rayset::field::{
     AttributeColumns, Channels, DecodedRun, FieldSamples, Kernel, Packet, RunDecoder, SLAB_SAMPLES,
     SimdLevel, Slab, SplatCounts, Splatter,
@@ -9,7 +9,7 @@ use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::scene::{ColorMap, ColorRule, OpacityRule, RenderSettings, Scene, Step};
-use rayset::trace::judge::Judge;
+use rayset::trace::reference::ReferenceRenderer;
 
 use crate::common::{
     Random, build_at, camera, folder, look, mixed_points, plain_picture, scene, scene_of, settings,
@@ -22,12 +22,12 @@ const DENSITY_BOUND: f64 = 1e-4;
 const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 
 /// The densities, weighted attributes and normals of all samples of some rays through a cloud about the origin, two of a unit
-/// wide, against the judge.
+/// wide, against the reference renderer.
 fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
     let columns =
         AttributeColumns { color: header.has_color, scalars: (0..header.attributes.len()).collect() };
-    let judge = JudgeField::load(cloud, kernel, false, &columns).expect("the cloud reads");
+    let reference_renderer = ReferenceField::load(cloud, kernel, false, &columns).expect("the cloud reads");
     let channels = Channels { gradient: true, attributes: columns.channels() };
     let splatter = Splatter { kernel, channels, simd };
     let decoder = RunDecoder::new(header, kernel, false, columns);
@@ -57,7 +57,7 @@ fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
             })
             .expect("the cloud reads");
         for (lane, (ray, _)) in rays.iter().enumerate().filter(|(l, _)| samples.touched >> l & 1 != 0) {
-            let near = judge.near(ray);
+            let near = reference_renderer.near(ray);
             for j in (0..SLAB_SAMPLES).step_by(3) {
                 let q = ray.at(packet.sample_t(lane, slab.first + j as u64));
                 let exact = near.sample(q);
@@ -116,17 +116,17 @@ fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
     }
 }
 
-/// Random pixels of a picture against the judge; returns how many of them differ by more than the bound.
+/// Random pixels of a picture against the reference renderer; returns how many of them differ by more than the bound.
 fn count_wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64, pixels: usize) -> usize {
     let fast = plain_picture(scene, settings);
-    let judge = Judge::load(scene).expect("it reads");
+    let reference_renderer = ReferenceRenderer::load(scene).expect("it reads");
     let mut random = Random(99);
     let mut wrong = 0;
     let mut covered = 0;
     for _ in 0..pixels {
         let x = (random.unit() * f64::from(settings.width)) as u32;
         let y = (random.unit() * f64::from(settings.height)) as u32;
-        let exact = judge.pixel(&camera(), settings, step, x, y).expect("a camera");
+        let exact = reference_renderer.pixel(&camera(), settings, step, x, y).expect("a camera");
         let found = fast[(y * settings.width + x) as usize];
         covered += usize::from(exact[3] > 0.0);
         let worst = (0..4).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max);

@@ -8,7 +8,7 @@ use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::build::BuildOptions;
 use rayset::points::ArraySource;
-use rayset::scene::{Camera, Phase, RenderSettings, Scene, Step};
+use rayset::scene::{Camera, RenderSettings, SampleOffset, Scene, Step};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, Picture, Region, Session, render_once};
@@ -31,7 +31,10 @@ fn scenes(folder: &std::path::Path) -> Vec<(Scene, RenderSettings)> {
     let plain = settings(48, 40);
     vec![
         (scene(&sphere, Kernel::Triweight, false), plain),
-        (scene(&mixed, Kernel::Wyvill, true), RenderSettings { phase: Phase::Hashed, ..plain }),
+        (
+            scene(&mixed, Kernel::Wyvill, true),
+            RenderSettings { sample_offset: SampleOffset::Hashed, ..plain },
+        ),
     ]
 }
 
@@ -88,7 +91,7 @@ fn tiles_that_are_put_off_become_the_same_pixels() {
         let paged = paged_with(&scene, 1 << 30, slow, false);
         let rendered = render_once(&scene, &camera(), &settings, &exec(2), &paged);
         let (found, counts) = rendered.expect("a picture");
-        assert!(counts.put_off > 0, "nothing was put off");
+        assert!(counts.deferred > 0, "nothing was put off");
         assert!(bits(&found.pixels) == expected);
     }
 }

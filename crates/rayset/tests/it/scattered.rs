@@ -11,8 +11,8 @@ use rayset::octree::build::BuildOptions;
 use rayset::octree::node::NodePage;
 use rayset::points::ArraySource;
 use rayset::scene::{OpacityRule, RenderSettings, Scene, Step};
-use rayset::trace::judge::Judge;
 use rayset::trace::memory::least_pages;
+use rayset::trace::reference::ReferenceRenderer;
 use rayset::trace::{ExecSettings, RenderCounts, render_once};
 
 use crate::common::{
@@ -125,13 +125,13 @@ fn a_ray_through_scattered_points_steps_by_the_finest_that_it_passes_through() {
     let scene = scene_of(object, false);
     let settings = settings(40, 40);
     let fast = plain_picture(&scene, &settings);
-    let judge = Judge::load(&scene).expect("it reads");
+    let reference_renderer = ReferenceRenderer::load(&scene).expect("it reads");
     let (mut wrong, mut fine) = (0, 0);
     for pixel in (0..1600).step_by(7) {
         let (x, y) = (pixel % 40, pixel / 40);
         let step = step_of(&ray_of(x, y), &stored, largest);
         fine += usize::from(step < 0.05 * largest);
-        let exact = judge.pixel(&camera(), &settings, step, x, y).expect("a camera");
+        let exact = reference_renderer.pixel(&camera(), &settings, step, x, y).expect("a camera");
         let found = fast[pixel as usize];
         let worst = (0..4).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max);
         wrong += usize::from(worst > 1.0 / 1024.0);
@@ -171,9 +171,9 @@ fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
     let step = 0.05;
     let settings = RenderSettings { stop_transmittance: 0.0, step: Step::Fixed(step), ..settings(24, 24) };
     let fast = plain_picture(&scene, &settings);
-    let judge = Judge::load(&scene).expect("it reads");
+    let reference_renderer = ReferenceRenderer::load(&scene).expect("it reads");
     for (x, y) in [(12, 12), (8, 12), (12, 17), (6, 6), (17, 9)] {
-        let exact = judge.pixel(&camera(), &settings, step, x, y).expect("a camera");
+        let exact = reference_renderer.pixel(&camera(), &settings, step, x, y).expect("a camera");
         let found = fast[(y * 24 + x) as usize];
         assert!(exact[3] > 0.05, "pixel {x}, {y} shows something");
         for c in 0..4 {

@@ -10,8 +10,8 @@ use rayset::scene::{
     Camera, Form, Light, LightKind, Lighting, Node, NoiseCloud, Operator, Pattern, RenderSettings, Scene,
     Shadows, Shape, Solid, Step,
 };
-use rayset::trace::judge::Judge;
 use rayset::trace::predict::NoPredictor;
+use rayset::trace::reference::ReferenceRenderer;
 use rayset::trace::{ExecSettings, render_once};
 
 use crate::common::{Random, build_at, folder, look, paged, picture, settings};
@@ -256,11 +256,11 @@ fn exact_shadows_of_rods_agree_with_the_judge() {
     let paged = paged(&rods.scene, 1 << 30);
     let exec = ExecSettings::default();
     let found = picture(&rods.scene, &rods.camera, &settings, &exec, &paged).expect("the picture is made");
-    let judge = Judge::load(&rods.scene).expect("nothing is to be read");
+    let reference_renderer = ReferenceRenderer::load(&rods.scene).expect("nothing is to be read");
     let mut wrong = 0;
     for y in 0..side {
         for x in 0..side {
-            let exact = judge.pixel(&rods.camera, &settings, rods.step, x, y).expect("a camera");
+            let exact = reference_renderer.pixel(&rods.camera, &settings, rods.step, x, y).expect("a camera");
             let pixel = found[(y * side + x) as usize];
             wrong += usize::from((0..4).any(|c| !((f64::from(pixel[c]) - exact[c]).abs() <= 1.0 / 1024.0)));
         }

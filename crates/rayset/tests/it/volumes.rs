@@ -40,7 +40,8 @@ fn built_from(path: &Path) -> Result<Vec<u8>, String> {
     let _ = std::fs::remove_file(&output);
     let before = std::fs::read_dir(path.parent().expect("a folder")).expect("it lists").count();
     let built = VolumeSource::open(path).map_err(|e| e.to_string()).and_then(|source| {
-        build(source, &output, &GridBuildOptions::default(), &mut |_, _| {}).map_err(|e| e.to_string())
+        build(source, &output, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
+            .map_err(|e| e.to_string())
     });
     if let Err(what) = built {
         let after = std::fs::read_dir(path.parent().expect("a folder")).expect("it lists").count();
@@ -318,7 +319,8 @@ fn a_library_user_cannot_build_a_grid_that_does_not_open() {
         let mut source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
         change(&mut source);
         let output = folder.path().join("out.rset");
-        let outcome = build(source, &output, &GridBuildOptions::default(), &mut |_, _| {});
+        let outcome =
+            build(source, &output, &GridBuildOptions::default(), &rayset::build::BuildControl::default());
         assert!(outcome.is_err() && !output.exists(), "change {number}");
     }
 }
@@ -361,7 +363,9 @@ fn voxels_that_are_no_numbers_become_0_and_those_too_large_are_errors() {
         let layout: RawLayout = format!("2x2x2,{name}").parse().expect("a layout");
         let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
         let output = folder.path().join("out.rset");
-        let header = build(source, &output, &GridBuildOptions::default(), &mut |_, _| {}).expect("it builds");
+        let header =
+            build(source, &output, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
+                .expect("it builds");
         assert_eq!(header.range, (-2.5, 4.0));
         let loaded = Grid::open(&output).expect("it opens").load().expect("it loads");
         assert_eq!(loaded, [1.5, 0.0, 0.0, 0.0, -2.5, 3.0, 3.25, 4.0]);

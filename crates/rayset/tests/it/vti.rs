@@ -269,7 +269,12 @@ fn values_of_cells_stand_at_their_centres() {
         .replace("0 4 0 3 0 2", "2 7 0 4 0 3");
     std::fs::write(&path, text).expect("a write");
     let source = VolumeSource::open(&path).expect("it opens");
-    let header = build(source, &folder.path().join("a.rset"), &GridBuildOptions::default(), &mut |_, _| {});
+    let header = build(
+        source,
+        &folder.path().join("a.rset"),
+        &GridBuildOptions::default(),
+        &rayset::build::BuildControl::default(),
+    );
     let header = header.expect("it builds");
     assert_eq!(header.size, SIZE);
     assert_eq!(header.space_from_voxel.translation.to_array(), [2.5, 1.0, 1.5]);

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use rayset::points::{PointSource, Workload};
 use rayset::scene::CloudObject;
-use rayset::trace::judge::PointField;
+use rayset::trace::reference::PointField;
 
 use super::super::{Setting, Subject, differing, median, scan_or};
 use crate::cells::{CellField, Cells, Division, Taken};

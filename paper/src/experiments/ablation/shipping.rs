@@ -104,9 +104,9 @@ fn changes(setting: &Setting) -> Vec<Change> {
         change("predictor", "line".into(), Arc::new(LinePredictor)),
     ];
     let usual = PacketPredictor::default();
-    for blocks_ahead in setting.pick(&[1][..], &[0, 1, 4, 64][..]) {
-        let predictor = PacketPredictor { blocks_ahead: *blocks_ahead, ..usual };
-        all.push(change("blocks ahead", blocks_ahead.to_string(), Arc::new(predictor)));
+    for tiles_ahead in setting.pick(&[1][..], &[0, 1, 4, 64][..]) {
+        let predictor = PacketPredictor { tiles_ahead: *tiles_ahead, ..usual };
+        all.push(change("blocks ahead", tiles_ahead.to_string(), Arc::new(predictor)));
     }
     for slabs_on_a_miss in setting.pick(&[1][..], &[0, 1, 4, 8][..]) {
         let predictor = PacketPredictor { slabs_on_a_miss: *slabs_on_a_miss, ..usual };

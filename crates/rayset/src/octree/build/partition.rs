@@ -1,7 +1,7 @@
 //! Ordering more records than fit in memory: count, plan, scatter into buckets, sort each in memory.
 //!
 //! A stretch too large for memory is partitioned again: a subtree by the same scheme one level further down, a
-//! node's own list by the bits of its Morton codes and, where even these are equal, by the bytes of its records.
+//! node's own list by the bits of its Hilbert codes and, where even these are equal, by the bytes of its records.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -289,7 +289,7 @@ impl<'a> Partition<'a> {
         Ok(())
     }
 
-    /// Bits of a record's place in its list: first the Morton code, then the bytes of the record.
+    /// Bits of a record's place in its list: first the Hilbert code, then the bytes of the record.
     fn window(&self, record: &[u8], window: u32) -> usize {
         if window < CODE_WINDOWS {
             (self.keys.key(record).code() >> (60 - 10 * (window + 1)) & 1023) as usize
@@ -400,7 +400,7 @@ impl<'a> Partition<'a> {
 
 /// Records that a thread reads at a time.
 const CHUNK_RECORDS: u64 = 8192;
-/// Windows of ten bits of a Morton code of 60.
+/// Windows of ten bits of a Hilbert code of 60.
 const CODE_WINDOWS: u32 = 6;
 const WINDOW_CELLS: usize = 1024;
 

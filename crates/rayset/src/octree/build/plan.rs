@@ -11,7 +11,7 @@ pub(super) const LEAF_POINTS: u64 = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Cell {
     pub(super) level: u32,
-    /// Number among all cells of its level, in Morton order.
+    /// Number among all cells of its level, in Hilbert order.
     pub(super) number: u64,
 }
 

@@ -71,7 +71,7 @@ pub(super) fn radius(record: &[u8]) -> f32 {
     float(record, POSITION_BYTES)
 }
 
-/// Orders records as the file does, save for ties: curve prefix at the owner's level (60 bits), level (5), Morton
+/// Orders records as the file does, save for ties: curve prefix at the owner's level (60 bits), level (5), Hilbert
 /// code (60).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key(u128);

@@ -22,7 +22,7 @@ const RADII_PER_DISTANCE: f64 = 1.5;
 
 /// Writes all records again, each with a radius.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
-    // Owners do not matter yet: with a vanishing radius every point is ordered by its Morton code alone.
+    // Owners do not matter yet: with a vanishing radius every point is ordered by its Hilbert code alone.
     let keys = KeyMaker { root: ingested.root, radius: Some(f32::MIN_POSITIVE) };
     let stride = ingested.layout.stride();
     let partition = Partition::new(context, stride, keys, ingested.count, Stage::Spacing);

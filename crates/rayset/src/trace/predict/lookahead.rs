@@ -1,31 +1,32 @@
-//! What is ahead of the tile being traced, block after block: pages are hinted at as room allows, given up when their
-//! block has gone by without them, and retired when no later block can want them.
+//! What is ahead of the tile being traced. The picture is divided into look-ahead tiles of 32 × 32 pixels: the pages of those
+//! to come are hinted at as room allows, given up when their look-ahead tile has gone by without them, and retired when no
+//! later one can want them.
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use super::scout::{Expected, Scout, Terrain};
+use super::probe::{Expected, OctreeView, ProbeRays};
 use crate::field::LANES;
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
 use crate::trace::cloud_volume::CloudVolume;
-use crate::trace::view::{BLOCK_PIXELS, Region, Tile};
+use crate::trace::view::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
 use crate::trace::world::World;
 use crate::working_set::{Object, PageClient};
 
 /// What is known of the picture being made: where rays will go.
 #[derive(Clone, Copy)]
 pub struct Lookahead<'a> {
-    pub(in crate::trace) course: &'a Course,
+    pub(in crate::trace) state: &'a LookaheadState,
     pub(in crate::trace) world: &'a World,
     pub(in crate::trace) rays: &'a RayMaker,
     pub(in crate::trace) pages: &'a PageClient,
 }
 
-/// The way that a render takes through its picture, block after block, and what has been seen ahead on it.
-pub(in crate::trace) struct Course {
+/// The way that a render takes through its picture, and what has been seen ahead on it.
+pub(in crate::trace) struct LookaheadState {
     /// Every cloud of the graph, by its instruction, and what is expected of it.
     clouds: Vec<(usize, Expected)>,
     /// Bytes of the largest page.
@@ -35,14 +36,14 @@ pub(in crate::trace) struct Course {
     threads: usize,
     columns: u32,
     rows: u32,
-    /// Blocks in the order in which tiles come to them; a block may come several times.
+    /// Look-ahead tiles in the order in which tiles come to them; a look-ahead tile may come several times.
     order: Vec<(u32, u32)>,
-    /// For each tile, the place of its block in that order.
+    /// For each tile, the place of its look-ahead tile in that order.
     of_tile: Vec<u32>,
-    /// Place where each block comes last.
+    /// Place where each look-ahead tile comes last.
     last_place: Vec<u32>,
     queue: Mutex<Queue>,
-    /// Pages of the budget that the blocks being traced do not need themselves.
+    /// Pages of the budget that the look-ahead tiles being traced do not need themselves.
     spare_pages: AtomicU64,
 }
 
@@ -53,20 +54,20 @@ struct PageId {
     page: u32,
 }
 
-/// Blocks are known by their place along the curve.
+/// Look-ahead tiles are known by their place along the curve.
 #[derive(Default)]
 struct Queue {
-    /// Next block to be looked at.
+    /// Next look-ahead tile to be looked at.
     next: u32,
-    /// Block for which pages were last retired.
+    /// NodeSamples for which pages were last retired.
     retired_at: u32,
-    /// Pages that are wanted and not yet hinted at: the block that wants each first, their order in that, the page.
+    /// Pages that are wanted and not yet hinted at: the look-ahead tile that wants each first, their order in that, the page.
     waiting: BTreeSet<(u32, u32, PageId)>,
-    /// Pages seen ahead that some block to come may meet.
+    /// Pages seen ahead that some look-ahead tile to come may meet.
     seen: HashMap<PageId, Seen>,
     /// Pages seen so far, for their order.
     sights: u32,
-    /// The blocks that have been looked at and not yet traced, and how many pages each wants.
+    /// The look-ahead tiles that have been looked at and not yet traced, and how many pages each wants.
     demands: VecDeque<(u32, u64)>,
 }
 
@@ -74,22 +75,22 @@ struct Queue {
 struct Seen {
     /// Its place among those waiting.
     waits: Option<(u32, u32)>,
-    /// The last block known to want it.
+    /// The last look-ahead tile known to want it.
     wanted_by: u32,
-    /// The last block whose rays can meet it.
+    /// The last look-ahead tile whose rays can meet it.
     use_by: u32,
 }
 
 impl Queue {
-    /// Notes that a block wants a page.
-    fn want(&mut self, page: PageId, block: u32, use_by: u32) {
+    /// Notes that a look-ahead tile wants a page.
+    fn want(&mut self, page: PageId, lookahead_tile: u32, use_by: u32) {
         self.sights += 1;
-        let key = (block, self.sights);
-        let seen = self.seen.entry(page).or_insert(Seen { waits: None, wanted_by: block, use_by });
-        seen.wanted_by = seen.wanted_by.max(block);
+        let key = (lookahead_tile, self.sights);
+        let seen = self.seen.entry(page).or_insert(Seen { waits: None, wanted_by: lookahead_tile, use_by });
+        seen.wanted_by = seen.wanted_by.max(lookahead_tile);
         seen.use_by = seen.use_by.max(use_by);
         match seen.waits {
-            Some(earlier) if earlier.0 <= block => return,
+            Some(earlier) if earlier.0 <= lookahead_tile => return,
             Some(later) => drop(self.waiting.remove(&(later.0, later.1, page))),
             None => {}
         }
@@ -108,24 +109,25 @@ impl Queue {
     }
 }
 
-impl Course {
+impl LookaheadState {
     /// The way through some tiles in their order, which is not empty.
     pub(in crate::trace) fn new(world: &World, tiles: &[Tile], threads: usize) -> Self {
         let region = Region::around(tiles);
-        let first = (region.columns.start / BLOCK_PIXELS, region.rows.start / BLOCK_PIXELS);
-        let columns = region.columns.end.div_ceil(BLOCK_PIXELS) - first.0;
-        let rows = region.rows.end.div_ceil(BLOCK_PIXELS) - first.1;
+        let first = (region.columns.start / LOOKAHEAD_TILE_PIXELS, region.rows.start / LOOKAHEAD_TILE_PIXELS);
+        let columns = region.columns.end.div_ceil(LOOKAHEAD_TILE_PIXELS) - first.0;
+        let rows = region.rows.end.div_ceil(LOOKAHEAD_TILE_PIXELS) - first.1;
         let mut order: Vec<(u32, u32)> = Vec::new();
         let mut of_tile = Vec::with_capacity(tiles.len());
         let mut last_place = vec![0; columns as usize * rows as usize];
         for tile in tiles {
-            let block = (tile.x / BLOCK_PIXELS - first.0, tile.y / BLOCK_PIXELS - first.1);
-            if order.last() != Some(&block) {
-                order.push(block);
+            let lookahead_tile =
+                (tile.x / LOOKAHEAD_TILE_PIXELS - first.0, tile.y / LOOKAHEAD_TILE_PIXELS - first.1);
+            if order.last() != Some(&lookahead_tile) {
+                order.push(lookahead_tile);
             }
             let place = order.len() as u32 - 1;
             of_tile.push(place);
-            last_place[(block.1 * columns + block.0) as usize] = place;
+            last_place[(lookahead_tile.1 * columns + lookahead_tile.0) as usize] = place;
         }
         let stop = world.absorption.stop_transmittance as f32;
         let seen = world.program.clouds().filter(|(_, volume)| volume.header().points > 0);
@@ -147,18 +149,18 @@ impl Course {
 }
 
 impl<'a> Lookahead<'a> {
-    /// Looks at so many blocks beyond that of a tile, and hints at what there is room for.
-    pub(super) fn scout(&self, tile: usize, blocks_ahead: u32) {
-        if self.course.clouds.is_empty() {
+    /// Looks at so many look-ahead tiles beyond that of a tile, and hints at what there is room for.
+    pub(super) fn scout(&self, tile: usize, tiles_ahead: u32) {
+        if self.state.clouds.is_empty() {
             return;
         }
         // One thread at a time; the others have tiles to trace.
-        let Ok(mut queue) = self.course.queue.try_lock() else { return };
-        let here = self.course.of_tile[tile];
+        let Ok(mut queue) = self.state.queue.try_lock() else { return };
+        let here = self.state.of_tile[tile];
         self.retire(&mut queue, here);
         queue.next = queue.next.max(here);
-        let until = here.saturating_add(1).saturating_add(blocks_ahead).min(self.course.order.len() as u32);
-        // Of those, this block and the next are looked at in any case, to know how much room they need.
+        let until = here.saturating_add(1).saturating_add(tiles_ahead).min(self.state.order.len() as u32);
+        // Of those, this look-ahead tile and the next are looked at in any case, to know how much room they need.
         while queue.next < until
             && (self.hint(&mut queue, here) || queue.next <= here + 1)
             && self.look(queue.next, &mut queue)
@@ -167,22 +169,22 @@ impl<'a> Lookahead<'a> {
         }
     }
 
-    /// How many tiles a thread may put off: as many as there is room for besides what is being traced. Where rays need
+    /// How many tiles a thread may deferred: as many as there is room for besides what is being traced. Where rays need
     /// most of the budget at a time, going elsewhere meanwhile would only drive their pages out.
-    pub(in crate::trace) fn tiles_to_put_off(&self) -> usize {
+    pub(in crate::trace) fn tiles_to_defer(&self) -> usize {
         /// Enough to cover a slow disk.
         const MOST: u64 = 32;
-        /// Pages that a tile may bring in before it is put off once more.
+        /// Pages that a tile may bring in before it is deferred once more.
         const PAGES_EACH: u64 = 4;
-        let spare = self.course.spare_pages.load(Ordering::Relaxed);
-        (spare / (PAGES_EACH * self.course.threads as u64)).min(MOST) as usize
+        let spare = self.state.spare_pages.load(Ordering::Relaxed);
+        (spare / (PAGES_EACH * self.state.threads as u64)).min(MOST) as usize
     }
 
     /// Hints at the pages that wait; false where there was no room for some.
     fn hint(&self, queue: &mut Queue, here: u32) -> bool {
-        /// More than this part of the budget would leave too little for pages to be met again by later blocks.
+        /// More than this part of the budget would leave too little for pages to be met again by later look-ahead tiles.
         const MOST_OF_BUDGET: u64 = 4;
-        let spare = self.spare(queue, here) * self.course.page_bytes;
+        let spare = self.spare(queue, here) * self.state.page_bytes;
         let most = spare.min(self.pages.share_bytes() / MOST_OF_BUDGET);
         if most == 0 {
             return false;
@@ -202,7 +204,7 @@ impl<'a> Lookahead<'a> {
 
     fn clouds(&self) -> impl Iterator<Item = (&'a CloudVolume, &'a Expected)> + use<'a> {
         let world = self.world;
-        let clouds = self.course.clouds.iter();
+        let clouds = self.state.clouds.iter();
         clouds.filter_map(|(at, expected)| world.program.cloud(*at).map(|volume| (volume, expected)))
     }
 
@@ -221,19 +223,19 @@ impl<'a> Lookahead<'a> {
         }
     }
 
-    /// Pages of the budget that the blocks being traced do not need themselves.
+    /// Pages of the budget that the look-ahead tiles being traced do not need themselves.
     fn spare(&self, queue: &mut Queue, here: u32) -> u64 {
-        let past = queue.demands.iter().take_while(|&&(block, _)| block < here).count();
+        let past = queue.demands.iter().take_while(|&&(lookahead_tile, _)| lookahead_tile < here).count();
         queue.demands.drain(..past);
         // Columns are taken over page by page, and threads may be in different ones.
-        let columns = queue.demands.iter().take(self.course.threads).map(|&(_, pages)| pages);
-        let budget = self.pages.share_bytes() / self.course.page_bytes;
+        let columns = queue.demands.iter().take(self.state.threads).map(|&(_, pages)| pages);
+        let budget = self.pages.share_bytes() / self.state.page_bytes;
         let spare = budget.saturating_sub(columns.sum());
-        self.course.spare_pages.store(spare, Ordering::Relaxed);
+        self.state.spare_pages.store(spare, Ordering::Relaxed);
         spare
     }
 
-    /// Gives up the pages whose blocks have gone by, one block late: other threads may still be there.
+    /// Gives up the pages whose look-ahead tiles have gone by, one look-ahead tile late: other threads may still be there.
     fn retire(&self, queue: &mut Queue, here: u32) {
         if here <= queue.retired_at {
             return;
@@ -245,8 +247,8 @@ impl<'a> Lookahead<'a> {
         queue.seen.retain(|&page, seen| {
             if (from..here).contains(&seen.wanted_by) {
                 unused.push(page);
-                if let Some((block, order)) = seen.waits.take() {
-                    waiting.remove(&(block, order, page));
+                if let Some((lookahead_tile, order)) = seen.waits.take() {
+                    waiting.remove(&(lookahead_tile, order, page));
                 }
             }
             if seen.use_by < here {
@@ -258,36 +260,36 @@ impl<'a> Lookahead<'a> {
         self.by_file(finished, |object, pages| self.pages.retire(object, pages));
     }
 
-    /// Place along the curve of the last block whose rays may meet a box.
-    fn last_block(&self, bounds: &Aabb) -> u32 {
+    /// Place along the curve of the last look-ahead tile whose rays may meet a box.
+    fn last_visit(&self, bounds: &Aabb) -> u32 {
         let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         for corner in 0..8 {
             let pick = |bit: u32, axis: usize| {
                 if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] }
             };
             let Some((x, y)) = self.rays.project(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2))) else {
-                return self.course.order.len() as u32;
+                return self.state.order.len() as u32;
             };
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
         }
         let index = |v: f64, start: u32, count: u32| {
-            let first = f64::from(start / BLOCK_PIXELS);
-            (v / f64::from(BLOCK_PIXELS) - first).clamp(0.0, f64::from(count - 1)) as u32
+            let first = f64::from(start / LOOKAHEAD_TILE_PIXELS);
+            (v / f64::from(LOOKAHEAD_TILE_PIXELS) - first).clamp(0.0, f64::from(count - 1)) as u32
         };
-        let course = self.course;
-        let columns = index(low.0, course.region.columns.start, course.columns)
-            ..=index(high.0, course.region.columns.start, course.columns);
-        let rows = index(low.1, course.region.rows.start, course.rows)
-            ..=index(high.1, course.region.rows.start, course.rows);
-        rows.flat_map(|j| columns.clone().map(move |i| course.last_place[(j * course.columns + i) as usize]))
+        let state = self.state;
+        let columns = index(low.0, state.region.columns.start, state.columns)
+            ..=index(high.0, state.region.columns.start, state.columns);
+        let rows = index(low.1, state.region.rows.start, state.rows)
+            ..=index(high.1, state.region.rows.start, state.rows);
+        rows.flat_map(|j| columns.clone().map(move |i| state.last_place[(j * state.columns + i) as usize]))
             .max()
             .unwrap_or(0)
     }
 
-    /// Lists the pages that a block wants; false where node pages were absent, which are then on their way.
+    /// Lists the pages that a look-ahead tile wants; false where node pages were absent, which are then on their way.
     fn look(&self, at: u32, queue: &mut Queue) -> bool {
-        let (i, j) = self.course.order[at as usize];
+        let (i, j) = self.state.order[at as usize];
         let rays = self.rays_of(i, j);
         let (mut complete, mut pages) = (true, 0);
         for (volume, expected) in self.clouds() {
@@ -297,7 +299,7 @@ impl<'a> Lookahead<'a> {
             match view.node_at(root.page, root.index) {
                 Some(root) => {
                     let rays = rays.map(|ray| volume.local_ray(&ray));
-                    Scout::new(self.world.program.simd, &rays).explore(root, expected, &mut view);
+                    ProbeRays::new(self.world.program.simd, &rays).explore(root, expected, &mut view);
                 }
                 None => view.absent_nodes.push(volume.first_node_page + root.page),
             }
@@ -312,13 +314,14 @@ impl<'a> Lookahead<'a> {
         complete
     }
 
-    /// Rays on the edges and within a block.
+    /// Rays on the edges and within a look-ahead tile.
     fn rays_of(&self, i: u32, j: u32) -> [Ray; LANES] {
-        let Region { columns, rows } = &self.course.region;
-        let x0 = ((columns.start / BLOCK_PIXELS + i) * BLOCK_PIXELS).max(columns.start);
-        let y0 = ((rows.start / BLOCK_PIXELS + j) * BLOCK_PIXELS).max(rows.start);
-        let x1 = (x0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(columns.end);
-        let y1 = (y0 / BLOCK_PIXELS * BLOCK_PIXELS + BLOCK_PIXELS).min(rows.end);
+        let Region { columns, rows } = &self.state.region;
+        let x0 = ((columns.start / LOOKAHEAD_TILE_PIXELS + i) * LOOKAHEAD_TILE_PIXELS).max(columns.start);
+        let y0 = ((rows.start / LOOKAHEAD_TILE_PIXELS + j) * LOOKAHEAD_TILE_PIXELS).max(rows.start);
+        let x1 =
+            (x0 / LOOKAHEAD_TILE_PIXELS * LOOKAHEAD_TILE_PIXELS + LOOKAHEAD_TILE_PIXELS).min(columns.end);
+        let y1 = (y0 / LOOKAHEAD_TILE_PIXELS * LOOKAHEAD_TILE_PIXELS + LOOKAHEAD_TILE_PIXELS).min(rows.end);
         std::array::from_fn(|lane| {
             let (u, v) = (lane % 8, lane / 8);
             let x = f64::from(x0) + f64::from(x1 - x0) * u as f64 / 7.0;
@@ -328,7 +331,7 @@ impl<'a> Lookahead<'a> {
     }
 }
 
-/// The octree of a cloud as far as it is in memory, seen for one block.
+/// The octree of a cloud as far as it is in memory, seen for one look-ahead tile.
 struct View<'v, 'a> {
     ahead: &'v Lookahead<'a>,
     volume: &'a CloudVolume,
@@ -348,7 +351,7 @@ impl View<'_, '_> {
     }
 }
 
-impl Terrain for View<'_, '_> {
+impl OctreeView for View<'_, '_> {
     fn bounds(&self, node: &Node) -> Aabb {
         node.bounds(self.volume.root_cell)
     }
@@ -372,7 +375,7 @@ impl Terrain for View<'_, '_> {
         let pages = self.volume.own_pages(node);
         if !pages.is_empty() {
             self.pages += pages.len() as u64;
-            let use_by = self.ahead.last_block(&self.volume.bounds_world_of(node));
+            let use_by = self.ahead.last_visit(&self.volume.bounds_world_of(node));
             let file = self.volume.file;
             pages.for_each(|page| self.queue.want(PageId { file, page }, self.at, use_by));
         }

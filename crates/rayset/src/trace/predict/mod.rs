@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 mod lookahead;
-mod scout;
+mod probe;
 
-pub(super) use lookahead::Course;
 pub use lookahead::Lookahead;
+pub(super) use lookahead::LookaheadState;
 
 /// Turns known rays, or past accesses, into hints.
 pub trait Predictor: Send + Sync {
@@ -14,7 +14,7 @@ pub trait Predictor: Send + Sync {
     fn ahead(&self, lookahead: Lookahead<'_>, tile: usize);
 
     /// Where a packet meets a page that is absent: how many of the slabs that come next it asks for the pages of, in one
-    /// batch, before its tile is put off until they are there. Where 0, it waits for each page as it comes to it.
+    /// batch, before its tile is deferred until they are there. Where 0, it waits for each page as it comes to it.
     fn slabs_on_a_miss(&self) -> u64;
 
     /// Whether a packet asks, after each slab, for the first absent page that comes next on the line of its samples.
@@ -93,24 +93,24 @@ impl Predictor for LinePredictor {
 
 /// The rays of the next tiles are known: walks the octree ahead of them, a block of tiles at a time, and hints at the
 /// pages that they will meet before they end. Where that falls short, the packet that misses a page asks for what its
-/// own next slabs need, and its tile is put off until that is there.
+/// own next slabs need, and its tile is deferred until that is there.
 #[derive(Clone, Copy, Debug)]
 pub struct PacketPredictor {
     /// Blocks of 32×32 pixels looked at ahead of the one that is traced; 0 for that one alone.
-    pub blocks_ahead: u32,
+    pub tiles_ahead: u32,
     /// Slabs whose pages a packet asks for at once where it misses one; 0 to wait for each page as it comes.
     pub slabs_on_a_miss: u64,
 }
 
 impl Default for PacketPredictor {
     fn default() -> Self {
-        Self { blocks_ahead: 16, slabs_on_a_miss: 2 }
+        Self { tiles_ahead: 16, slabs_on_a_miss: 2 }
     }
 }
 
 impl Predictor for PacketPredictor {
     fn ahead(&self, lookahead: Lookahead<'_>, tile: usize) {
-        lookahead.scout(tile, self.blocks_ahead);
+        lookahead.scout(tile, self.tiles_ahead);
     }
 
     fn slabs_on_a_miss(&self) -> u64 {

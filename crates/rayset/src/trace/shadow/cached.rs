@@ -1,53 +1,53 @@
-//! Shadows from tables of the light's own rays: each block a pure function of scene, light and block, made when it is
+//! Shadows from tables of the light's own rays: each tile a pure function of scene, light and tile, made when it is
 //! first wanted, evicted like any page and made again to the same bits.
 //!
 //! Between rays a table can only blend: it knows edges of shadows to a cell. Where the rays around a sample differ so much
 //! that its pixel would show it, the sample is left to a ray of its own, a small part of all where shadows are larger than
-//! cells. The decision is a function of sample and block alone, so no execution setting changes it.
+//! cells. The decision is a function of sample and tile alone, so no execution setting changes it.
 
 use std::io;
 use std::sync::Arc;
 
-use super::curve::{self, CurveBuilder};
-use super::map::{BLOCK_CELLS, LightMap, Texel};
+use super::map::{LightMap, TILE_CELLS, Texel};
+use super::transmittance::{self, TransmittanceBuilder};
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::scene::{Light, Lighting, Scene, Shadows};
 use crate::trace::access::{Access, Halt};
-use crate::trace::block::{Block, STEPS_TO_BOUNDARY, each_lane};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::March;
+use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY, each_lane};
 use crate::trace::program::Program;
 use crate::trace::world::World;
 use crate::working_set::read::Storage;
 use crate::working_set::{Kind, Object, PageGuard, PageSource, WorkingSet};
 
-/// Bytes of a block.
-pub(in crate::trace) const BLOCK_BYTES: usize = 16 << 10;
-const CORNERS: u32 = BLOCK_CELLS + 1;
+/// Bytes of a tile.
+pub(in crate::trace) const SHADOW_TILE_BYTES: usize = 16 << 10;
+const CORNERS: u32 = TILE_CELLS + 1;
 
 /// The table of one light.
-pub(in crate::trace) struct LightTable {
+pub(in crate::trace) struct DeepShadowMap {
     map: LightMap,
-    blocks: Arc<Object>,
+    tiles: Arc<Object>,
     pages: WorkingSet,
 }
 
-impl LightTable {
-    /// Blocks that the tables of a scene have in all.
-    pub(in crate::trace) fn blocks_of(scene: &Scene, shadows: Shadows) -> u64 {
+impl DeepShadowMap {
+    /// Tiles that the tables of a scene have in all.
+    pub(in crate::trace) fn tiles_of(scene: &Scene, shadows: Shadows) -> u64 {
         let (Lighting::Lit(lights), Shadows::Cached { resolution }) = (&scene.lighting, shadows) else {
             return 0;
         };
         let bounds = scene.root.bounds();
         let maps = lights.iter().filter(|light| light.throws_shadows());
         maps.filter_map(|light| LightMap::new(light, &bounds, resolution))
-            .map(|map| u64::from(map.blocks()))
+            .map(|map| u64::from(map.tiles()))
             .sum()
     }
 
-    /// For a light that throws shadows, over a scene; nothing for one that has no rays.
+    /// For a light that throws shadows, over a scene; `None` for one that has no rays.
     pub(in crate::trace) fn new(
         light: &Light,
         bounds: &Aabb,
@@ -55,23 +55,23 @@ impl LightTable {
         pages: &WorkingSet,
     ) -> Option<Self> {
         let map = LightMap::new(light, bounds, resolution)?;
-        let blocks = pages.add(Arc::new(BlockSource { blocks: map.blocks() }));
-        Some(Self { map, blocks, pages: pages.clone() })
+        let tiles = pages.add(Arc::new(TileSource { tiles: map.tiles() }));
+        Some(Self { map, tiles, pages: pages.clone() })
     }
 }
 
-impl Drop for LightTable {
+impl Drop for DeepShadowMap {
     fn drop(&mut self) {
-        self.pages.forget(&self.blocks);
+        self.pages.forget(&self.tiles);
     }
 }
 
-/// Blocks as pages that are made, not read.
-struct BlockSource {
-    blocks: u32,
+/// Tiles as pages that are made, not read.
+struct TileSource {
+    tiles: u32,
 }
 
-impl Storage for BlockSource {
+impl Storage for TileSource {
     fn length(&self) -> io::Result<u64> {
         Ok(0)
     }
@@ -81,13 +81,13 @@ impl Storage for BlockSource {
     }
 }
 
-impl PageSource for BlockSource {
+impl PageSource for TileSource {
     fn pages(&self) -> u32 {
-        self.blocks
+        self.tiles
     }
 
     fn page_bytes(&self) -> usize {
-        BLOCK_BYTES
+        SHADOW_TILE_BYTES
     }
 
     fn kind(&self, _: u32) -> Kind {
@@ -99,7 +99,7 @@ impl PageSource for BlockSource {
     }
 
     fn storage(&self) -> Arc<dyn Storage> {
-        Arc::new(Self { blocks: 0 })
+        Arc::new(Self { tiles: 0 })
     }
 
     fn check(&self, _: u32, _: &[u8]) -> Result<(), String> {
@@ -111,14 +111,14 @@ impl PageSource for BlockSource {
     }
 }
 
-/// Looks shadows up between the rays of a light, and makes the blocks that are missing.
-pub(super) struct ShadowTables<'a> {
-    maker: BlockMaker<'a>,
+/// Looks shadows up between the rays of a light, and makes the tiles that are missing.
+pub(super) struct DeepShadowLookups<'a> {
+    maker: TileMaker<'a>,
 }
 
-impl<'a> ShadowTables<'a> {
+impl<'a> DeepShadowLookups<'a> {
     pub(super) fn new(world: &'a World, program: &'a Program, slab_samples: usize) -> Self {
-        let maker = BlockMaker {
+        let maker = TileMaker {
             world,
             program,
             march: March::new(program, slab_samples),
@@ -135,36 +135,36 @@ impl<'a> ShadowTables<'a> {
         &mut self,
         access: Access<'_>,
         light: &Light,
-        table: &LightTable,
+        table: &DeepShadowMap,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         shares: &Shares,
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<[u32; LANES], Halt> {
         let mut undecided = [0_u32; LANES];
-        // The block looked at last stays retained: neighbours mostly share it.
+        // The tile looked at last stays retained: neighbours mostly share it.
         let mut last: Option<(u32, PageGuard)> = None;
         let mut lanes = shares.lanes();
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
             for j in (0..slab.samples).filter(|j| shares.samples[lane] >> j & 1 == 1) {
-                let place = super::lit_place(packet, block, lane, slab.first + j as u64, j);
+                let place = super::lit_place(packet, node, lane, slab.first + j as u64, j);
                 let Some(texel) = table.map.texel(place) else {
                     rows[lane].0[j] = 1.0;
                     continue;
                 };
-                if last.as_ref().is_none_or(|(number, _)| *number != texel.block) {
+                if last.as_ref().is_none_or(|(number, _)| *number != texel.tile) {
                     drop(last.take());
                     let compute =
-                        |bytes: &mut [u8]| self.maker.make(access, table, texel.block, bytes, counts);
-                    let guard = access.pages.retain_computed(&table.blocks, texel.block, compute)?;
-                    last = Some((texel.block, guard));
+                        |bytes: &mut [u8]| self.maker.make(access, table, texel.tile, bytes, counts);
+                    let guard = access.pages.retain_computed(&table.tiles, texel.tile, compute)?;
+                    last = Some((texel.tile, guard));
                 }
                 let Some((_, guard)) = &last else { continue };
-                let lookup = Lookup::new(light, packet, block, (lane, j), place, &texel);
+                let lookup = Lookup::new(light, packet, node, (lane, j), place, &texel);
                 let corners = lookup.corners(guard, &texel);
                 rows[lane].0[j] = between(corners, texel.within);
                 let doubt = spread(corners) * lookup.scattered * shares.share[lane].0[j];
@@ -197,20 +197,20 @@ impl Lookup {
     fn new(
         light: &Light,
         packet: &Packet,
-        block: &Block,
+        node: &NodeSamples,
         (lane, j): (usize, usize),
         place: DVec3,
         texel: &Texel,
     ) -> Self {
-        let distance = texel.distance - packet.phase(lane) * packet.step_world();
-        let normal = block.normal_at(lane, j);
+        let distance = texel.distance - packet.sample_offset(lane) * packet.step_world();
+        let normal = node.normal_at(lane, j);
         let Some((toward, _)) = super::toward(light, place).filter(|_| normal != DVec3::ZERO) else {
             // Without a shading vector nothing is scattered.
             return Self { distance, slope: (0.0, 0.0), scattered: 0.0 };
         };
         let cosine = normal.dot(toward);
         let scattered = cosine.abs() as f32;
-        if f64::from(block.boundary[lane].0[j]).abs() > STEPS_TO_BOUNDARY * packet.step_world() {
+        if f64::from(node.boundary[lane].0[j]).abs() > STEPS_TO_BOUNDARY * packet.step_world() {
             return Self { distance, slope: (0.0, 0.0), scattered };
         }
         let gradient = (normal / cosine - toward).clamp_length_max(STEEPEST);
@@ -226,7 +226,7 @@ impl Lookup {
             let ray = (texel.cell.1 + k) * CORNERS + texel.cell.0 + i;
             let (right, up) = (f64::from(i) - texel.within.0, f64::from(k) - texel.within.1);
             let distance = self.distance + right * self.slope.0 + up * self.slope.1;
-            curve::transmittance(page, (CORNERS * CORNERS) as usize, ray as usize, distance as f32)
+            transmittance::transmittance(page, (CORNERS * CORNERS) as usize, ray as usize, distance as f32)
         })
     }
 }
@@ -245,7 +245,7 @@ fn spread(corners: [f32; 4]) -> f32 {
 }
 
 /// Traces the rays of a light.
-struct BlockMaker<'a> {
+struct TileMaker<'a> {
     world: &'a World,
     program: &'a Program,
     march: March<'a>,
@@ -253,30 +253,30 @@ struct BlockMaker<'a> {
     shares: Shares,
 }
 
-impl BlockMaker<'_> {
-    /// Makes a block.
+impl TileMaker<'_> {
+    /// Makes a tile.
     fn make(
         &mut self,
         access: Access<'_>,
-        table: &LightTable,
-        block: u32,
+        table: &DeepShadowMap,
+        tile: u32,
         bytes: &mut [u8],
         counts: &mut RenderCounts,
     ) -> Result<(), Halt> {
-        let rays: Vec<(Ray, f64)> = table.map.rays(block).into_iter().map(|ray| (ray, 0.5)).collect();
-        let mut curves: Vec<CurveBuilder> = vec![CurveBuilder::new(); rays.len()];
+        let rays: Vec<(Ray, f64)> = table.map.rays(tile).into_iter().map(|ray| (ray, 0.5)).collect();
+        let mut curves: Vec<TransmittanceBuilder> = vec![TransmittanceBuilder::new(); rays.len()];
         for group in self.world.steps.groups(access, self.program, &rays)? {
             let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
             let packet = Packet::new(&members, group.step);
             counts.shadow_rays += members.len() as u64;
             self.states.fill(RayState::START);
             self.march.begin(&packet);
-            let mut scratch = self.march.block();
+            let mut scratch = self.march.node_samples();
             let outcome = self.pass(access, &packet, &group.members, &mut scratch, &mut curves, counts);
             self.march.give_back(scratch);
             outcome?;
         }
-        curve::encode(curves.into_iter().map(CurveBuilder::finish).collect(), bytes);
+        transmittance::encode(curves.into_iter().map(TransmittanceBuilder::finish).collect(), bytes);
         Ok(())
     }
 
@@ -285,8 +285,8 @@ impl BlockMaker<'_> {
         access: Access<'_>,
         packet: &Packet,
         members: &[usize],
-        block: &mut Block,
-        curves: &mut [CurveBuilder],
+        node: &mut NodeSamples,
+        curves: &mut [TransmittanceBuilder],
         counts: &mut RenderCounts,
     ) -> Result<(), Halt> {
         let mut going = packet.all();
@@ -295,11 +295,11 @@ impl BlockMaker<'_> {
             && let Some(slab) = self.march.next_slab(from)
         {
             from = slab.end();
-            self.march.evaluate(access, packet, slab, going, counts, block)?;
+            self.march.evaluate(access, packet, slab, going, counts, node)?;
             let lanes = going;
             let before = self.states.map(|state| state.transmittance as f32);
             let absorption = &self.world.absorption;
-            going = absorption.absorb(packet, slab, block, lanes, &mut self.states, &mut self.shares);
+            going = absorption.absorb(packet, slab, node, lanes, &mut self.states, &mut self.shares);
             each_lane(self.shares.lanes(), |lane| {
                 self.extend(packet, slab, lane, before[lane], &mut curves[members[lane]]);
             });
@@ -309,7 +309,14 @@ impl BlockMaker<'_> {
 
     /// Appends the samples of a slab to the curve of a ray. A sample takes its light between the middles of the gaps
     /// beside it.
-    fn extend(&self, packet: &Packet, slab: Slab, lane: usize, before: f32, curve: &mut CurveBuilder) {
+    fn extend(
+        &self,
+        packet: &Packet,
+        slab: Slab,
+        lane: usize,
+        before: f32,
+        curve: &mut TransmittanceBuilder,
+    ) {
         let (mut left, step) = (before, packet.step_world());
         let mut samples = self.shares.samples[lane];
         while samples != 0 {

@@ -5,10 +5,10 @@ use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::Ray;
 use crate::scene::Light;
 use crate::trace::access::{Access, Halt};
-use crate::trace::block::Block;
 use crate::trace::composite::{Absorption, RayState, Shares};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::March;
+use crate::trace::node_samples::NodeSamples;
 use crate::trace::program::Program;
 use crate::trace::secondary::coherent_groups;
 use crate::trace::world::World;
@@ -29,7 +29,7 @@ pub(super) struct ShadowRays<'a> {
 struct ToLight {
     ray: Ray,
     /// Where its samples lie, ξ.
-    phase: f64,
+    sample_offset: f64,
     /// Distance of the light; infinite where it is nowhere.
     light: f64,
     lane: usize,
@@ -56,7 +56,7 @@ impl<'a> ShadowRays<'a> {
         light: &Light,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         shares: &Shares,
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
@@ -64,7 +64,7 @@ impl<'a> ShadowRays<'a> {
         for j in 0..slab.samples {
             let mut rays = Vec::with_capacity(packet.len());
             for lane in (0..packet.len()).filter(|&lane| shares.samples[lane] >> j & 1 == 1) {
-                match to_light(light, packet, slab, block, (lane, j)) {
+                match to_light(light, packet, slab, node, (lane, j)) {
                     Some(ray) => rays.push(ray),
                     // It lies at the light.
                     None => rows[lane].0[j] = 1.0,
@@ -83,7 +83,7 @@ impl<'a> ShadowRays<'a> {
         light: &Light,
         packet: &Packet,
         slab: Slab,
-        block: &Block,
+        node: &NodeSamples,
         samples: &[u32; LANES],
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
@@ -91,7 +91,7 @@ impl<'a> ShadowRays<'a> {
         let rays: Vec<ToLight> = (0..packet.len())
             .flat_map(|lane| (0..slab.samples).map(move |j| (lane, j)))
             .filter(|&(lane, j)| samples[lane] >> j & 1 == 1)
-            .filter_map(|at| to_light(light, packet, slab, block, at))
+            .filter_map(|at| to_light(light, packet, slab, node, at))
             .collect();
         rays.chunks(LANES).try_for_each(|rays| self.trace_all(access, rays, counts, rows))
     }
@@ -107,7 +107,7 @@ impl<'a> ShadowRays<'a> {
         if rays.is_empty() {
             return Ok(());
         }
-        let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.phase)).collect();
+        let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
         for group in self.world.steps.groups(access, self.program, &primary)? {
             for members in coherent_groups(&primary, &group.members, group.step) {
                 let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
@@ -130,16 +130,16 @@ impl<'a> ShadowRays<'a> {
         counts: &mut RenderCounts,
     ) -> Result<(), Halt> {
         let shifted: Vec<(Ray, f64)> =
-            rays.iter().map(|r| (Ray { origin: r.ray.at(0.5 * step), ..r.ray }, r.phase)).collect();
+            rays.iter().map(|r| (Ray { origin: r.ray.at(0.5 * step), ..r.ray }, r.sample_offset)).collect();
         let packet = Packet::new(&shifted, step);
         let limits: Vec<f64> = rays.iter().map(|r| r.light - 0.5 * step).collect();
         self.states.fill(RayState::START);
         counts.shadow_rays += rays.len() as u64;
         let absorption = Absorption { ..self.world.absorption };
         self.march.begin(&packet);
-        let mut block = self.march.block();
-        let outcome = self.pass(access, &packet, &limits, &absorption, &mut block, counts);
-        self.march.give_back(block);
+        let mut node = self.march.node_samples();
+        let outcome = self.pass(access, &packet, &limits, &absorption, &mut node, counts);
+        self.march.give_back(node);
         outcome
     }
 
@@ -149,7 +149,7 @@ impl<'a> ShadowRays<'a> {
         packet: &Packet,
         limits: &[f64],
         absorption: &Absorption,
-        block: &mut Block,
+        node: &mut NodeSamples,
         counts: &mut RenderCounts,
     ) -> Result<(), Halt> {
         let mut going = packet.all();
@@ -158,9 +158,9 @@ impl<'a> ShadowRays<'a> {
             && let Some(slab) = self.march.next_slab(from)
         {
             from = slab.end();
-            self.march.evaluate(access, packet, slab, going, counts, block)?;
+            self.march.evaluate(access, packet, slab, going, counts, node)?;
             if limits.iter().any(|limit| limit.is_finite()) {
-                cut_off(packet, slab, limits, block);
+                cut_off(packet, slab, limits, node);
                 // Rays that have reached their light end there.
                 for (lane, limit) in limits.iter().enumerate() {
                     if packet.sample_t_world(lane, slab.end()) >= *limit {
@@ -171,14 +171,14 @@ impl<'a> ShadowRays<'a> {
                 let open = absorption.absorb(
                     packet,
                     slab,
-                    block,
-                    going | reached & block.touched,
+                    node,
+                    going | reached & node.touched,
                     &mut self.states,
                     &mut self.shares,
                 );
                 going &= open;
             } else {
-                going = absorption.absorb(packet, slab, block, going, &mut self.states, &mut self.shares);
+                going = absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
             }
         }
         Ok(())
@@ -186,11 +186,11 @@ impl<'a> ShadowRays<'a> {
 }
 
 /// Makes what lies behind the light transparent.
-fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], block: &mut Block) {
+fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) {
     for (lane, limit) in limits.iter().enumerate() {
         for j in 0..slab.samples {
             if packet.sample_t_world(lane, slab.first + j as u64) >= *limit {
-                block.opacity[lane].0[j] = 0.0;
+                node.opacity[lane].0[j] = 0.0;
             }
         }
     }
@@ -201,10 +201,16 @@ fn to_light(
     light: &Light,
     packet: &Packet,
     slab: Slab,
-    block: &Block,
+    node: &NodeSamples,
     (lane, j): (usize, usize),
 ) -> Option<ToLight> {
-    let origin = lit_place(packet, block, lane, slab.first + j as u64, j);
+    let origin = lit_place(packet, node, lane, slab.first + j as u64, j);
     let (direction, distance) = super::toward(light, origin)?;
-    Some(ToLight { ray: Ray { origin, direction }, phase: packet.phase(lane), light: distance, lane, j })
+    Some(ToLight {
+        ray: Ray { origin, direction },
+        sample_offset: packet.sample_offset(lane),
+        light: distance,
+        lane,
+        j,
+    })
 }

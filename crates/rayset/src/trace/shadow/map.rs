@@ -3,8 +3,8 @@
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::scene::{Light, LightKind};
 
-/// Cells along a side of a block; its rays pass through their corners.
-pub(super) const BLOCK_CELLS: u32 = 7;
+/// Cells along a side of a tile; its rays pass through their corners.
+pub(super) const TILE_CELLS: u32 = 7;
 
 /// Rays of a light through the corners of square cells.
 #[derive(Clone, Debug)]
@@ -30,8 +30,8 @@ struct Face {
 /// Where a place is on a map.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texel {
-    pub(super) block: u32,
-    /// Cell within the block.
+    pub(super) tile: u32,
+    /// Cell within the tile.
     pub(super) cell: (u32, u32),
     /// Place within the cell, 0 to 1.
     pub(super) within: (f64, f64),
@@ -42,7 +42,7 @@ pub(super) struct Texel {
 }
 
 impl LightMap {
-    /// Of a light that throws shadows, over a scene; nothing for one that has no rays.
+    /// Of a light that throws shadows, over a scene; `None` for one that has no rays.
     pub(super) fn new(light: &Light, bounds: &Aabb, resolution: u32) -> Option<Self> {
         if bounds.is_empty() {
             return None;
@@ -72,25 +72,25 @@ impl LightMap {
         Some(Self { faces, resolution })
     }
 
-    /// Blocks along a side of a face.
+    /// Tiles along a side of a face.
     fn side(&self) -> u32 {
-        self.resolution.div_ceil(BLOCK_CELLS)
+        self.resolution.div_ceil(TILE_CELLS)
     }
 
-    pub(super) fn blocks(&self) -> u32 {
+    pub(super) fn tiles(&self) -> u32 {
         self.faces.len() as u32 * self.side() * self.side()
     }
 
-    /// The rays of a block, row by row; they start at the light.
-    pub(super) fn rays(&self, block: u32) -> Vec<Ray> {
-        let (side, corners) = (self.side(), BLOCK_CELLS + 1);
-        let face = &self.faces[(block / (side * side)) as usize];
-        let (bx, by) = (block % side, block / side % side);
-        let place = |b: u32, c: u32| f64::from(b * BLOCK_CELLS + c) / f64::from(self.resolution) * 2.0 - 1.0;
+    /// The rays of a tile, row by row; they start at the light.
+    pub(super) fn rays(&self, tile: u32) -> Vec<Ray> {
+        let (side, corners) = (self.side(), TILE_CELLS + 1);
+        let face = &self.faces[(tile / (side * side)) as usize];
+        let (bx, by) = (tile % side, tile / side % side);
+        let place = |b: u32, c: u32| f64::from(b * TILE_CELLS + c) / f64::from(self.resolution) * 2.0 - 1.0;
         (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
     }
 
-    /// Where a place is; nothing where no ray of the light comes by.
+    /// Where a place is; `None` where no ray of the light comes by.
     pub(super) fn texel(&self, place: DVec3) -> Option<Texel> {
         let (number, (u, v, distance)) =
             self.faces.iter().enumerate().find_map(|(i, face)| face.project(place).map(|p| (i as u32, p)))?;
@@ -102,8 +102,8 @@ impl LightMap {
         let depth = if face.diverges { (place - face.origin).dot(face.forward) } else { 1.0 };
         let size = 2.0 * face.half / resolution * depth;
         Some(Texel {
-            block: (number * side + row / BLOCK_CELLS) * side + column / BLOCK_CELLS,
-            cell: (column % BLOCK_CELLS, row % BLOCK_CELLS),
+            tile: (number * side + row / TILE_CELLS) * side + column / TILE_CELLS,
+            cell: (column % TILE_CELLS, row % TILE_CELLS),
             within: (x - f64::from(column), y - f64::from(row)),
             distance,
             next: (face.right * size, face.up * size),
@@ -166,9 +166,9 @@ mod tests {
             let light = Light { kind, color: [1.0; 3], shadow: true };
             let map = LightMap::new(&light, &Aabb::new(DVec3::NEG_ONE, DVec3::ONE), 100).expect("it has rays");
             let texel = map.texel(place).expect("the map covers the scene");
-            prop_assert!(texel.block < map.blocks());
-            let rays = map.rays(texel.block);
-            let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (BLOCK_CELLS + 1) + texel.cell.0 + i) as usize];
+            prop_assert!(texel.tile < map.tiles());
+            let rays = map.rays(texel.tile);
+            let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (TILE_CELLS + 1) + texel.cell.0 + i) as usize];
             for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let away = ray(i, j).at(texel.distance).distance(place);
                 prop_assert!(away <= 3.0 * texel.size(), "{away} of {}", texel.size());

@@ -1,4 +1,4 @@
-//! The judge: every point against every sample, in `f64`, from the points as the file stores them.
+//! The reference renderer: every point against every sample, in `f64`, from the points as the file stores them.
 
 use super::kernel::Kernel;
 use super::run::{AttributeColumns, linear_from_srgb};
@@ -21,7 +21,7 @@ pub struct JudgePoint {
 
 /// The field at one sample.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct JudgeSample {
+pub struct ReferenceSample {
     /// Σ v·ω.
     pub density: f64,
     /// Σ v·∇ω.
@@ -32,7 +32,7 @@ pub struct JudgeSample {
 
 /// A cloud without any structure.
 #[derive(Clone, Debug)]
-pub struct JudgeField {
+pub struct ReferenceField {
     /// The points.
     pub points: Vec<JudgePoint>,
     /// The kernel.
@@ -41,7 +41,7 @@ pub struct JudgeField {
     pub normalised: bool,
 }
 
-impl JudgeField {
+impl ReferenceField {
     /// Reads all points of a cloud.
     ///
     /// # Errors
@@ -93,8 +93,8 @@ impl JudgeField {
 
     /// The field at `q`.
     #[must_use]
-    pub fn sample(&self, q: DVec3) -> JudgeSample {
-        let mut sum = JudgeSample::default();
+    pub fn sample(&self, q: DVec3) -> ReferenceSample {
+        let mut sum = ReferenceSample::default();
         for p in &self.points {
             let offset = q - p.position;
             let inverse = 1.0 / (p.radius * p.radius);

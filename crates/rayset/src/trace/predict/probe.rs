@@ -11,18 +11,18 @@ use crate::trace::cloud_volume::CloudVolume;
 
 /// Rays on a lattice over a block of the picture, as one cloud sees them: directions have the length that a unit of the
 /// world has there, so that distances are the world's.
-pub(super) struct Scout {
+pub(super) struct ProbeRays {
     rays: RayColumns,
     beam: Beam,
     /// Half the gap between neighbouring rays, at distance 0 and what a unit of distance adds to it.
     gap: (f64, f64),
     /// Distance at which each ray is expected to have ended.
     ends: [f32; LANES],
-    /// Optical thickness that each ray is expected to have passed.
-    thickness: [f32; LANES],
+    /// Optical depth that each ray is expected to have passed.
+    optical_depth: [f32; LANES],
 }
 
-impl Scout {
+impl ProbeRays {
     /// Rays of an 8 × 8 lattice, row by row.
     pub(super) fn new(simd: SimdLevel, rays: &[Ray; LANES]) -> Self {
         let mut beam = Beam::EMPTY;
@@ -33,7 +33,7 @@ impl Scout {
             beam,
             gap: (half_gap(|r| r.origin), half_gap(|r| r.direction)),
             ends: [f32::INFINITY; LANES],
-            thickness: [0.0; LANES],
+            optical_depth: [0.0; LANES],
         }
     }
 
@@ -56,20 +56,20 @@ impl Scout {
     }
 
     /// Lets rays pass through a box of points; those that are expected to be opaque then end behind it.
-    fn absorb(&mut self, crossing: &Crossing, extinction: f64, opaque_thickness: f32) {
+    fn absorb(&mut self, crossing: &Crossing, extinction: f64, opaque_optical_depth: f32) {
         let mut lanes = crossing.through;
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            self.thickness[lane] += extinction as f32 * crossing.length[lane];
-            if self.thickness[lane] >= opaque_thickness {
+            self.optical_depth[lane] += extinction as f32 * crossing.length[lane];
+            if self.optical_depth[lane] >= opaque_optical_depth {
                 self.ends[lane] = self.ends[lane].min(crossing.exit[lane]);
             }
         }
     }
 
     /// Wants, nearest first, the nodes that the rays are expected to reach.
-    pub(super) fn explore(&mut self, root: Node, expected: &Expected, terrain: &mut impl Terrain) {
+    pub(super) fn explore(&mut self, root: Node, expected: &Expected, terrain: &mut impl OctreeView) {
         let mut heap = BinaryHeap::new();
         let mut found = vec![root];
         loop {
@@ -85,7 +85,7 @@ impl Scout {
             }
             terrain.want(&node);
             if node.child_mask == 0 {
-                self.absorb(&crossing, expected.extinction(&node, &bounds), expected.opaque_thickness);
+                self.absorb(&crossing, expected.extinction(&node, &bounds), expected.opaque_optical_depth);
             } else {
                 terrain.children(&node, &mut found);
             }
@@ -94,7 +94,7 @@ impl Scout {
 }
 
 /// What scouts travel through.
-pub(super) trait Terrain {
+pub(super) trait OctreeView {
     /// Bounds of influence of all below a node.
     fn bounds(&self, node: &Node) -> Aabb;
 
@@ -136,8 +136,8 @@ pub(super) struct Expected {
     /// ∫ω dV of a point of radius one.
     point_integral: f64,
     normalised: bool,
-    /// Optical thickness behind which nothing is expected to be seen.
-    opaque_thickness: f32,
+    /// Optical depth behind which nothing is expected to be seen.
+    opaque_optical_depth: f32,
 }
 
 impl Expected {
@@ -150,7 +150,7 @@ impl Expected {
             unit_distance: volume.unit_distance,
             point_integral: volume.object.kernel.integral(),
             normalised: volume.object.normalised,
-            opaque_thickness: -stop_transmittance.ln() * MARGIN,
+            opaque_optical_depth: -stop_transmittance.ln() * MARGIN,
         }
     }
 

@@ -1,7 +1,7 @@
-//! The judge renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
+//! The reference renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
 //! brute-force fields in `f64`. Slow by design; it shares no code with what it judges beyond the description of the
-//! scene and the closed forms of procedural fields. Its steps are given to it. Fields of clouds may come from elsewhere: then it is the discrete ray
-//! tracer that another engine's samples are compared in.
+//! scene and the closed forms of procedural fields. Its steps are given to it. Fields of clouds may come from elsewhere: then
+//! it is the discrete ray tracer that another engine's samples are compared in.
 
 mod maps;
 mod tree;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use crate::container::ScanError;
 use crate::field::AttributeColumns;
-use crate::field::judge::{JudgeField, JudgeSample};
+use crate::field::reference::{ReferenceField, ReferenceSample};
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, GRID_ATTRIBUTE, GridObject, LightKind, Lighting,
@@ -19,7 +19,7 @@ use crate::scene::{
 };
 
 /// A pixel in linear light, premultiplied, and its opacity.
-pub type JudgePixel = [f64; 4];
+pub type ReferencePixel = [f64; 4];
 
 /// What a field is sampled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,25 +37,25 @@ pub trait PointField {
 
     /// The field at a place in the space of the cloud. Attributes are those of all columns of its file, colours first, as
     /// [`AttributeColumns`] numbers them; none where the point reaches nothing.
-    fn sample(&self, q: DVec3, purpose: Purpose) -> JudgeSample;
+    fn sample(&self, q: DVec3, purpose: Purpose) -> ReferenceSample;
 }
 
 /// Where the field of a cloud comes from.
 enum Loaded<'a> {
-    Points(JudgeField),
+    Points(ReferenceField),
     Given(&'a dyn PointField),
 }
 
 /// The same, for one ray.
 enum Along<'a> {
     /// The points that reach it.
-    Near(JudgeField),
+    Near(ReferenceField),
     Given(&'a dyn PointField, Purpose),
     Nothing,
 }
 
 /// A scene whose clouds are in memory, point by point.
-pub struct Judge<'a> {
+pub struct ReferenceRenderer<'a> {
     scene: &'a Scene,
     clouds: Vec<(*const Node, Loaded<'a>)>,
     grids: Vec<(*const Node, Vec<f32>)>,
@@ -63,10 +63,10 @@ pub struct Judge<'a> {
     names: Vec<Arc<str>>,
 }
 
-/// Why the judge has no scene.
+/// Why the reference renderer has no scene.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum JudgeError {
+pub enum ReferenceError {
     /// A cloud or a grid cannot be read.
     #[error(transparent)]
     File(#[from] ScanError),
@@ -82,7 +82,7 @@ struct Sample {
     /// Signed distance to the boundary that the normal belongs to, world space.
     boundary: f64,
     material: [f64; 6],
-    /// By their places in [`Judge::names`].
+    /// By their places in [`ReferenceRenderer::names`].
     attributes: [f64; MOST_ATTRIBUTES],
 }
 
@@ -110,37 +110,37 @@ struct SeenNode<'a> {
     material: Material,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> ReferenceRenderer<'a> {
     /// Reads all clouds of a scene.
     ///
     /// # Errors
-    /// [`JudgeError`] where a file cannot be read or is damaged.
-    pub fn load(scene: &'a Scene) -> Result<Self, JudgeError> {
+    /// [`ReferenceError`] where a file cannot be read or is damaged.
+    pub fn load(scene: &'a Scene) -> Result<Self, ReferenceError> {
         let names = scene.root.attributes_read();
-        let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
-        judge.load_node(&scene.root, &mut |_| None)?;
-        Ok(judge)
+        let mut reference_renderer = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
+        reference_renderer.load_node(&scene.root, &mut |_| None)?;
+        Ok(reference_renderer)
     }
 
     /// The same, with fields from somewhere else for the clouds of a scene.
     ///
     /// # Errors
-    /// [`JudgeError`] where a grid cannot be read.
+    /// [`ReferenceError`] where a grid cannot be read.
     pub fn with_fields(
         scene: &'a Scene,
         mut field: impl FnMut(&CloudObject) -> &'a dyn PointField,
-    ) -> Result<Self, JudgeError> {
+    ) -> Result<Self, ReferenceError> {
         let names = scene.root.attributes_read();
-        let mut judge = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
-        judge.load_node(&scene.root, &mut |object| Some(field(object)))?;
-        Ok(judge)
+        let mut reference_renderer = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
+        reference_renderer.load_node(&scene.root, &mut |object| Some(field(object)))?;
+        Ok(reference_renderer)
     }
 
     fn load_node(
         &mut self,
         node: &Arc<Node>,
         given: &mut dyn FnMut(&CloudObject) -> Option<&'a dyn PointField>,
-    ) -> Result<(), JudgeError> {
+    ) -> Result<(), ReferenceError> {
         let known = |(at, _): &(*const Node, Loaded<'a>)| *at == Arc::as_ptr(node);
         match &node.shape {
             Shape::Cloud(object) if !self.clouds.iter().any(known) => {
@@ -154,7 +154,7 @@ impl<'a> Judge<'a> {
                     color: header.has_color,
                     scalars: (0..header.attributes.len()).collect(),
                 };
-                let field = JudgeField::load(&object.cloud, kernel, normalised, &everything)?;
+                let field = ReferenceField::load(&object.cloud, kernel, normalised, &everything)?;
                 self.clouds.push((Arc::as_ptr(node), Loaded::Points(field)));
                 Ok(())
             }
@@ -180,11 +180,11 @@ impl<'a> Judge<'a> {
         step_world: f64,
         x: u32,
         y: u32,
-    ) -> Result<JudgePixel, CameraError> {
+    ) -> Result<ReferencePixel, CameraError> {
         let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
-        let phase = settings.phase_of(x, y);
+        let sample_offset = settings.sample_offset_of(x, y);
         let eye = tree::Course::from_eye(ray);
-        let (color, transmittance) = self.follow(settings, &eye, phase, step_world);
+        let (color, transmittance) = self.follow(settings, &eye, sample_offset, step_world);
         Ok(match self.scene.background {
             Some(b) => {
                 let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
@@ -208,11 +208,11 @@ impl<'a> Judge<'a> {
     ) -> Result<DVec3, CameraError> {
         let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
         let mut sum = DVec3::ZERO;
-        let phase = settings.phase_of(x, y);
+        let sample_offset = settings.sample_offset_of(x, y);
         self.march(
             settings,
             &ray,
-            phase,
+            sample_offset,
             step_world,
             (f64::INFINITY, Purpose::Opacity),
             |_, sample, share| {
@@ -227,14 +227,14 @@ impl<'a> Judge<'a> {
         &self,
         settings: &RenderSettings,
         ray: &Ray,
-        phase: f64,
+        sample_offset: f64,
         step: f64,
         (end, purpose): (f64, Purpose),
         mut visit: impl FnMut(DVec3, &Sample, f64),
     ) -> f64 {
         let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, purpose));
         let mut transmittance = 1.0;
-        for t in self.lattice(ray, phase, step).take_while(|t| *t < end) {
+        for t in self.lattice(ray, sample_offset, step).take_while(|t| *t < end) {
             let q = ray.at(t);
             let sample = self.sample(&root, q);
             let passed = self.passed(&sample, step);
@@ -251,10 +251,12 @@ impl<'a> Judge<'a> {
     }
 
     /// Where the samples of a ray lie that may meet anything.
-    fn lattice(&self, ray: &Ray, phase: f64, step: f64) -> impl Iterator<Item = f64> + use<> {
+    fn lattice(&self, ray: &Ray, sample_offset: f64, step: f64) -> impl Iterator<Item = f64> + use<> {
         let (enter, exit) = self.scene.root.bounds().clip(ray).unwrap_or((0.0, -f64::INFINITY));
-        let first = ((enter / step - phase).floor() - 1.0).max(0.0);
-        (0_u64..).map(move |i| (first + i as f64 + phase) * step).take_while(move |t| *t <= exit + step)
+        let first = ((enter / step - sample_offset).floor() - 1.0).max(0.0);
+        (0_u64..)
+            .map(move |i| (first + i as f64 + sample_offset) * step)
+            .take_while(move |t| *t <= exit + step)
     }
 
     /// What of the light passes a sample.
@@ -354,7 +356,7 @@ impl<'a> Judge<'a> {
         let s = match field {
             Along::Near(field) => field.sample(q),
             Along::Given(field, purpose) => field.sample(q, *purpose),
-            Along::Nothing => JudgeSample::default(),
+            Along::Nothing => ReferenceSample::default(),
         };
         let least = 1e-12 * object.largest_point_density();
         let mean = |channel: usize| if s.density > least { s.attributes[channel] / s.density } else { 0.0 };
@@ -432,7 +434,7 @@ impl<'a> Judge<'a> {
         ray: &Ray,
         q: DVec3,
         sample: &Sample,
-        phase: f64,
+        sample_offset: f64,
         step: f64,
     ) -> [f64; 3] {
         let Lighting::Lit(lights) = &self.scene.lighting else { return sample.color };
@@ -468,7 +470,7 @@ impl<'a> Judge<'a> {
                 };
                 let from = Ray { origin: place + toward * (0.5 * step), direction: toward };
                 let end = (distance - 0.5 * step, Purpose::Shadow);
-                self.march(settings, &from, phase, step, end, |_, _, _| {})
+                self.march(settings, &from, sample_offset, step, end, |_, _, _| {})
             } else {
                 1.0
             };

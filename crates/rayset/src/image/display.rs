@@ -12,14 +12,14 @@ pub enum ToneMapping {
 
 /// Exposure and tone mapping, for pictures that are to be looked at. Files of light (OpenEXR) are not developed.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub struct Development {
+pub struct DisplayTransform {
     /// Stops: light is multiplied by two to this power.
     pub exposure: f64,
     /// What follows.
     pub tone_mapping: ToneMapping,
 }
 
-impl Development {
+impl DisplayTransform {
     /// A value of straight (not premultiplied) linear light as the picture shows it, still linear.
     #[must_use]
     pub fn apply(&self, light: f32) -> f32 {

@@ -1,22 +1,22 @@
 //! Transmittance along a ray as a few points with straight lines between (after Lokovic & Veach, *Deep Shadow Maps*,
-//! 2000), and how the rays of a block share a page.
+//! 2000), and how the rays of a tile share a page.
 
 /// A point of a curve: distance, and what of the light is left there.
 pub(super) type Knot = (f32, f32);
 
-/// Largest error of a curve, unless its block would not fit the page.
+/// Largest error of a curve, unless its tile would not fit the page.
 const TOLERANCE: f32 = 1.0 / 1024.0;
 
 /// Takes points one after another and keeps those without which the curve would be wrong by more than the tolerance.
 #[derive(Clone, Debug)]
-pub(super) struct CurveBuilder {
+pub(super) struct TransmittanceBuilder {
     tolerance: f32,
     knots: Vec<Knot>,
     /// The point after the last knot, and the slopes that still pass all points since.
     pending: Option<(Knot, f32, f32)>,
 }
 
-impl CurveBuilder {
+impl TransmittanceBuilder {
     pub(super) fn new() -> Self {
         Self::with_tolerance(TOLERANCE)
     }
@@ -63,14 +63,14 @@ impl CurveBuilder {
 const HEAD_BYTES: usize = 4;
 const KNOT_BYTES: usize = 8;
 
-/// Writes the curves of a block into its page; those that would not fit become coarser, all alike.
+/// Writes the curves of a tile into its page; those that would not fit become coarser, all alike.
 pub(super) fn encode(mut curves: Vec<Vec<Knot>>, page: &mut [u8]) {
     let room = (page.len() - curves.len() * HEAD_BYTES) / KNOT_BYTES;
     let mut tolerance = TOLERANCE;
     while curves.iter().map(Vec::len).sum::<usize>() > room {
         tolerance *= 2.0;
         for curve in &mut curves {
-            let mut coarser = CurveBuilder::with_tolerance(tolerance);
+            let mut coarser = TransmittanceBuilder::with_tolerance(tolerance);
             curve.iter().for_each(|&knot| coarser.push(knot));
             *curve = coarser.finish();
         }
@@ -89,7 +89,7 @@ pub(super) fn encode(mut curves: Vec<Vec<Knot>>, page: &mut [u8]) {
     }
 }
 
-/// What of the light is left at a distance on one ray of a block of `rays`.
+/// What of the light is left at a distance on one ray of a tile of `rays`.
 pub(super) fn transmittance(page: &[u8], rays: usize, ray: usize, distance: f32) -> f32 {
     let u16_at = |at: usize| usize::from(u16::from_le_bytes([page[at], page[at + 1]]));
     let (first, count) = (u16_at(ray * HEAD_BYTES), u16_at(ray * HEAD_BYTES + 2));
@@ -118,7 +118,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_curve_stays_within_its_tolerance(absorbed in prop::collection::vec(0.0_f32..0.3, 1..200)) {
-            let mut builder = CurveBuilder::new();
+            let mut builder = TransmittanceBuilder::new();
             let mut left = 1.0;
             let mut points = vec![(0.0, 1.0)];
             for (i, a) in absorbed.iter().enumerate() {

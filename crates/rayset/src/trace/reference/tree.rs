@@ -1,6 +1,6 @@
 //! The tree of rays under a pixel: what reflects and what refracts, ray by ray and sample by sample.
 
-use super::{Judge, Purpose};
+use super::{Purpose, ReferenceRenderer};
 use crate::geometry::{DAffine3, DVec3, Ray};
 use crate::scene::{Lighting, Material, RenderSettings};
 
@@ -35,13 +35,13 @@ struct Mirror {
     color: DVec3,
 }
 
-impl Judge<'_> {
+impl ReferenceRenderer<'_> {
     /// The light of a ray and of all that follow from it, and what of the background is seen.
     pub(super) fn follow(
         &self,
         settings: &RenderSettings,
         course: &Course,
-        phase: f64,
+        sample_offset: f64,
         step: f64,
     ) -> ([f64; 3], f64) {
         let ray = &course.ray;
@@ -55,8 +55,8 @@ impl Judge<'_> {
         // Of the last sample inside: distance, normal, distance to the boundary, reflectance.
         let mut inside = (0.0, course.normal, 0.0, 0.0);
         // One more beyond the last, where nothing is.
-        let samples: Vec<f64> = self.lattice(ray, phase, step).collect();
-        let beyond = samples.last().map_or(phase * step, |last| last + step);
+        let samples: Vec<f64> = self.lattice(ray, sample_offset, step).collect();
+        let beyond = samples.last().map_or(sample_offset * step, |last| last + step);
         for t in samples.into_iter().chain([beyond]) {
             let q = ray.at(t);
             let sample = self.sample(&root, q);
@@ -73,11 +73,11 @@ impl Judge<'_> {
                 if here != before && cosine != 0.0 {
                     let way = (at.2 / cosine).min(step);
                     let t = if is_inside { (at.0 - way).max(0.0) } else { at.0 + way };
-                    light += self.reflected(settings, course, mirror.take(), phase, step);
+                    light += self.reflected(settings, course, mirror.take(), sample_offset, step);
                     let go_on = |direction, index, weight| {
                         let ray = Ray { origin: ray.at(t), direction };
                         let next = Course { ray, weight, index, normal: at.1, depth: course.depth + 1 };
-                        self.follow(settings, &next, phase, step)
+                        self.follow(settings, &next, sample_offset, step)
                     };
                     let mut weight = transmittance;
                     let back = ray.direction.reflect(at.1);
@@ -97,16 +97,16 @@ impl Judge<'_> {
             }
             let passed = self.passed(&sample, step);
             if passed >= 1.0 {
-                light += self.reflected(settings, course, mirror.take(), phase, step);
+                light += self.reflected(settings, course, mirror.take(), sample_offset, step);
                 continue;
             }
             let share = transmittance * (1.0 - passed);
-            let own = share * DVec3::from_array(self.lit(settings, ray, q, &sample, phase, step));
+            let own = share * DVec3::from_array(self.lit(settings, ray, q, &sample, sample_offset, step));
             let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };
             light += (1.0 - reflectance) * own;
             if reflectance > 0.0 {
                 if mirror.as_ref().is_some_and(|m| m.normal.dot(sample.normal) <= 0.0) {
-                    light += self.reflected(settings, course, mirror.take(), phase, step);
+                    light += self.reflected(settings, course, mirror.take(), sample_offset, step);
                 }
                 let none =
                     Mirror { weight: 0.0, place: DVec3::ZERO, normal: DVec3::ZERO, color: DVec3::ZERO };
@@ -120,14 +120,14 @@ impl Judge<'_> {
                 mirror.normal += weight * sample.normal;
                 mirror.color += reflectance * own;
             } else {
-                light += self.reflected(settings, course, mirror.take(), phase, step);
+                light += self.reflected(settings, course, mirror.take(), sample_offset, step);
             }
             transmittance *= passed;
             if transmittance < f64::from(settings.stop_transmittance) {
                 break;
             }
         }
-        light += self.reflected(settings, course, mirror.take(), phase, step);
+        light += self.reflected(settings, course, mirror.take(), sample_offset, step);
         (light.to_array(), transmittance)
     }
 
@@ -137,7 +137,7 @@ impl Judge<'_> {
         settings: &RenderSettings,
         course: &Course,
         mirror: Option<Mirror>,
-        phase: f64,
+        sample_offset: f64,
         step: f64,
     ) -> DVec3 {
         let Some(mirror) = mirror else { return DVec3::ZERO };
@@ -148,7 +148,7 @@ impl Judge<'_> {
         let direction = course.ray.direction.reflect(normal);
         let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * step * direction, direction };
         let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1 };
-        let (color, open) = self.follow(settings, &next, phase, step);
+        let (color, open) = self.follow(settings, &next, sample_offset, step);
         mirror.weight * (DVec3::from_array(color) + open * self.behind())
     }
 
@@ -157,7 +157,7 @@ impl Judge<'_> {
     }
 }
 
-/// The direction behind a boundary; nothing where all light is reflected.
+/// The direction behind a boundary; `None` where all light is reflected.
 fn bent(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
     let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
     Some(direction.refract(normal, ratio)).filter(|bent| *bent != DVec3::ZERO)

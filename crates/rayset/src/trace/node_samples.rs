@@ -10,8 +10,8 @@ use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel};
 use crate::geometry::DVec3;
 use crate::scene::MAX_OPACITY;
 
-/// The largest optical thickness of a unit distance: −ln(1 − MAX_OPACITY).
-pub(super) const MAX_THICKNESS: f32 = 8.317_766;
+/// The largest optical depth of a unit distance: −ln(1 − MAX_OPACITY).
+pub(super) const MAX_OPTICAL_DEPTH: f32 = 8.317_766;
 /// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
 /// and would else shadow itself more or less as the lattice happens to lie.
 pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
@@ -28,7 +28,7 @@ pub(super) const LEAF: usize = 6;
 
 /// What of a node is looked at, besides its opacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Wants {
+pub(super) struct RequiredOutputs {
     pub(super) color: bool,
     pub(super) normal: bool,
     /// The signed distance to the boundary that the shading vector belongs to.
@@ -40,7 +40,7 @@ pub(super) struct Wants {
     pub(super) attributes: u32,
 }
 
-impl Wants {
+impl RequiredOutputs {
     pub(super) fn and(self, other: Self) -> Self {
         Self {
             color: self.color || other.color,
@@ -58,8 +58,8 @@ impl Wants {
 pub(super) enum Measure {
     /// O, 0 to [`MAX_OPACITY`].
     Opacity,
-    /// −ln(1 − O), 0 to [`MAX_THICKNESS`].
-    Thickness,
+    /// −ln(1 − O), 0 to [`MAX_OPTICAL_DEPTH`].
+    OpticalDepth,
 }
 
 /// Samples that can still matter: a bit for each, lane by lane.
@@ -82,7 +82,7 @@ pub(super) type Rows = Vec<SampleRow>;
 
 /// One node at the samples of a slab.
 #[derive(Debug)]
-pub(super) struct Block {
+pub(super) struct NodeSamples {
     /// Lanes whose rows hold anything; everywhere else the opacity is 0 and the boundary far.
     pub(super) touched: u64,
     /// As the node's [`Measure`] says.
@@ -100,40 +100,40 @@ pub(super) struct Block {
     largest: Rows,
 }
 
-impl Block {
-    pub(super) fn new(wants: Wants) -> Self {
+impl NodeSamples {
+    pub(super) fn new(required: RequiredOutputs) -> Self {
         let rows = |wanted: bool| vec![ZERO; if wanted { LANES } else { 0 }];
         Self {
             touched: 0,
             opacity: rows(true),
-            color: std::array::from_fn(|_| rows(wants.color)),
-            normal: std::array::from_fn(|_| rows(wants.normal)),
-            boundary: rows(wants.boundary),
-            material: std::array::from_fn(|_| rows(wants.material)),
-            attributes: (0..u32::BITS - wants.attributes.leading_zeros())
-                .map(|number| rows(wants.attributes >> number & 1 == 1))
+            color: std::array::from_fn(|_| rows(required.color)),
+            normal: std::array::from_fn(|_| rows(required.normal)),
+            boundary: rows(required.boundary),
+            material: std::array::from_fn(|_| rows(required.material)),
+            attributes: (0..u32::BITS - required.attributes.leading_zeros())
+                .map(|number| rows(required.attributes >> number & 1 == 1))
                 .collect(),
-            largest: rows(wants.material),
+            largest: rows(required.material),
         }
     }
 
     /// Bytes of a block.
-    pub(super) fn bytes(wants: Wants) -> usize {
-        let kinds = [wants.color, wants.normal, wants.boundary, wants.material].map(usize::from);
-        let attributes = wants.attributes.count_ones() as usize;
+    pub(super) fn bytes(required: RequiredOutputs) -> usize {
+        let kinds = [required.color, required.normal, required.boundary, required.material].map(usize::from);
+        let attributes = required.attributes.count_ones() as usize;
         (1 + 3 * kinds[0] + 3 * kinds[1] + kinds[2] + (MATERIAL + 1) * kinds[3] + attributes)
             * LANES
             * size_of::<SampleRow>()
     }
 
     /// Says that nothing is there, in a lane that others look at nevertheless.
-    pub(super) fn clear_lane(&mut self, lane: usize, wants: Wants) {
+    pub(super) fn clear_lane(&mut self, lane: usize, required: RequiredOutputs) {
         self.touched |= 1 << lane;
         self.opacity[lane] = ZERO;
-        if wants.normal {
+        if required.normal {
             self.normal.iter_mut().for_each(|rows| rows[lane] = ZERO);
         }
-        if wants.boundary {
+        if required.boundary {
             self.boundary[lane] = FAR;
         }
     }
@@ -143,31 +143,31 @@ impl Block {
         DVec3::from_array(self.normal.each_ref().map(|rows| f64::from(rows[lane].0[j])))
     }
 
-    fn copy_lane(&mut self, from: &Self, lane: usize, wants: Wants) {
+    fn copy_lane(&mut self, from: &Self, lane: usize, required: RequiredOutputs) {
         self.touched |= 1 << lane;
         self.opacity[lane] = from.opacity[lane];
-        for (to, from) in self.selected(from, wants) {
+        for (to, from) in self.selected(from, required) {
             to[lane] = from[lane];
         }
     }
 
-    pub(super) fn copy_from(&mut self, from: &Self, wants: Wants) {
+    pub(super) fn copy_from(&mut self, from: &Self, required: RequiredOutputs) {
         self.touched = 0;
-        each_lane(from.touched, |lane| self.copy_lane(from, lane, wants));
+        each_lane(from.touched, |lane| self.copy_lane(from, lane, required));
     }
 
     /// The rows besides the opacity that are looked at, of this block and of another.
     fn selected<'b>(
         &'b mut self,
         other: &'b Self,
-        wants: Wants,
+        required: RequiredOutputs,
     ) -> impl Iterator<Item = (&'b mut Rows, &'b Rows)> {
-        let color = self.color.iter_mut().zip(&other.color).filter(move |_| wants.color);
-        let normal = self.normal.iter_mut().zip(&other.normal).filter(move |_| wants.normal);
-        let boundary = [(&mut self.boundary, &other.boundary)].into_iter().filter(move |_| wants.boundary);
-        let material = self.material.iter_mut().zip(&other.material).filter(move |_| wants.material);
+        let color = self.color.iter_mut().zip(&other.color).filter(move |_| required.color);
+        let normal = self.normal.iter_mut().zip(&other.normal).filter(move |_| required.normal);
+        let boundary = [(&mut self.boundary, &other.boundary)].into_iter().filter(move |_| required.boundary);
+        let material = self.material.iter_mut().zip(&other.material).filter(move |_| required.material);
         let attributes = self.attributes.iter_mut().zip(&other.attributes).enumerate();
-        let attributes = attributes.filter(move |(number, _)| wants.attributes >> number & 1 == 1);
+        let attributes = attributes.filter(move |(number, _)| required.attributes >> number & 1 == 1);
         color.chain(normal).chain(boundary).chain(material).chain(attributes.map(|(_, rows)| rows))
     }
 
@@ -202,19 +202,19 @@ impl Block {
     }
 
     /// Union with the child that comes next.
-    pub(super) fn unite(&mut self, other: &Self, wants: Wants) {
+    pub(super) fn unite(&mut self, other: &Self, required: RequiredOutputs) {
         each_lane(other.touched, |lane| {
             if self.touched >> lane & 1 == 0 {
-                return self.copy_lane(other, lane, wants);
+                return self.copy_lane(other, lane, required);
             }
             let (a, b) = (self.opacity[lane], other.opacity[lane]);
             let mut takes = bits_where(|j| b.0[j] > a.0[j]);
-            if wants.outside {
+            if required.outside {
                 // Outside both, the nearer boundary is the union's.
                 let (s, t) = (self.boundary[lane], other.boundary[lane]);
                 takes |= bits_where(|j| a.0[j] == 0.0 && b.0[j] == 0.0 && t.0[j] < s.0[j]);
             }
-            for (to, from) in self.selected(other, wants) {
+            for (to, from) in self.selected(other, required) {
                 take(&mut to[lane], &from[lane], takes);
             }
             take(&mut self.opacity[lane], &b, takes);
@@ -222,11 +222,11 @@ impl Block {
     }
 
     /// Intersection of children, in their order. Rows of the first become those of the result.
-    pub(super) fn intersect(children: &mut [Self], wants: Wants) {
+    pub(super) fn intersect(children: &mut [Self], required: RequiredOutputs) {
         let Some((first, others)) = children.split_first_mut() else { return };
         let common = others.iter().fold(first.touched, |touched, other| touched & other.touched);
-        let attributes = Wants { normal: false, boundary: false, ..wants };
-        let shape = Wants { color: false, material: false, attributes: 0, ..wants };
+        let attributes = RequiredOutputs { normal: false, boundary: false, ..required };
+        let shape = RequiredOutputs { color: false, material: false, attributes: 0, ..required };
         each_lane(common, |lane| {
             let (mut least, mut largest) = (first.opacity[lane], first.opacity[lane]);
             for other in others.iter() {
@@ -237,7 +237,7 @@ impl Block {
                 }
                 take(&mut largest, &o, takes);
                 let mut takes = bits_where(|j| o.0[j] < least.0[j]);
-                if wants.outside {
+                if required.outside {
                     // Where both are outside, the boundary that lies farther is the intersection's.
                     let (s, t) = (first.boundary[lane], other.boundary[lane]);
                     takes |= bits_where(|j| o.0[j] == 0.0 && least.0[j] == 0.0 && t.0[j] > s.0[j]);
@@ -253,13 +253,13 @@ impl Block {
     }
 
     /// Takes another away. Boundaries of it that are farther than `reach_world` light nothing.
-    pub(super) fn subtract(&mut self, other: &Self, wants: Wants, reach_world: f32) {
+    pub(super) fn subtract(&mut self, other: &Self, required: RequiredOutputs, reach_world: f32) {
         each_lane(self.touched & other.touched, |lane| {
             let b = other.opacity[lane];
             for (a, &b) in self.opacity[lane].0.iter_mut().zip(&b.0) {
                 *a = (*a - b).max(0.0);
             }
-            if !wants.normal {
+            if !required.normal {
                 return;
             }
             let (s, t) = (self.boundary[lane], other.boundary[lane]);
@@ -274,7 +274,7 @@ impl Block {
 
     /// Adds another, of a blend; [`finish_blend`](Self::finish_blend) follows the last. Until then attributes and shading
     /// vectors are sums.
-    pub(super) fn add(&mut self, other: &Self, wants: Wants, first: bool) {
+    pub(super) fn add(&mut self, other: &Self, required: RequiredOutputs, first: bool) {
         if first {
             self.touched = 0;
         }
@@ -282,7 +282,7 @@ impl Block {
             let fresh = self.touched >> lane & 1 == 0;
             let o = other.opacity[lane];
             let sum = if fresh { ZERO } else { self.opacity[lane] };
-            let nearer = wants.boundary && !fresh;
+            let nearer = required.boundary && !fresh;
             let takes = if nearer {
                 let (s, t) = (self.boundary[lane], other.boundary[lane]);
                 bits_where(|j| t.0[j].abs() < s.0[j].abs())
@@ -297,20 +297,20 @@ impl Block {
                 }
             };
             for channel in 0..3 {
-                if wants.color {
+                if required.color {
                     weighted(&mut self.color[channel][lane], &other.color[channel][lane]);
                 }
-                if wants.normal {
+                if required.normal {
                     weighted(&mut self.normal[channel][lane], &other.normal[channel][lane]);
                 }
             }
-            for number in numbers(wants.attributes) {
+            for number in numbers(required.attributes) {
                 weighted(&mut self.attributes[number][lane], &other.attributes[number][lane]);
             }
-            if wants.boundary {
+            if required.boundary {
                 take(&mut self.boundary[lane], &other.boundary[lane], takes);
             }
-            if wants.material {
+            if required.material {
                 for number in 0..REFRACTIVE_INDEX {
                     weighted(&mut self.material[number][lane], &other.material[number][lane]);
                 }
@@ -327,7 +327,7 @@ impl Block {
         });
     }
 
-    pub(super) fn finish_blend(&mut self, wants: Wants) {
+    pub(super) fn finish_blend(&mut self, required: RequiredOutputs) {
         each_lane(self.touched, |lane| {
             let sum = self.opacity[lane];
             let divide = |row: &mut SampleRow| {
@@ -336,18 +336,18 @@ impl Block {
                 }
             };
             for channel in 0..3 {
-                if wants.color {
+                if required.color {
                     divide(&mut self.color[channel][lane]);
                 }
             }
-            for number in numbers(wants.attributes) {
+            for number in numbers(required.attributes) {
                 divide(&mut self.attributes[number][lane]);
             }
-            if wants.normal {
+            if required.normal {
                 let [x, y, z] = &mut self.normal;
                 normalize(&mut x[lane], &mut y[lane], &mut z[lane]);
             }
-            if wants.material {
+            if required.material {
                 self.material[..REFRACTIVE_INDEX].iter_mut().for_each(|rows| divide(&mut rows[lane]));
             }
             for o in &mut self.opacity[lane].0 {
@@ -364,7 +364,7 @@ impl Block {
         each_lane(self.touched, |lane| {
             let row = &mut self.opacity[lane];
             match to {
-                Measure::Thickness => dispatch!(simd.level(), _simd => thickness(row)),
+                Measure::OpticalDepth => dispatch!(simd.level(), _simd => optical_depth(row)),
                 Measure::Opacity => dispatch!(simd.level(), _simd => opacity(row)),
             }
         });
@@ -375,7 +375,7 @@ impl Block {
 fn most(measure: Measure) -> f32 {
     match measure {
         Measure::Opacity => MAX_OPACITY as f32,
-        Measure::Thickness => MAX_THICKNESS,
+        Measure::OpticalDepth => MAX_OPTICAL_DEPTH,
     }
 }
 
@@ -394,9 +394,9 @@ pub(super) fn normalize(x: &mut SampleRow, y: &mut SampleRow, z: &mut SampleRow)
 }
 
 #[inline(always)]
-fn thickness(row: &mut SampleRow) {
+fn optical_depth(row: &mut SampleRow) {
     for o in &mut row.0 {
-        *o = (-ln(1.0 - o.min(MAX_OPACITY as f32))).min(MAX_THICKNESS);
+        *o = (-ln(1.0 - o.min(MAX_OPACITY as f32))).min(MAX_OPTICAL_DEPTH);
     }
 }
 
@@ -446,7 +446,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const WANTS: Wants = Wants {
+    const WANTS: RequiredOutputs = RequiredOutputs {
         color: true,
         normal: false,
         boundary: false,
@@ -456,10 +456,10 @@ mod tests {
     };
 
     /// One lane of opacities of few values, so that ties are common, each with a colour that tells where it is from.
-    fn block() -> impl Strategy<Value = Block> {
+    fn block() -> impl Strategy<Value = NodeSamples> {
         let opacity = prop::sample::select(vec![0.0, 0.25, 0.5, 0.75, MAX_OPACITY as f32]);
         (prop::collection::vec(opacity, SLAB_SAMPLES), 0.0_f32..1.0).prop_map(|(opacities, color)| {
-            let mut block = Block::new(WANTS);
+            let mut block = NodeSamples::new(WANTS);
             block.touched = 1;
             block.opacity[0].0.copy_from_slice(&opacities);
             block.color.iter_mut().for_each(|rows| rows[0].0.fill(color));
@@ -468,33 +468,33 @@ mod tests {
         })
     }
 
-    fn copy(of: &Block) -> Block {
-        let mut copy = Block::new(WANTS);
+    fn copy(of: &NodeSamples) -> NodeSamples {
+        let mut copy = NodeSamples::new(WANTS);
         copy.copy_from(of, WANTS);
         copy
     }
 
-    fn union(a: &Block, b: &Block) -> Block {
+    fn union(a: &NodeSamples, b: &NodeSamples) -> NodeSamples {
         let mut out = copy(a);
         out.unite(b, WANTS);
         out
     }
 
-    fn intersection(a: &Block, b: &Block) -> Block {
+    fn intersection(a: &NodeSamples, b: &NodeSamples) -> NodeSamples {
         let mut children = [copy(a), copy(b)];
-        Block::intersect(&mut children, WANTS);
+        NodeSamples::intersect(&mut children, WANTS);
         let [first, _] = children;
         first
     }
 
-    fn difference(a: &Block, b: &Block) -> Block {
+    fn difference(a: &NodeSamples, b: &NodeSamples) -> NodeSamples {
         let mut out = copy(a);
         out.subtract(b, WANTS, 1.0);
         out
     }
 
-    fn blend(blocks: &[&Block]) -> Block {
-        let mut out = Block::new(WANTS);
+    fn blend(blocks: &[&NodeSamples]) -> NodeSamples {
+        let mut out = NodeSamples::new(WANTS);
         for (place, block) in blocks.iter().enumerate() {
             out.add(block, WANTS, place == 0);
         }
@@ -502,12 +502,12 @@ mod tests {
         out
     }
 
-    fn opacities(block: &Block) -> [f32; SLAB_SAMPLES] {
+    fn opacities(block: &NodeSamples) -> [f32; SLAB_SAMPLES] {
         if block.touched == 1 { block.opacity[0].0 } else { [0.0; SLAB_SAMPLES] }
     }
 
     /// Colours and an attribute where there is anything.
-    fn attributes(block: &Block) -> Vec<Option<(f32, f32)>> {
+    fn attributes(block: &NodeSamples) -> Vec<Option<(f32, f32)>> {
         let both = |j: usize| (block.color[0][0].0[j], block.attributes[2][0].0[j]);
         (0..SLAB_SAMPLES).map(|j| (opacities(block)[j] > 0.0).then(|| both(j))).collect()
     }
@@ -515,7 +515,7 @@ mod tests {
     proptest! {
         #[test]
         fn opacity_under_union_and_intersection_is_a_distributive_lattice(a in block(), b in block(), c in block()) {
-            let equal = |x: Block, y: Block| opacities(&x) == opacities(&y);
+            let equal = |x: NodeSamples, y: NodeSamples| opacities(&x) == opacities(&y);
             prop_assert!(equal(union(&a, &b), union(&b, &a)));
             prop_assert!(equal(intersection(&a, &b), intersection(&b, &a)));
             prop_assert!(equal(union(&a, &union(&b, &c)), union(&union(&a, &b), &c)));
@@ -535,7 +535,7 @@ mod tests {
 
         #[test]
         fn nothing_taken_away_leaves_all_and_all_taken_away_leaves_nothing(a in block()) {
-            let nothing = Block::new(WANTS);
+            let nothing = NodeSamples::new(WANTS);
             prop_assert_eq!(opacities(&difference(&a, &nothing)), opacities(&a));
             prop_assert_eq!(attributes(&difference(&a, &nothing)), attributes(&a));
             prop_assert_eq!(opacities(&difference(&a, &a)), [0.0; SLAB_SAMPLES]);
