@@ -1,6 +1,7 @@
 //! Pictures: bands of rows in linear light; PNG, and OpenEXR with layers.
 
 mod display;
+#[cfg(feature = "exr")]
 mod exr_out;
 mod png_out;
 
@@ -10,6 +11,7 @@ pub use display::srgb_from_linear;
 #[cfg(not(feature = "internals"))]
 pub(crate) use display::srgb_from_linear;
 pub use display::{DisplayTransform, ToneMapping};
+#[cfg(feature = "exr")]
 pub use exr_out::{ExrBands, ExrError};
 pub use png_out::{PngBands, PngError};
 

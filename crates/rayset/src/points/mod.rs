@@ -6,6 +6,7 @@
 
 mod array;
 mod column;
+#[cfg(feature = "las")]
 mod las;
 mod mesh;
 mod ply;
@@ -26,10 +27,10 @@ pub use self::array::ArraySource;
 #[cfg(not(feature = "internals"))]
 pub(crate) use self::array::ArraySource;
 pub use self::column::{ColumnInfo, ColumnType, Values};
-#[cfg(feature = "internals")]
+#[cfg(all(feature = "internals", feature = "las"))]
 #[doc(hidden)]
 pub use self::las::LasSource;
-#[cfg(not(feature = "internals"))]
+#[cfg(all(not(feature = "internals"), feature = "las"))]
 use self::las::LasSource;
 pub use self::mesh::MeshSource;
 #[cfg(feature = "internals")]
@@ -212,6 +213,14 @@ pub enum ReadError {
         /// Number of points that the header claims.
         count: u64,
     },
+    /// This build of the library cannot read the format.
+    #[error("{}: this build cannot read such files; compile it with the feature `{feature}`", path.display())]
+    NotCompiled {
+        /// The file.
+        path: PathBuf,
+        /// The cargo feature that it takes.
+        feature: &'static str,
+    },
     /// The extension names no format that can be read.
     #[error(
         "{}: unknown kind of file; expected .ply, .las, .laz, .xyz, .txt, .csv, .asc or .pts", path.display()
@@ -243,7 +252,10 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     Ok(match extension.as_str() {
         "ply" => Box::new(PlySource::open(path)?),
+        #[cfg(feature = "las")]
         "las" | "laz" => Box::new(LasSource::open(path)?),
+        #[cfg(not(feature = "las"))]
+        "las" | "laz" => return Err(ReadError::NotCompiled { path: path.to_owned(), feature: "las" }),
         "xyz" | "txt" | "csv" | "asc" | "pts" => {
             Box::new(TextSource::open(path, options.text_columns.as_deref())?)
         }

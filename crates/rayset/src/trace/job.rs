@@ -38,8 +38,33 @@ pub(super) struct Job {
     pages: PageClient,
     /// Ends this render alone.
     stop: CancelToken,
+    progress: Arc<Progress>,
+}
+
+/// How far a render has come. A thread that leaves has let go of the render itself before it says so here, so that nothing
+/// of a render lives longer than the call.
+#[derive(Default)]
+pub(super) struct Progress {
     state: Mutex<State>,
     changed: Condvar,
+}
+
+impl Progress {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A thread has left.
+    pub(super) fn left(&self) {
+        self.lock().threads -= 1;
+        self.changed.notify_all();
+    }
+
+    /// Has the one who called look again.
+    pub(super) fn wake(&self) {
+        drop(self.lock());
+        self.changed.notify_all();
+    }
 }
 
 #[derive(Default)]
@@ -96,8 +121,7 @@ impl Job {
             passes,
             earlier: (0..kept).map(|_| Mutex::new(None)).collect(),
             stop: stop.clone(),
-            state: Mutex::default(),
-            changed: Condvar::new(),
+            progress: Arc::default(),
             prepared,
         }
     }
@@ -107,7 +131,11 @@ impl Job {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.progress.lock()
+    }
+
+    pub(super) fn progress(&self) -> Arc<Progress> {
+        self.progress.clone()
     }
 
     // The one who called for the render.
@@ -124,7 +152,7 @@ impl Job {
             if state.threads == 0 && (complete || stopped) {
                 break;
             }
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = self.progress.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         let complete = state.pass == self.passes.len() && state.outputs.is_empty();
         let (panic, error, counts) = (state.panic.take(), state.error.take(), state.counts);
@@ -146,12 +174,6 @@ impl Job {
         self.stop.cancel();
     }
 
-    /// Has the one who called look again.
-    pub(super) fn wake(&self) {
-        drop(self.lock());
-        self.changed.notify_all();
-    }
-
     // The threads.
 
     /// Whether there is something to do for another thread.
@@ -163,12 +185,6 @@ impl Job {
     /// A thread is about to work on this.
     pub(super) fn entered(&self) {
         self.lock().threads += 1;
-    }
-
-    /// It has left.
-    pub(super) fn left(&self) {
-        self.lock().threads -= 1;
-        self.changed.notify_all();
     }
 
     /// Traces tile after tile, until there are none or the thread's turn is over.
@@ -291,7 +307,7 @@ impl Job {
             (state.pass, state.next, state.finished) = (state.pass + 1, 0, 0);
         }
         drop(state);
-        self.changed.notify_all();
+        self.progress.changed.notify_all();
         if next_pass {
             turn.call_others();
         }

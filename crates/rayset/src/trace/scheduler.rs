@@ -54,7 +54,7 @@ impl Scheduler {
     /// Starts threads that wait for work.
     pub(super) fn start(threads: usize) -> io::Result<Self> {
         let shared = Arc::new(Shared { state: Mutex::default(), changed: Condvar::new() });
-        let mut scheduler = Self { shared: shared.clone(), threads: Vec::with_capacity(threads) };
+        let mut scheduler = Self { shared: shared.clone(), threads: Vec::new() };
         for _ in 0..threads {
             let shared = shared.clone();
             let thread = std::thread::Builder::new().name("rayset-trace".into()).spawn(move || work(&shared));
@@ -135,7 +135,9 @@ fn work(shared: &Shared) {
             entry.threads -= 1;
         }
         drop(state);
-        job.left();
+        let progress = job.progress();
+        drop(job);
+        progress.left();
     }
 }
 

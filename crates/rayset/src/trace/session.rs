@@ -18,6 +18,9 @@ use crate::scene::{Camera, Node, RenderSettings, Scene, Shape};
 use crate::working_set::read::{self, BackendKind, Delayed};
 use crate::working_set::{Kind, Limits, PagedFiles, Statistics, WorkingSet};
 
+/// More threads than any machine has processors.
+const MOST_THREADS: usize = 4096;
+
 /// How the work is done. Nothing here can change a pixel, but for vector instructions with and without fused
 /// multiply–add.
 #[derive(Clone)]
@@ -231,6 +234,10 @@ impl Session {
         {
             let what = "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into();
             return Err(RenderError::Setting { setting: "tile or slab", what });
+        }
+        if exec.threads > MOST_THREADS {
+            let what = format!("{} are more than {MOST_THREADS}", exec.threads);
+            return Err(RenderError::Setting { setting: "threads", what });
         }
         let scheduler = Scheduler::start(exec.threads.max(1)).map_err(RenderError::Threads)?;
         let pages = files.pages.clone();

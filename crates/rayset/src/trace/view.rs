@@ -144,6 +144,15 @@ impl std::fmt::Debug for View {
     }
 }
 
+/// Cancels what nobody waits for any more.
+struct CancelWhenDropped<'a>(&'a CancelToken);
+
+impl Drop for CancelWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.cancel();
+    }
+}
+
 impl View {
     /// The whole picture.
     #[must_use]
@@ -153,9 +162,17 @@ impl View {
 
     /// The tiles of a part of the picture, in the order that is best for throughput: along a space-filling curve, so that
     /// what is traced at a time needs the same pages. Tiles lie on a lattice of the whole picture; those at the edges of
-    /// the region are cut.
+    /// the region are cut, and what lies outside the picture is left out.
     #[must_use]
     pub fn tiles(&self, region: &Region) -> Vec<Tile> {
+        let whole = self.region();
+        let region = &Region {
+            columns: region.columns.start..region.columns.end.min(whole.columns.end),
+            rows: region.rows.start..region.rows.end.min(whole.rows.end),
+        };
+        if region.columns.is_empty() || region.rows.is_empty() {
+            return Vec::new();
+        }
         let edge = self.prepared.exec().tile_pixels;
         let (x0, y0) = (region.columns.start / edge, region.rows.start / edge);
         let (x1, y1) = (region.columns.end.div_ceil(edge), region.rows.end.div_ceil(edge));
@@ -211,8 +228,10 @@ impl View {
             return Err(RenderError::Cancelled);
         }
         let job = Arc::new(Job::new(self, work, &stop));
-        let of_waker = job.clone();
-        let _woken = stop.register(Arc::new(move || of_waker.wake()));
+        let progress = job.progress();
+        let _woken = stop.register(Arc::new(move || progress.wake()));
+        // A sink that panics ends the render, too.
+        let _ended = CancelWhenDropped(&stop);
         let scheduled = self.prepared.session().schedule(&job);
         loop {
             match job.next() {

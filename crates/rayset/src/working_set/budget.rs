@@ -71,6 +71,11 @@ impl Budget {
         }
     }
 
+    /// Whether the limits leave room for so many bytes of a kind where nothing else is.
+    pub(super) fn could_hold(&self, kind: Kind, bytes: u64) -> bool {
+        bytes <= self.limits.total.min(self.limits.by_kind[kind.index()])
+    }
+
     /// A limit that is exceeded now, because it has been lowered.
     pub(super) fn excess(&self) -> Option<Obstacle> {
         Kind::ALL.into_iter().find_map(|kind| self.obstacle(kind, 0))

@@ -109,7 +109,11 @@ impl PagePool {
         let mut state = lock(&self.state);
         state.budget.limits = limits;
         state.drop_unused_memory();
-        state.evict_excess(self.tick())
+        let evicted = state.evict_excess(self.tick());
+        drop(state);
+        // There may be room now for somebody who waits.
+        self.notify_waiting();
+        evicted
     }
 
     /// Evicts everything that is neither retained nor loading. Returns what went.
@@ -166,7 +170,7 @@ impl PagePool {
         fence(Ordering::SeqCst);
         let room = self.wait_for(cancel, |state| {
             let room = state.reserve(kind, bytes, self.tick(), evicted).map(Ok);
-            room.or_else(|| (bytes > state.budget.limits.total).then_some(Err(WaitError::Hopeless)))
+            room.or_else(|| (!state.budget.could_hold(kind, bytes)).then_some(Err(WaitError::Hopeless)))
         });
         self.waiting_for_room.fetch_sub(1, Ordering::SeqCst);
         room?

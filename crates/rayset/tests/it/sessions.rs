@@ -10,7 +10,7 @@ use rayset::geometry::DVec3;
 use rayset::image::LayerPixel;
 use rayset::scene::{Camera, Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
 use rayset::trace::{
-    ExecSettings, FinishedTile, RenderError, Session, SinkError, Tile, View, Work, render_once,
+    ExecSettings, FinishedTile, Region, RenderError, Session, SinkError, Tile, View, Work, render_once,
 };
 use rayset::working_set::Kind;
 use rayset::working_set::read::{self, BackendKind, Delayed};
@@ -225,6 +225,39 @@ fn renders_side_by_side_in_a_tenth_of_their_pages_are_each_as_if_alone() {
         });
         assert_eq!(session.pages().retained_bytes(), 0);
     }
+}
+
+#[test]
+fn tiles_of_a_region_beyond_the_picture_are_those_within_it() {
+    let folder = folder();
+    let scene = scene(&workload_cloud("knot-20k", folder.path()), Kernel::Wyvill, true);
+    let session = Session::over(paged(&scene, 1 << 30), exec(1)).expect("a session");
+    let view = session.prepare(&scene, &settings(40, 24)).expect("a scene").view(&camera()).expect("a view");
+    let whole = view.tiles(&view.region());
+    assert_eq!(whole.iter().map(Tile::pixels).sum::<usize>(), 40 * 24);
+    let tiles = |columns, rows| view.tiles(&Region { columns, rows });
+    assert_eq!(tiles(0..u32::MAX, 0..u32::MAX), whole);
+    #[allow(clippy::reversed_empty_ranges, reason = "what a caller may give")]
+    let none = [tiles(5..3, 0..9), tiles(5..5, 0..9), tiles(40..50, 0..9), tiles(0..9, 24..u32::MAX)];
+    assert!(none.iter().all(Vec::is_empty), "{none:?}");
+    assert!(Session::over(paged(&scene, 1 << 30), exec(usize::MAX)).is_err());
+}
+
+#[test]
+fn a_sink_that_panics_ends_its_render_and_the_session_goes_on() {
+    let folder = folder();
+    let scene = scene(&workload_cloud("knot-20k", folder.path()), Kernel::Wyvill, true);
+    let session = Session::over(paged(&scene, 1 << 30), exec(2)).expect("a session");
+    let view = session.prepare(&scene, &settings(40, 40)).expect("a scene").view(&camera()).expect("a view");
+    let expected = bits(&view.picture().expect("a picture").pixels);
+    let work = Work::tiles(view.tiles(&view.region()));
+    let mut panics =
+        |_: &FinishedTile<'_>| -> Result<(), SinkError> { std::panic::resume_unwind(Box::new(7)) };
+    let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        view.render(&work, &CancelToken::new(), &mut panics).map(drop)
+    }));
+    assert!(caught.is_err());
+    assert!(bits(&view.picture().expect("a picture").pixels) == expected);
 }
 
 /// Cancels a picture at random moments within `longest`. Returns how long each call took to return after that, sorted.

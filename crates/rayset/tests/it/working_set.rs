@@ -383,3 +383,12 @@ fn a_smaller_budget_takes_effect_at_once() {
     assert!(resident.contains(&9));
     drop(held);
 }
+
+#[test]
+fn a_kind_that_may_have_no_page_is_an_error_at_once() {
+    let (_, client, object, _) = set(Numbers::new(8), pages(8).with_kind(Kind::Octree, 0));
+    let started = Instant::now();
+    assert!(client.retain(&object, 4).is_err(), "an octree page");
+    assert!(started.elapsed() < Duration::from_secs(5), "{:?}", started.elapsed());
+    drop(client.retain(&object, 5).expect("a page of points"));
+}

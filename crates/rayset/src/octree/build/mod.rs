@@ -178,6 +178,9 @@ impl Default for BuildOptions {
 /// What the first pass takes besides the source that it reads: a batch of points and a buffer of records.
 const READING_BYTES: u64 = 6 << 20;
 
+/// More threads than any machine has processors.
+const MOST_THREADS: usize = 4096;
+
 /// Smallest `memory_bytes` a build with `threads` threads runs in.
 #[must_use]
 pub fn minimum_memory(threads: usize) -> u64 {
@@ -489,6 +492,9 @@ fn check_options(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) 
     let wrong = |option, what: String| Err(BuildError::Option { option, what });
     if sources.is_empty() {
         return Err(BuildError::NoInput);
+    }
+    if options.threads > MOST_THREADS {
+        return wrong("threads", format!("{} are more than {MOST_THREADS}", options.threads));
     }
     // Sources are read one after another, before anything else takes much, but all are open.
     let reading: u64 = sources.iter().map(|s| s.memory_needed()).sum();

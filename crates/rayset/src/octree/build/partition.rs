@@ -280,6 +280,10 @@ impl<'a> Partition<'a> {
             counts[self.window(record, window)].fetch_add(1, Ordering::Relaxed);
         })?;
         let counts: Vec<u64> = counts.into_iter().map(AtomicU64::into_inner).collect();
+        if counts.contains(&region.count) {
+            // All are alike in this window: another copy of them would be the same.
+            return self.list_part(region, window + 1, list, out);
+        }
         let (spill, firsts) = self.scatter(region, &counts, |record| self.window(record, window))?;
         for (cell, &count) in counts.iter().enumerate() {
             if count > 0 {

@@ -24,19 +24,22 @@ pub(super) fn ordered<T: Send, E: Send>(
     let (changed, stop) = (Condvar::new(), AtomicBool::new(false));
     let lock = || state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     std::thread::scope(|scope| {
-        // A worker that unwinds must not leave the others waiting; the scope passes the panic on.
-        struct StopOnDrop<'a>(&'a AtomicBool, &'a Condvar);
-        impl Drop for StopOnDrop<'_> {
+        // Whoever unwinds, a worker or the one that consumes, must not leave the others waiting; the scope passes the panic on.
+        struct StopOnDrop<'a, T>(&'a AtomicBool, &'a Mutex<T>, &'a Condvar);
+        impl<T> Drop for StopOnDrop<'_, T> {
             fn drop(&mut self) {
                 if std::thread::panicking() {
                     self.0.store(true, Ordering::SeqCst);
                 }
-                self.1.notify_all();
+                // The lock orders the store before any wait that began earlier.
+                drop(self.1.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+                self.2.notify_all();
             }
         }
+        let _caller = StopOnDrop(&stop, &state, &changed);
         for _ in 0..threads.min(count) {
             scope.spawn(|| {
-                let _guard = StopOnDrop(&stop, &changed);
+                let _guard = StopOnDrop(&stop, &state, &changed);
                 loop {
                     let mut s = lock();
                     while s.next < count && s.next > s.consumed + threads && !stop.load(Ordering::SeqCst) {
@@ -134,6 +137,20 @@ mod tests {
         );
         assert!(result.is_ok());
         assert!(seen.iter().enumerate().all(|(k, &(i, r))| k == i && k == r) && seen.len() == 200);
+    }
+
+    #[test]
+    fn a_panic_of_the_one_that_consumes_ends_the_work() {
+        let (send, receive) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            let consume =
+                |i, _| -> Result<(), ()> { if i == 3 { panic!("a bug of the caller's") } else { Ok(()) } };
+            let outcome = std::panic::catch_unwind(|| ordered(1000, 3, Ok, consume));
+            let _ = send.send(outcome.is_err());
+        });
+        let panicked =
+            receive.recv_timeout(std::time::Duration::from_secs(20)).expect("a wait that lasts for ever");
+        assert!(panicked);
     }
 
     #[test]
