@@ -8,7 +8,7 @@ use crate::container::{Identity, Metadata, RecordSum};
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::format::AttributeInfo;
 use crate::octree::page::RootCell;
-use crate::points::{PointBatch, PointSource};
+use crate::points::{PointBatch, PointSource, Values};
 use crate::spill::{Spill, SpillWriter};
 
 /// Points read at a time.
@@ -60,6 +60,11 @@ pub(super) fn run(
             source.fill(&mut batch, BATCH_POINTS)?;
             if batch.is_empty() {
                 break;
+            }
+            let whole = |values: &Values| values.len() == batch.len();
+            if batch.columns.len() != selection.len() || !batch.columns.iter().all(whole) {
+                let (columns, selected) = (batch.columns.len(), selection.len());
+                return Err(BuildError::Source { input: input + 1, columns, selected });
             }
             for i in 0..batch.len() {
                 match tally.check(&batch, i, &mut record) {

@@ -286,6 +286,19 @@ pub enum BuildError {
     /// The output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// A source has handed out a batch that is not what was asked of it: a defect of the source.
+    #[error(
+        "input {input} handed out a batch of {columns} columns where {selected} were selected, or of columns that are not \
+         as long as its positions"
+    )]
+    Source {
+        /// Which input, from 1.
+        input: usize,
+        /// Columns of the batch.
+        columns: usize,
+        /// Columns that were selected.
+        selected: usize,
+    },
     /// No input was given.
     #[error("no input files")]
     NoInput,
