@@ -195,8 +195,13 @@ fn data_of_scenes() {
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
     let layout = "10x10x10,u8".parse().expect("a layout");
     let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
-    grid_build::build(source, &folder().join("grid.rset"), &GridBuildOptions::default(), &rayset::build::BuildControl::default())
-        .expect("it builds");
+    grid_build::build(
+        source,
+        &folder().join("grid.rset"),
+        &GridBuildOptions::default(),
+        &rayset::build::BuildControl::default(),
+    )
+    .expect("it builds");
     let maps = r#"[{"Name": "Fire", "RGBPoints": [0, 0, 0, 0, 1, 1, 0.5, 0], "Points": [0, 0, 0.5, 0, 1, 1, 0.5, 0]}]"#;
     std::fs::write(folder().join("maps.json"), maps).expect("a write");
 }
