@@ -7,9 +7,8 @@
 
 use super::composite::RayState;
 use super::node_samples::{
-    MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane,
+    Constants, MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane,
 };
-use super::shade::Shader;
 use crate::field::{LANES, Packet, Slab};
 use crate::geometry::{DVec3, Ray};
 
@@ -175,7 +174,7 @@ impl RefractionStates {
         slab: Slab,
         node: &mut NodeSamples,
         going: u64,
-        shader: &Shader,
+        constants: &Constants,
     ) {
         each_lane(self.may_bend(going), |lane| {
             let state = &mut self.states_of_rays[lane];
@@ -187,7 +186,7 @@ impl RefractionStates {
                 let depth = if touched { -f64::from(node.boundary[lane].0[j]) } else { 0.0 };
                 let (mut inside, mut index) = (None, 1.0);
                 if touched && node.opacity[lane].0[j] > 0.0 && depth > 0.0 {
-                    let material = shader.material_at(node, lane, j);
+                    let material = constants.material_at(node, lane, j);
                     let t = packet.sample_t_world(lane, slab.first + j as u64);
                     let (normal, reflectance) = (node.normal_at(lane, j), material[REFLECTANCE]);
                     inside = Some(Inside { t, normal, depth, reflectance });

@@ -1,8 +1,7 @@
 //! What is known of pixels besides their colour: gathered from the samples that rays from the eye meet.
 
 use super::composite::Shares;
-use super::node_samples::{LEAF, NodeSamples, each_lane};
-use super::shade::Shader;
+use super::node_samples::{Constants, LEAF, NodeSamples, each_lane};
 use crate::field::{LANES, Packet, Slab};
 use crate::image::LayerPixel;
 
@@ -41,7 +40,7 @@ impl Layers {
         slab: Slab,
         node: &NodeSamples,
         shares: &Shares,
-        shader: &Shader,
+        constants: &Constants,
         pixels: impl Fn(usize) -> usize,
     ) {
         each_lane(shares.lanes(), |lane| {
@@ -51,7 +50,7 @@ impl Layers {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
                 let share = shares.share[lane].0[j];
-                let color = shader.color_at(node, lane, j);
+                let color = constants.color_at(node, lane, j);
                 pixel.weight += share;
                 pixel.depth += f64::from(share) * packet.sample_t_world(lane, slab.first + j as u64);
                 pixel.samples += 1;

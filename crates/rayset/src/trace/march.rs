@@ -1,7 +1,7 @@
 //! One packet on its way through the whole graph: its samples, slab after slab.
 
 use super::access::{Access, Halt};
-use super::cloud_volume::{CloudMarch, CloudScratch, Request};
+use super::cloud::{CloudMarch, CloudScratch, Request};
 use super::counts::RenderCounts;
 use super::node_samples::{Live, Measure, NodeSamples};
 use super::program::{Action, Instruction, Program};

@@ -7,10 +7,9 @@
 
 mod access;
 mod bounce;
-mod cloud_volume;
+mod cloud;
 mod composite;
 mod counts;
-mod frontier;
 mod grid_volume;
 mod job;
 mod layers;
@@ -18,6 +17,7 @@ mod march;
 mod math;
 pub mod memory;
 mod node_samples;
+mod operators;
 mod packet_tracer;
 pub mod predict;
 mod prepared;

@@ -69,7 +69,7 @@ impl<'a> PacketTracer<'a> {
         Self {
             world,
             march: March::new(&world.program, slab_samples),
-            shadows: Shadows::new(world, slab_samples),
+            shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
             layers: world.layers.then(Layers::new),
             tree: Tree::default(),
@@ -256,12 +256,13 @@ impl<'a> PacketTracer<'a> {
             self.counts.slabs += 1;
             self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
             if let Some(refraction) = &mut refraction {
-                refraction.bend(packet, slab, node, going, &world.shader);
+                refraction.bend(packet, slab, node, going, world.shader.constants());
             }
             going = world.absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
             self.counts.nonzero_samples += self.shares.count();
             if let (Some(layers), Some(pixels)) = (&mut self.layers, pixels) {
-                layers.gather(packet, slab, node, &self.shares, &world.shader, |lane| pixels[lane]);
+                layers
+                    .gather(packet, slab, node, &self.shares, world.shader.constants(), |lane| pixels[lane]);
             }
             if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
                 self.shade(access, packet, slab, node, refraction.as_deref_mut())?;
@@ -289,8 +290,7 @@ impl<'a> PacketTracer<'a> {
         let shadows = match &mut self.shadows {
             Some(shadows) => {
                 let before = self.counts.splats;
-                let rows =
-                    shadows.find(access, shader, packet, slab, node, &self.shares, &mut self.counts)?;
+                let rows = shadows.find(access, packet, slab, node, &self.shares, &mut self.counts)?;
                 self.counts.shadow_splats += self.counts.splats - before;
                 rows
             }

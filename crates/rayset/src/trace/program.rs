@@ -9,9 +9,9 @@ use std::sync::Arc;
 
 use super::RenderError;
 use super::bounce::ScatterKinds;
-use super::cloud_volume::CloudVolume;
+use super::cloud::CloudVolume;
 use super::grid_volume::GridVolume;
-use super::node_samples::{LEAF, MATERIAL, Measure, RequiredOutputs};
+use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
 use super::procedural_volume::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
@@ -61,10 +61,8 @@ pub(super) struct Program {
     pub(super) required: RequiredOutputs,
     /// Boundaries farther from a cut than this do not light it; world space.
     pub(super) reach: f64,
-    /// The material of every sample, if it is one.
-    pub(super) material: Option<[f32; MATERIAL]>,
-    /// The colour of every sample, if it is one.
-    pub(super) color: Option<[f32; 3]>,
+    /// What every sample has.
+    pub(super) constants: Constants,
     pub(super) simd: SimdLevel,
 }
 
@@ -191,7 +189,7 @@ impl Compiler<'_> {
                 )
                 .ok_or_else(|| not_paged(object.cloud.path()))?;
                 let (bounds, color) =
-                    (object.bounds().transformed(&world_from_local), volume.uniform_color());
+                    (object.bounds().transformed(&world_from_local), volume.shading.uniform_color());
                 (Action::Cloud(Box::new(volume)), bounds, color)
             }
             Shape::Grid(object) => {
@@ -286,7 +284,8 @@ impl Compiler<'_> {
                 instruction.bounds = instruction.bounds.inflated(reach);
             }
         }
-        Program { instructions: self.instructions, required, reach, material, color, simd: self.simd }
+        let constants = Constants { color, material };
+        Program { instructions: self.instructions, required, reach, constants, simd: self.simd }
     }
 
     fn wanted_of_root(
@@ -330,7 +329,10 @@ impl Compiler<'_> {
         let below = RequiredOutputs { color: required.color && (reads_color || !makes_color), ..*required };
         let (operator, children) = match action {
             Action::Operator(operator, children) => (operator, children),
-            Action::Cloud(volume) => return volume.carry(below, &self.names),
+            Action::Cloud(volume) => {
+                let CloudVolume { placement, shading } = volume.as_mut();
+                return shading.carry(placement.header(), below, &self.names);
+            }
             Action::Grid(volume) => return volume.carry(&self.names),
             Action::Procedural(volume) => return volume.carry(&self.names),
         };
@@ -359,7 +361,7 @@ fn used_materials(instructions: &[Instruction]) -> Vec<[f32; MATERIAL]> {
     let mut used: Vec<[f32; MATERIAL]> = Vec::new();
     for instruction in instructions {
         let mut material = match &instruction.action {
-            Action::Cloud(volume) => volume.material,
+            Action::Cloud(volume) => volume.shading.material,
             Action::Grid(volume) => volume.material,
             Action::Procedural(volume) => volume.material,
             Action::Operator(..) => continue,

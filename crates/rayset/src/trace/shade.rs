@@ -3,7 +3,7 @@
 use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
 use super::math::power;
-use super::node_samples::{MATERIAL, NodeSamples, each_lane};
+use super::node_samples::{Constants, MATERIAL, NodeSamples, each_lane};
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::DVec3;
 use crate::scene::{Light, LightKind, Lighting};
@@ -12,8 +12,7 @@ use crate::scene::{Light, LightKind, Lighting};
 pub(super) struct Shader {
     /// `None` where samples have the colours of their transfer functions.
     lights: Option<Vec<Light>>,
-    color: Option<[f32; 3]>,
-    material: Option<[f32; MATERIAL]>,
+    constants: Constants,
 }
 
 /// For each light, how much of it reaches each sample; `None` for one that throws no shadows.
@@ -29,30 +28,17 @@ struct Surface {
 }
 
 impl Shader {
-    pub(super) fn new(
-        lighting: &Lighting,
-        color: Option<[f32; 3]>,
-        material: Option<[f32; MATERIAL]>,
-    ) -> Self {
+    pub(super) fn new(lighting: &Lighting, constants: Constants) -> Self {
         let lights = match lighting {
             Lighting::Unlit => None,
             Lighting::Lit(lights) => Some(lights.clone()),
         };
-        Self { lights, color, material }
+        Self { lights, constants }
     }
 
     /// The one colour that every sample gives, if so: a ray's colour then follows from its transmittance.
     pub(super) fn flat_color(&self) -> Option<[f32; 3]> {
-        self.color.filter(|_| self.lights.is_none())
-    }
-
-    /// The lights that shadow rays go to, with their numbers.
-    pub(super) fn shadow_lights(&self) -> impl Iterator<Item = (usize, &Light)> {
-        self.lights.iter().flatten().enumerate().filter(|(_, light)| light.throws_shadows())
-    }
-
-    pub(super) fn lights(&self) -> usize {
-        self.lights.as_ref().map_or(0, Vec::len)
+        self.constants.color.filter(|_| self.lights.is_none())
     }
 
     /// Adds the light of the samples that count to their rays.
@@ -73,7 +59,7 @@ impl Shader {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
                 let color = match &self.lights {
-                    None => self.color_at(node, lane, j),
+                    None => self.constants.color_at(node, lane, j),
                     Some(lights) => {
                         let surface = self.surface(packet, node, lane, j);
                         lit(lights, &surface, shadows, packet, slab, lane, j)
@@ -82,7 +68,7 @@ impl Shader {
                 let share = shares.share[lane].0[j];
                 let mut given = color.map(|v| share * v);
                 if let Some(refraction) = &mut refraction {
-                    let mirrored = refraction.reflectance(lane, &self.material_at(node, lane, j));
+                    let mirrored = refraction.reflectance(lane, &self.constants.material_at(node, lane, j));
                     if mirrored > 0.0 {
                         let before = refraction.reflect(packet, slab, node, lane, j, share * mirrored, color);
                         given = [0, 1, 2].map(|c| before[c] + (1.0 - mirrored) * given[c]);
@@ -95,12 +81,9 @@ impl Shader {
         });
     }
 
-    pub(super) fn color_at(&self, node: &NodeSamples, lane: usize, j: usize) -> [f32; 3] {
-        self.color.unwrap_or_else(|| node.color.each_ref().map(|rows| rows[lane].0[j]))
-    }
-
-    pub(super) fn material_at(&self, node: &NodeSamples, lane: usize, j: usize) -> [f32; MATERIAL] {
-        self.material.unwrap_or_else(|| node.material.each_ref().map(|rows| rows[lane].0[j]))
+    /// What the samples that it shades have in common.
+    pub(super) fn constants(&self) -> &Constants {
+        &self.constants
     }
 
     fn surface(&self, packet: &Packet, node: &NodeSamples, lane: usize, j: usize) -> Surface {
@@ -110,9 +93,9 @@ impl Shader {
             node.normal.each_ref().map(|rows| rows[lane].0[j])
         };
         Surface {
-            color: self.color_at(node, lane, j),
+            color: self.constants.color_at(node, lane, j),
             normal,
-            material: self.material_at(node, lane, j),
+            material: self.constants.material_at(node, lane, j),
             view: packet.direction_f32(lane).map(|v| -v),
         }
     }

@@ -14,8 +14,7 @@
 
 use super::RenderError;
 use super::access::{Access, Halt};
-use super::cloud_volume::CloudVolume;
-use super::frontier::{each_own_page, run_bounds};
+use super::cloud::{CloudPlacement, each_own_page, run_bounds};
 use super::program::{Action, Program};
 use crate::field::RayColumns;
 use crate::geometry::{Aabb, Beam, DVec3, Ray};
@@ -44,6 +43,7 @@ pub(super) struct StepGroup {
     pub(super) members: Vec<usize>,
 }
 
+#[derive(Clone)]
 pub(super) struct StepRule {
     coarsest: f64,
     /// The length of which the coarsest step is the fraction asked for; `None` where steps are fixed.
@@ -84,13 +84,13 @@ impl StepRule {
         let (coarsest, varies) = match settings.step {
             Step::Fixed(step) => (step, false),
             Step::Automatic { fraction } if longest > 0.0 => {
-                let one_radius = |volume: &CloudVolume| {
-                    let radius = volume.header().radius;
-                    radius.min() == radius.max() && volume.local_from_world().is_none()
+                let one_radius = |cloud: &CloudPlacement| {
+                    let radius = cloud.header().radius;
+                    radius.min() == radius.max() && cloud.local_from_world().is_none()
                 };
                 (
                     longest * fraction,
-                    details.len() > 1 || !program.clouds().all(|(_, volume)| one_radius(volume)),
+                    details.len() > 1 || !program.clouds().all(|(_, volume)| one_radius(&volume.placement)),
                 )
             }
             // Nothing is there to take a step from.
@@ -160,7 +160,7 @@ impl StepRule {
 /// The longest length that an object asks steps to be a fraction of, along any ray.
 fn largest_detail(action: &Action) -> Option<f64> {
     match action {
-        Action::Cloud(volume) => Some(volume.largest_radius_world()),
+        Action::Cloud(volume) => Some(volume.placement.largest_radius_world()),
         Action::Procedural(volume) => Some(volume.largest_detail_world()),
         Action::Grid(volume) => Some(GRID_DETAIL * volume.largest_spacing_world()),
         Action::Operator(..) => None,
@@ -208,13 +208,14 @@ impl Exponents {
                         (GRID_DETAIL * volume.spacing_world(ray)).max(least)
                     });
                 }
-                Action::Cloud(volume) if self.is_one_by_bounds(volume) => {
-                    let radius = f64::from(volume.header().radius.max());
+                Action::Cloud(volume) if self.is_one_by_bounds(&volume.placement) => {
+                    let cloud = &volume.placement;
+                    let radius = f64::from(cloud.header().radius.max());
                     self.lower_within(rays, &instruction.bounds, |ray| {
-                        radius / volume.stretch_along(ray.direction)
+                        radius / cloud.stretch_along(ray.direction)
                     });
                 }
-                Action::Cloud(volume) => self.lower_by_octree(access, program, volume, rays)?,
+                Action::Cloud(volume) => self.lower_by_octree(access, program, &volume.placement, rays)?,
                 Action::Operator(..) => {}
             }
         }
@@ -239,11 +240,11 @@ impl Exponents {
 
     /// Whether the bounds of a cloud say all that is asked of it: its points have one radius, and are not far finer than
     /// everything else and scattered.
-    fn is_one_by_bounds(&self, volume: &CloudVolume) -> bool {
-        let header = volume.header();
+    fn is_one_by_bounds(&self, cloud: &CloudPlacement) -> bool {
+        let header = cloud.header();
         let (least, radius) = (f64::from(header.radius.min()), f64::from(header.radius.max()));
         let scattered = header.bounds.size().max_element() > SCATTERED * radius;
-        least == radius && !(scattered && self.of(volume.largest_radius_world()) <= ASKED_THEMSELVES)
+        least == radius && !(scattered && self.of(cloud.largest_radius_world()) <= ASKED_THEMSELVES)
     }
 
     /// Rays that meet a box take at most a fraction of a length.
@@ -260,21 +261,21 @@ impl Exponents {
         &mut self,
         access: Access<'_>,
         program: &Program,
-        volume: &CloudVolume,
+        cloud: &CloudPlacement,
         rays: &[(Ray, f64)],
     ) -> Result<(), Halt> {
         // As the cloud sees them; a box is met by a ray here where it is met there.
-        let rays: Vec<Ray> = rays.iter().map(|(ray, _)| volume.local_ray(ray)).collect();
+        let rays: Vec<Ray> = rays.iter().map(|(ray, _)| cloud.local_ray(ray)).collect();
         let stretch: Vec<f64> = rays.iter().map(|ray| ray.direction.length()).collect();
         let (least, most) = stretch.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &s| (a.min(s), b.max(s)));
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|ray| beam.include(ray));
         // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
-        let mut stack: Vec<Node> = access.root(volume)?.into_iter().collect();
+        let mut stack: Vec<Node> = access.root(cloud)?.into_iter().collect();
         let (mut opened, mut opened_runs) = (1, 0);
         while let Some(node) = stack.pop() {
-            let bounds = node.bounds(volume.root_cell);
+            let bounds = node.bounds(cloud.root_cell);
             let finest_known = self.of_rays.iter().copied().max().unwrap_or(0);
             if self.of(f64::from(node.radius_min) / most) >= finest_known || beam.span(&bounds).is_none() {
                 continue;
@@ -283,7 +284,7 @@ impl Exponents {
                 Some(f64::from(node.radius_min))
             } else if node.own.runs > 0 {
                 // Own points of an inner node are wider than the cells of its children.
-                let cell = volume.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
+                let cell = cloud.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
                 Some(f64::from(cell as f32).max(f64::from(node.radius_min)))
             } else {
                 None
@@ -306,23 +307,23 @@ impl Exponents {
                 if ask_points != 0 {
                     // Runs belong to one node each, and hold a point at least.
                     opened_runs += u64::from(node.own.runs);
-                    if opened_runs > volume.header().points {
-                        return Err(volume.broken(node.own.first_page).into());
+                    if opened_runs > cloud.header().points {
+                        return Err(cloud.broken(node.own.first_page).into());
                     }
                     let some = LocalRays { rays: &rays, stretch: &stretch, columns: &columns };
-                    self.lower_by_points(access, volume, &node, some, ask_points)?;
+                    self.lower_by_points(access, cloud, &node, some, ask_points)?;
                 }
             }
             if node.child_mask != 0 {
                 let page = node.first_child.page;
-                let guard = access.retain(volume, volume.first_node_page + page)?;
+                let guard = access.retain(cloud, cloud.first_node_page + page)?;
                 let nodes = NodePage::trusted(&guard);
                 for child in 0..node.child_mask.count_ones() as usize {
                     let index = usize::from(node.first_child.index) + child;
                     let child = nodes.get(index).filter(|child| child.is_child_of(&node));
-                    let child = child.filter(|_| opened < volume.most_nodes());
+                    let child = child.filter(|_| opened < cloud.most_nodes());
                     opened += 1;
-                    stack.push(child.ok_or_else(|| volume.broken(page))?);
+                    stack.push(child.ok_or_else(|| cloud.broken(page))?);
                 }
             }
         }
@@ -333,17 +334,17 @@ impl Exponents {
     fn lower_by_points(
         &mut self,
         access: Access<'_>,
-        volume: &CloudVolume,
+        cloud: &CloudPlacement,
         node: &Node,
         local: LocalRays<'_>,
         lanes: u64,
     ) -> Result<(), Halt> {
-        let header = volume.header();
+        let header = cloud.header();
         let mut radii = [header.radius.min(); RUN_POINTS];
         let mut offsets = [[0.0; RUN_POINTS]; 3];
-        each_own_page(access, volume, node, |_, points, runs| {
+        each_own_page(access, cloud, node, |_, points, runs| {
             for index in runs {
-                let near = local.columns.cross(&run_bounds(volume, points, index), 0.0).near & lanes;
+                let near = local.columns.cross(&run_bounds(cloud, points, index), 0.0).near & lanes;
                 if near == 0 {
                     continue;
                 }
@@ -351,8 +352,8 @@ impl Exponents {
                 if let Some(stored) = run.radii(header) {
                     radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
                 }
-                run.decode_local_f64(volume.root_cell, &mut offsets);
-                let center = run.head.position_bounds(volume.root_cell).center();
+                run.decode_local_f64(cloud.root_cell, &mut offsets);
+                let center = run.head.position_bounds(cloud.root_cell).center();
                 for (lane, ray) in local.rays.iter().enumerate().filter(|(lane, _)| near >> lane & 1 == 1) {
                     // A length of one along the ray here, and the squared distance of a point to the ray's line.
                     let (stretch, from) = (local.stretch[lane], center - ray.origin);

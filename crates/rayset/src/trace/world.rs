@@ -5,20 +5,18 @@ use super::bounce::Bounces;
 use super::composite::Absorption;
 use super::program::{Program, Purpose};
 use super::shade::Shader;
-use super::shadow::DeepShadowMap;
+use super::shadow::ShadowWorld;
 use super::steps::StepRule;
 use crate::field::SimdLevel;
-use crate::scene::{Lighting, RenderSettings, Scene, Shadows};
+use crate::scene::{Lighting, RenderSettings, Scene};
 use crate::working_set::PagedFiles;
 
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World {
     pub(super) program: Program,
-    /// The same graph, for its opacity alone; `None` where no light throws shadows.
-    pub(super) shadow_program: Option<Program>,
+    /// `None` where no light throws shadows.
+    pub(super) shadows: Option<ShadowWorld>,
     pub(super) shader: Shader,
-    /// For each light, where its shadows are looked up; `None` where they are exact or there are none.
-    pub(super) light_tables: Vec<Option<DeepShadowMap>>,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
     /// `None` where all rays go straight on.
@@ -38,18 +36,7 @@ impl World {
     ) -> Result<Self, RenderError> {
         let purpose = if settings.layers { Purpose::Layers } else { Purpose::Picture };
         let program = Program::compile(scene, purpose, simd, paged)?;
-        let shader = Shader::new(&scene.lighting, program.color, program.material);
-        let shadow_program = match shader.shadow_lights().next() {
-            Some(_) => Some(Program::compile(scene, Purpose::Shadow, simd, paged)?),
-            None => None,
-        };
-        let mut light_tables: Vec<Option<DeepShadowMap>> = (0..shader.lights()).map(|_| None).collect();
-        if let Shadows::Cached { resolution } = settings.shadows {
-            let bounds = scene.root.bounds();
-            for (number, light) in shader.shadow_lights() {
-                light_tables[number] = DeepShadowMap::new(light, &bounds, resolution, &paged.pages);
-            }
-        }
+        let shader = Shader::new(&scene.lighting, program.constants);
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
             stop_transmittance: f64::from(settings.stop_transmittance),
@@ -61,13 +48,13 @@ impl World {
             reach_world: scene.unit_distance,
         };
         let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
+        let steps = StepRule::new(&program, settings)?;
         Ok(Self {
+            shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
             bounces: turn_rays.then_some(bounces),
-            steps: StepRule::new(&program, settings)?,
+            steps,
             program,
-            shadow_program,
             shader,
-            light_tables,
             absorption,
             layers: settings.layers,
             background: scene.background,

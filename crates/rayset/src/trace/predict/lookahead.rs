@@ -11,7 +11,7 @@ use crate::field::LANES;
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
-use crate::trace::cloud_volume::CloudVolume;
+use crate::trace::cloud::{CloudPlacement, CloudVolume};
 use crate::trace::view::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
 use crate::trace::world::World;
 use crate::working_set::{Object, PageClient};
@@ -130,11 +130,11 @@ impl LookaheadState {
             last_place[(lookahead_tile.1 * columns + lookahead_tile.0) as usize] = place;
         }
         let stop = world.absorption.stop_transmittance as f32;
-        let seen = world.program.clouds().filter(|(_, volume)| volume.header().points > 0);
-        let page_bytes = |volume: &CloudVolume| u64::from(volume.header().page_bytes);
+        let seen = world.program.clouds().filter(|(_, volume)| volume.placement.header().points > 0);
+        let page_bytes = |volume: &CloudVolume| u64::from(volume.placement.header().page_bytes);
         Self {
             page_bytes: seen.clone().map(|(_, volume)| page_bytes(volume)).max().unwrap_or(1),
-            clouds: seen.map(|(at, volume)| (at, Expected::new(volume, stop))).collect(),
+            clouds: seen.map(|(at, volume)| (at, Expected::new(&volume.shading, stop))).collect(),
             region,
             threads: threads.max(1),
             columns,
@@ -202,14 +202,15 @@ impl<'a> Lookahead<'a> {
         queue.waiting.is_empty()
     }
 
-    fn clouds(&self) -> impl Iterator<Item = (&'a CloudVolume, &'a Expected)> + use<'a> {
+    fn clouds(&self) -> impl Iterator<Item = (&'a CloudPlacement, &'a Expected)> + use<'a> {
         let world = self.world;
         let clouds = self.state.clouds.iter();
-        clouds.filter_map(|(at, expected)| world.program.cloud(*at).map(|volume| (volume, expected)))
+        clouds
+            .filter_map(|(at, expected)| world.program.cloud(*at).map(|volume| (&volume.placement, expected)))
     }
 
     fn object(&self, file: u32) -> Option<&'a Arc<Object>> {
-        self.clouds().find(|(volume, _)| volume.file == file).map(|(volume, _)| &volume.pages)
+        self.clouds().find(|(cloud, _)| cloud.file == file).map(|(cloud, _)| &cloud.pages)
     }
 
     /// Tells the working set of pages, file by file.
@@ -292,20 +293,20 @@ impl<'a> Lookahead<'a> {
         let (i, j) = self.state.order[at as usize];
         let rays = self.rays_of(i, j);
         let (mut complete, mut pages) = (true, 0);
-        for (volume, expected) in self.clouds() {
+        for (cloud, expected) in self.clouds() {
             let mut view =
-                View { ahead: self, volume, queue, at, absent_nodes: Vec::new(), pages: 0, opened: 1 };
-            let root = volume.header().root;
+                View { ahead: self, cloud, queue, at, absent_nodes: Vec::new(), pages: 0, opened: 1 };
+            let root = cloud.header().root;
             match view.node_at(root.page, root.index) {
                 Some(root) => {
-                    let rays = rays.map(|ray| volume.local_ray(&ray));
+                    let rays = rays.map(|ray| cloud.local_ray(&ray));
                     ProbeRays::new(self.world.program.simd, &rays).explore(root, expected, &mut view);
                 }
-                None => view.absent_nodes.push(volume.first_node_page + root.page),
+                None => view.absent_nodes.push(cloud.first_node_page + root.page),
             }
             pages += view.pages;
             let absent = view.absent_nodes;
-            self.pages.hint(&volume.pages, &absent, u64::MAX);
+            self.pages.hint(&cloud.pages, &absent, u64::MAX);
             complete &= absent.is_empty();
         }
         if complete {
@@ -334,7 +335,7 @@ impl<'a> Lookahead<'a> {
 /// The octree of a cloud as far as it is in memory, seen for one look-ahead tile.
 struct View<'v, 'a> {
     ahead: &'v Lookahead<'a>,
-    volume: &'a CloudVolume,
+    cloud: &'a CloudPlacement,
     queue: &'v mut Queue,
     at: u32,
     absent_nodes: Vec<u32>,
@@ -346,14 +347,14 @@ struct View<'v, 'a> {
 impl View<'_, '_> {
     /// A record, if its page is in memory.
     fn node_at(&self, page: u32, index: u16) -> Option<Node> {
-        let guard = self.ahead.pages.peek(&self.volume.pages, self.volume.first_node_page + page)?;
+        let guard = self.ahead.pages.peek(&self.cloud.pages, self.cloud.first_node_page + page)?;
         NodePage::trusted(&guard).get(usize::from(index))
     }
 }
 
 impl OctreeView for View<'_, '_> {
     fn bounds(&self, node: &Node) -> Aabb {
-        node.bounds(self.volume.root_cell)
+        node.bounds(self.cloud.root_cell)
     }
 
     fn children(&mut self, node: &Node, found: &mut Vec<Node>) {
@@ -361,22 +362,22 @@ impl OctreeView for View<'_, '_> {
         for k in 0..node.child_mask.count_ones() as u16 {
             match self.node_at(first.page, first.index + k) {
                 // What is no tree is for the rays to find out.
-                Some(child) if !child.is_child_of(node) || self.opened >= self.volume.most_nodes() => return,
+                Some(child) if !child.is_child_of(node) || self.opened >= self.cloud.most_nodes() => return,
                 Some(child) => {
                     self.opened += 1;
                     found.push(child);
                 }
-                None => return self.absent_nodes.push(self.volume.first_node_page + first.page),
+                None => return self.absent_nodes.push(self.cloud.first_node_page + first.page),
             }
         }
     }
 
     fn want(&mut self, node: &Node) {
-        let pages = self.volume.own_pages(node);
+        let pages = self.cloud.own_pages(node);
         if !pages.is_empty() {
             self.pages += pages.len() as u64;
-            let use_by = self.ahead.last_visit(&self.volume.bounds_world_of(node));
-            let file = self.volume.file;
+            let use_by = self.ahead.last_visit(&self.cloud.bounds_world_of(node));
+            let file = self.cloud.file;
             pages.for_each(|page| self.queue.want(PageId { file, page }, self.at, use_by));
         }
     }

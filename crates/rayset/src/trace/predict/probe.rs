@@ -7,7 +7,7 @@ use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::geometry::{Aabb, Beam, DVec3, Ray};
 use crate::octree::node::Node;
 use crate::scene::OpacityRule;
-use crate::trace::cloud_volume::CloudVolume;
+use crate::trace::cloud::CloudShading;
 
 /// Rays on a lattice over a block of the picture, as one cloud sees them: directions have the length that a unit of the
 /// world has there, so that distances are the world's.
@@ -141,15 +141,15 @@ pub(super) struct Expected {
 }
 
 impl Expected {
-    pub(super) fn new(volume: &CloudVolume, stop_transmittance: f32) -> Self {
+    pub(super) fn new(shading: &CloudShading, stop_transmittance: f32) -> Self {
         /// How much more than enough is taken for enough: densities are uneven, and a page read in vain costs less
         /// than one that is waited for.
         const MARGIN: f32 = 1.2;
         Self {
-            transfer: volume.object.transfer.opacity.clone(),
-            unit_distance: volume.unit_distance,
-            point_integral: volume.object.kernel.integral(),
-            normalised: volume.object.normalised,
+            transfer: shading.opacity.clone(),
+            unit_distance: shading.unit_distance,
+            point_integral: shading.kernel.integral(),
+            normalised: shading.normalised,
             opaque_optical_depth: -stop_transmittance.ln() * MARGIN,
         }
     }

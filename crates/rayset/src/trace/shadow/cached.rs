@@ -5,111 +5,23 @@
 //! that its pixel would show it, the sample is left to a ray of its own, a small part of all where shadows are larger than
 //! cells. The decision is a function of sample and tile alone, so no execution setting changes it.
 
-use std::io;
-use std::sync::Arc;
-
-use super::map::{LightMap, TILE_CELLS, Texel};
+use super::map::{TILE_CELLS, Texel};
+use super::place::{lit_place, toward};
+use super::table::DeepShadowMap;
 use super::transmittance::{self, TransmittanceBuilder};
+use super::world::ShadowWorld;
 use crate::field::{LANES, Packet, SampleRow, Slab};
-use crate::geometry::{Aabb, DVec3, Ray};
-use crate::scene::{Light, Lighting, Scene, Shadows};
+use crate::geometry::{DVec3, Ray};
+use crate::scene::Light;
 use crate::trace::access::{Access, Halt};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::March;
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY, each_lane};
-use crate::trace::program::Program;
-use crate::trace::world::World;
-use crate::working_set::read::Storage;
-use crate::working_set::{Kind, Object, PageGuard, PageSource, WorkingSet};
+use crate::working_set::PageGuard;
 
-/// Bytes of a tile.
-pub(in crate::trace) const SHADOW_TILE_BYTES: usize = 16 << 10;
+/// Rays of a light along an edge of a tile.
 const CORNERS: u32 = TILE_CELLS + 1;
-
-/// The table of one light.
-pub(in crate::trace) struct DeepShadowMap {
-    map: LightMap,
-    tiles: Arc<Object>,
-    pages: WorkingSet,
-}
-
-impl DeepShadowMap {
-    /// Tiles that the tables of a scene have in all.
-    pub(in crate::trace) fn tiles_of(scene: &Scene, shadows: Shadows) -> u64 {
-        let (Lighting::Lit(lights), Shadows::Cached { resolution }) = (&scene.lighting, shadows) else {
-            return 0;
-        };
-        let bounds = scene.root.bounds();
-        let maps = lights.iter().filter(|light| light.throws_shadows());
-        maps.filter_map(|light| LightMap::new(light, &bounds, resolution))
-            .map(|map| u64::from(map.tiles()))
-            .sum()
-    }
-
-    /// For a light that throws shadows, over a scene; `None` for one that has no rays.
-    pub(in crate::trace) fn new(
-        light: &Light,
-        bounds: &Aabb,
-        resolution: u32,
-        pages: &WorkingSet,
-    ) -> Option<Self> {
-        let map = LightMap::new(light, bounds, resolution)?;
-        let tiles = pages.add(Arc::new(TileSource { tiles: map.tiles() }));
-        Some(Self { map, tiles, pages: pages.clone() })
-    }
-}
-
-impl Drop for DeepShadowMap {
-    fn drop(&mut self) {
-        self.pages.forget(&self.tiles);
-    }
-}
-
-/// Tiles as pages that are made, not read.
-struct TileSource {
-    tiles: u32,
-}
-
-impl Storage for TileSource {
-    fn length(&self) -> io::Result<u64> {
-        Ok(0)
-    }
-
-    fn read_exact_at(&self, _: &mut [u8], _: u64) -> io::Result<()> {
-        Err(io::ErrorKind::Unsupported.into())
-    }
-}
-
-impl PageSource for TileSource {
-    fn pages(&self) -> u32 {
-        self.tiles
-    }
-
-    fn page_bytes(&self) -> usize {
-        SHADOW_TILE_BYTES
-    }
-
-    fn kind(&self, _: u32) -> Kind {
-        Kind::Shadows
-    }
-
-    fn offset(&self, _: u32) -> u64 {
-        0
-    }
-
-    fn storage(&self) -> Arc<dyn Storage> {
-        Arc::new(Self { tiles: 0 })
-    }
-
-    fn check(&self, _: u32, _: &[u8]) -> Result<(), String> {
-        Ok(())
-    }
-
-    fn name(&self) -> String {
-        "shadows".into()
-    }
-}
 
 /// Looks shadows up between the rays of a light, and makes the tiles that are missing.
 pub(super) struct DeepShadowLookups<'a> {
@@ -117,11 +29,10 @@ pub(super) struct DeepShadowLookups<'a> {
 }
 
 impl<'a> DeepShadowLookups<'a> {
-    pub(super) fn new(world: &'a World, program: &'a Program, slab_samples: usize) -> Self {
+    pub(super) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
         let maker = TileMaker {
             world,
-            program,
-            march: March::new(program, slab_samples),
+            march: March::new(&world.program, slab_samples),
             states: [RayState::START; LANES],
             shares: Shares::new(),
         };
@@ -151,7 +62,7 @@ impl<'a> DeepShadowLookups<'a> {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
             for j in (0..slab.samples).filter(|j| shares.samples[lane] >> j & 1 == 1) {
-                let place = super::lit_place(packet, node, lane, slab.first + j as u64, j);
+                let place = lit_place(packet, node, lane, slab.first + j as u64, j);
                 let Some(texel) = table.map.texel(place) else {
                     rows[lane].0[j] = 1.0;
                     continue;
@@ -204,7 +115,7 @@ impl Lookup {
     ) -> Self {
         let distance = texel.distance - packet.sample_offset(lane) * packet.step_world();
         let normal = node.normal_at(lane, j);
-        let Some((toward, _)) = super::toward(light, place).filter(|_| normal != DVec3::ZERO) else {
+        let Some((toward, _)) = toward(light, place).filter(|_| normal != DVec3::ZERO) else {
             // Without a shading vector nothing is scattered.
             return Self { distance, slope: (0.0, 0.0), scattered: 0.0 };
         };
@@ -246,8 +157,7 @@ fn spread(corners: [f32; 4]) -> f32 {
 
 /// Traces the rays of a light.
 struct TileMaker<'a> {
-    world: &'a World,
-    program: &'a Program,
+    world: &'a ShadowWorld,
     march: March<'a>,
     states: [RayState; LANES],
     shares: Shares,
@@ -265,7 +175,7 @@ impl TileMaker<'_> {
     ) -> Result<(), Halt> {
         let rays: Vec<(Ray, f64)> = table.map.rays(tile).into_iter().map(|ray| (ray, 0.5)).collect();
         let mut curves: Vec<TransmittanceBuilder> = vec![TransmittanceBuilder::new(); rays.len()];
-        for group in self.world.steps.groups(access, self.program, &rays)? {
+        for group in self.world.steps.groups(access, &self.world.program, &rays)? {
             let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
             let packet = Packet::new(&members, group.step);
             counts.shadow_rays += members.len() as u64;

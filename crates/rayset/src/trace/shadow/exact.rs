@@ -1,6 +1,8 @@
 //! Shadow rays from samples: from every one that counts they are the reference, for small pictures; beside tables they
 //! decide where these cannot.
 
+use super::place::{lit_place, toward};
+use super::world::ShadowWorld;
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::Ray;
 use crate::scene::Light;
@@ -9,16 +11,11 @@ use crate::trace::composite::{Absorption, RayState, Shares};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::March;
 use crate::trace::node_samples::NodeSamples;
-use crate::trace::program::Program;
 use crate::trace::secondary::coherent_groups;
-use crate::trace::world::World;
-
-use super::lit_place;
 
 /// Traces shadow rays, in packets of neighbours at the same depth.
 pub(super) struct ShadowRays<'a> {
-    world: &'a World,
-    program: &'a Program,
+    world: &'a ShadowWorld,
     march: March<'a>,
     states: [RayState; LANES],
     shares: Shares,
@@ -38,11 +35,10 @@ struct ToLight {
 }
 
 impl<'a> ShadowRays<'a> {
-    pub(super) fn new(world: &'a World, program: &'a Program, slab_samples: usize) -> Self {
+    pub(super) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
         Self {
             world,
-            program,
-            march: March::new(program, slab_samples),
+            march: March::new(&world.program, slab_samples),
             states: [RayState::START; LANES],
             shares: Shares::new(),
         }
@@ -108,7 +104,7 @@ impl<'a> ShadowRays<'a> {
             return Ok(());
         }
         let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
-        for group in self.world.steps.groups(access, self.program, &primary)? {
+        for group in self.world.steps.groups(access, &self.world.program, &primary)? {
             for members in coherent_groups(&primary, &group.members, group.step) {
                 let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
                 self.trace(access, &rays, group.step, counts)?;
@@ -205,7 +201,7 @@ fn to_light(
     (lane, j): (usize, usize),
 ) -> Option<ToLight> {
     let origin = lit_place(packet, node, lane, slab.first + j as u64, j);
-    let (direction, distance) = super::toward(light, origin)?;
+    let (direction, distance) = toward(light, origin)?;
     Some(ToLight {
         ray: Ray { origin, direction },
         sample_offset: packet.sample_offset(lane),

@@ -7,17 +7,15 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
-use super::access::{Access, Halt};
-use super::cloud_volume::CloudVolume;
-use super::node_samples::{Live, each_lane};
-use crate::field::{LANES, Packet, RayColumns, SLAB_SAMPLES, SimdLevel, Slab};
-use crate::geometry::{Aabb, Beam};
+use super::live_rays::LiveRays;
+use super::placement::CloudPlacement;
+use crate::field::{Packet, SLAB_SAMPLES};
+use crate::geometry::Aabb;
 use crate::octree::format::NodeRef;
 use crate::octree::node::{Node, NodePage};
 use crate::octree::page::{PointPage, RUN_POINTS};
+use crate::trace::access::{Access, Halt};
 
-/// Rays whose directions differ by more than this along some axis are tested one by one.
-const MOST_SPREAD: f64 = 0.25;
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
 const MOST_SINGLE_RUNS: u32 = 512;
 
@@ -76,161 +74,6 @@ pub(super) struct ActiveRuns {
     pub(super) last: u64,
 }
 
-/// A set of rays of a packet.
-struct RaySet {
-    lanes: u64,
-    beam: Beam,
-    /// Each ray by itself, where some are missing or they go to many sides: the bound of all of them may hold much that
-    /// none of them meets.
-    each: Option<RayColumns>,
-    /// The least and the greatest step of them.
-    steps: (f64, f64),
-    simd: SimdLevel,
-}
-
-impl RaySet {
-    fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
-        let beam = packet.beam(lanes);
-        let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
-        let set = Self { lanes, beam, each: None, steps: (0.0, 0.0), simd };
-        if apart && lanes != 0 { set.ray_by_ray(packet) } else { set }
-    }
-
-    /// The same rays, each by itself.
-    fn ray_by_ray(&self, packet: &Packet) -> Self {
-        let each = (self.lanes != 0).then(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
-        Self { each, steps: packet.step_range(self.lanes), ..*self }
-    }
-
-    /// The samples that may lie in a box, or `None` where none does.
-    fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
-        let (first, last) = packet.samples_in(&self.beam, bounds)?;
-        let Some(each) = &self.each else { return Some((first, last)) };
-        let crossing = each.cross(bounds, 0.0);
-        if crossing.near == 0 {
-            return None;
-        }
-        let (mut enter, mut exit) = (f32::INFINITY, 0.0_f32);
-        let mut near = crossing.near;
-        while near != 0 {
-            let lane = near.trailing_zeros() as usize;
-            near &= near - 1;
-            (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
-        }
-        // Samples of slack, as of the beam; single precision is far finer than one of them, where it is used at all.
-        let (least, most) = self.steps;
-        let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
-        let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
-        let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
-        (first <= last).then_some((first, last))
-    }
-}
-
-/// Samples of a slab that can matter, where these are not all samples of the rays that go on.
-struct LiveSamples {
-    slab: Slab,
-    live: Live,
-    /// Those of any ray.
-    any: u32,
-    rays: SomeRays,
-}
-
-/// Some rays of a packet, each by itself.
-struct SomeRays {
-    mask: u64,
-    lanes: Vec<u8>,
-    columns: RayColumns,
-    /// One over the greatest and the least step of them.
-    inverse_steps: (f32, f32),
-}
-
-impl SomeRays {
-    fn new(packet: &Packet, mask: u64, simd: SimdLevel) -> Self {
-        let mut lanes = Vec::with_capacity(mask.count_ones() as usize);
-        each_lane(mask, |lane| lanes.push(lane as u8));
-        let (least, most) = packet.step_range(mask);
-        let inverse_steps = ((1.0 / most) as f32, (1.0 / least) as f32);
-        Self { mask, lanes, columns: RayColumns::new(simd, packet.rays(mask)), inverse_steps }
-    }
-}
-
-impl LiveSamples {
-    /// Whether any of them may lie in a box, whose samples of the whole packet are known.
-    fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
-        let from = first.max(self.slab.first) - self.slab.first;
-        if last < self.slab.first || self.any & bits_between(from, last - self.slab.first) == 0 {
-            return false;
-        }
-        let crossing = self.rays.columns.cross(bounds, 0.0);
-        let (slow, fast) = self.rays.inverse_steps;
-        // Samples of slack, as of the beam; single precision is far finer than one of them, where it is used at all.
-        let first_sample = self.slab.first as f32;
-        let mut near = crossing.near & (u64::MAX >> (LANES - self.rays.lanes.len()));
-        while near != 0 {
-            let column = near.trailing_zeros() as usize;
-            near &= near - 1;
-            let enter = crossing.enter_near[column] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
-            let exit = crossing.exit_near[column] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
-            // Numbers below 0 become 0.
-            let bits = if exit < 0.0 { 0 } else { bits_between(enter as u64, exit as u64) };
-            if bits & self.live.0[usize::from(self.rays.lanes[column])] != 0 {
-                return true;
-            }
-        }
-        false
-    }
-}
-
-/// The bits from one to another, both included.
-pub(super) fn bits_between(first: u64, last: u64) -> u32 {
-    let last = last.min(31) as u32;
-    if first > 31 { 0 } else { (u32::MAX >> (31 - last)) & (u32::MAX << first) }
-}
-
-/// Those rays of a packet that still go on, and those of their samples in the current slab that can matter.
-pub(super) struct LiveRays {
-    going: RaySet,
-    now: Option<LiveSamples>,
-}
-
-impl LiveRays {
-    /// The samples of rays that go on that may lie in a box, or `None` where none does.
-    pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
-        self.going.samples_in(packet, bounds)
-    }
-
-    /// All rays of a packet.
-    pub(super) fn new(packet: &Packet, simd: SimdLevel) -> Self {
-        Self { going: RaySet::new(packet, packet.all(), simd), now: None }
-    }
-
-    /// Turns to other rays of the same packet, and those of their samples that can matter.
-    pub(super) fn become_rays(
-        &mut self,
-        packet: &Packet,
-        slab: Slab,
-        live: &Live,
-        going: u64,
-        simd: SimdLevel,
-    ) {
-        if self.going.lanes != going {
-            self.going = RaySet::new(packet, going, simd);
-        }
-        let all = bits_between(0, slab.samples as u64 - 1);
-        let mut partial = live.lanes() != going;
-        each_lane(going, |lane| partial |= live.0[lane] & all != all);
-        let mask = live.lanes();
-        if !partial || mask == 0 {
-            self.now = None;
-            return;
-        }
-        let known = self.now.take().map(|now| now.rays).filter(|rays| rays.mask == mask);
-        let rays = known.unwrap_or_else(|| SomeRays::new(packet, mask, simd));
-        let any = live.0.iter().fold(0, |any, lane| any | lane);
-        self.now = Some(LiveSamples { slab, live: *live, any, rays });
-    }
-}
-
 /// Nodes and runs ahead of a packet.
 #[derive(Default)]
 pub(super) struct Frontier {
@@ -242,16 +85,16 @@ pub(super) struct Frontier {
 }
 
 /// Bounds of influence of a run, a little wider than rounding can make it.
-pub(super) fn run_bounds(volume: &CloudVolume, points: &PointPage<'_>, run: usize) -> Aabb {
+pub(in crate::trace) fn run_bounds(cloud: &CloudPlacement, points: &PointPage<'_>, run: usize) -> Aabb {
     let head = points.head(run);
-    head.position_bounds(volume.root_cell).inflated(f64::from(head.radius_max()) * (1.0 + 1e-5))
+    head.position_bounds(cloud.root_cell).inflated(f64::from(head.radius_max()) * (1.0 + 1e-5))
 }
 
 /// Where a frontier is: one packet in one cloud.
 #[derive(Clone, Copy)]
 pub(super) struct Place<'a> {
     pub(super) access: Access<'a>,
-    pub(super) volume: &'a CloudVolume,
+    pub(super) cloud: &'a CloudPlacement,
     /// In the cloud's space.
     pub(super) packet: &'a Packet,
     pub(super) rays: &'a LiveRays,
@@ -262,7 +105,7 @@ impl Frontier {
     pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
         self.heap.clear();
         (self.opened, self.opened_runs) = (1, 0);
-        if let Some(root) = place.access.root(place.volume)? {
+        if let Some(root) = place.access.root(place.cloud)? {
             self.push_node(place, root);
         }
         Ok(())
@@ -281,7 +124,7 @@ impl Frontier {
         end: u64,
         active: &mut Vec<ActiveRuns>,
     ) -> Result<(), Halt> {
-        let Place { volume, packet, rays, .. } = place;
+        let Place { cloud, packet, rays, .. } = place;
         while let Some(entry) = self.heap.peek().copied().filter(|e| e.first < end) {
             self.heap.pop();
             let node = match entry.item {
@@ -291,10 +134,10 @@ impl Frontier {
                 }
                 Item::Node(node) => node,
             };
-            let bounds = node.bounds(volume.root_cell);
+            let bounds = node.bounds(cloud.root_cell);
             // Rays that met it may have ended since.
-            let Some(range) = rays.going.samples_in(packet, &bounds) else { continue };
-            if rays.now.as_ref().is_some_and(|now| !now.meets(&bounds, range)) {
+            let Some(range) = rays.samples_in(packet, &bounds) else { continue };
+            if rays.misses_now(&bounds, range) {
                 if entry.last >= end {
                     self.heap.push(Entry { first: end, ..entry });
                 }
@@ -311,30 +154,30 @@ impl Frontier {
 
     /// A page of a node was absent: asks, in one batch, for all that this slab and the next will open.
     fn request_ahead(&self, place: Place<'_>, node: &Node, end: u64) {
-        let Place { access, volume, packet, rays } = place;
+        let Place { access, cloud, packet, rays } = place;
         let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
-        let mut pages: Vec<u32> = volume.pages_to_open(node).collect();
+        let mut pages: Vec<u32> = cloud.pages_to_open(node).collect();
         for entry in self.heap.iter().filter(|entry| entry.first < until) {
             if let Item::Node(node) = &entry.item
-                && rays.going.samples_in(packet, &node.bounds(volume.root_cell)).is_some()
+                && rays.samples_in(packet, &node.bounds(cloud.root_cell)).is_some()
             {
-                pages.extend(volume.pages_to_open(node));
+                pages.extend(cloud.pages_to_open(node));
             }
         }
-        access.pages.hint(&volume.pages, &pages, u64::MAX);
+        access.pages.hint(&cloud.pages, &pages, u64::MAX);
     }
 
     /// Goes on from the nearest node ahead that the middle ray of the packet meets, down to where it meets it first,
     /// through nothing but what is in memory; asks for the first page that is not.
     pub(super) fn precache(&self, place: Place<'_>) {
-        let Place { access, volume, packet, .. } = place;
+        let Place { access, cloud, packet, .. } = place;
         let middle = packet.ray(packet.len() / 2);
-        let enters = |node: &Node| node.bounds(volume.root_cell).clip(&middle).map(|(enter, _)| enter);
+        let enters = |node: &Node| node.bounds(cloud.root_cell).clip(&middle).map(|(enter, _)| enter);
         let nearest = |nodes: &mut dyn Iterator<Item = Node>| {
             let met = nodes.filter_map(|node| enters(&node).map(|enter| (enter, node)));
             met.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, node)| node)
         };
-        let ask = |pages: &[u32]| access.pages.hint(&volume.pages, pages, u64::MAX);
+        let ask = |pages: &[u32]| access.pages.hint(&cloud.pages, pages, u64::MAX);
         let mut ahead = self.heap.iter().filter_map(|entry| match entry.item {
             Item::Node(node) => Some(node),
             Item::Runs(_) => None,
@@ -342,12 +185,12 @@ impl Frontier {
         let mut next = nearest(&mut ahead);
         while let Some(node) = next.take() {
             if node.child_mask == 0 {
-                let own: Vec<u32> = volume.own_pages(&node).collect();
+                let own: Vec<u32> = cloud.own_pages(&node).collect();
                 ask(&own);
                 return;
             }
-            let page = volume.first_node_page + node.first_child.page;
-            let Some(guard) = access.pages.peek(&volume.pages, page) else {
+            let page = cloud.first_node_page + node.first_child.page;
+            let Some(guard) = access.pages.peek(&cloud.pages, page) else {
                 ask(&[page]);
                 return;
             };
@@ -359,8 +202,8 @@ impl Frontier {
     }
 
     fn push_node(&mut self, place: Place<'_>, node: Node) {
-        let bounds = node.bounds(place.volume.root_cell);
-        if let Some((first, last)) = place.rays.going.samples_in(place.packet, &bounds) {
+        let bounds = node.bounds(place.cloud.root_cell);
+        if let Some((first, last)) = place.rays.samples_in(place.packet, &bounds) {
             self.heap.push(Entry { first, last, item: Item::Node(node) });
         }
     }
@@ -374,38 +217,38 @@ impl Frontier {
         if node.child_mask == 0 {
             return Ok(());
         }
-        let Place { access, volume, .. } = place;
+        let Place { access, cloud, .. } = place;
         let NodeRef { page, index } = node.first_child;
-        let guard = access.retain(volume, volume.first_node_page + page)?;
+        let guard = access.retain(cloud, cloud.first_node_page + page)?;
         let nodes = NodePage::trusted(&guard);
         for k in 0..node.child_mask.count_ones() as usize {
             let child = nodes.get(usize::from(index) + k).filter(|child| child.is_child_of(node));
-            let child = child.filter(|_| self.opened < volume.most_nodes());
+            let child = child.filter(|_| self.opened < cloud.most_nodes());
             self.opened += 1;
-            self.push_node(place, child.ok_or_else(|| volume.broken(page))?);
+            self.push_node(place, child.ok_or_else(|| cloud.broken(page))?);
         }
         Ok(())
     }
 
     /// Looks at the bounds of a node's own runs. Their pages are needed for that, and soon again for the points.
     fn open_own(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
-        let Place { access, volume, packet, rays } = place;
+        let Place { access, cloud, packet, rays } = place;
         // Runs belong to one node each, and hold a point at least.
         self.opened_runs += u64::from(node.own.runs);
-        if self.opened_runs > volume.header().points {
-            return Err(volume.broken(node.own.first_page).into());
+        if self.opened_runs > cloud.header().points {
+            return Err(cloud.broken(node.own.first_page).into());
         }
-        let node_bounds = &node.bounds(volume.root_cell);
-        each_own_page(access, volume, node, |page, points, range| {
+        let node_bounds = &node.bounds(cloud.root_cell);
+        each_own_page(access, cloud, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {
-                let (first, last) = rays.going.samples_in(packet, node_bounds).unwrap_or((0, 0));
+                let (first, last) = rays.samples_in(packet, node_bounds).unwrap_or((0, 0));
                 let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
                 self.heap.push(Entry { first, last, item: Item::Runs(runs) });
                 return;
             }
             for index in range {
-                let bounds = run_bounds(volume, points, index);
-                let Some((first, last)) = rays.going.samples_in(packet, &bounds) else { continue };
+                let bounds = run_bounds(cloud, points, index);
+                let Some((first, last)) = rays.samples_in(packet, &bounds) else { continue };
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
                 if last - first <= MOST_SAMPLES_AT_ONCE {
                     self.heap.push(Entry { first, last, item });
@@ -419,23 +262,23 @@ impl Frontier {
 }
 
 /// The pages of a node's own points, with the runs in each of them that are its own.
-pub(super) fn each_own_page(
+pub(in crate::trace) fn each_own_page(
     access: Access<'_>,
-    volume: &CloudVolume,
+    cloud: &CloudPlacement,
     node: &Node,
     mut visit: impl FnMut(u32, &PointPage<'_>, Range<usize>),
 ) -> Result<(), Halt> {
     let own = node.own;
     let (mut page, mut run, mut left) = (own.first_page, usize::from(own.first_run), own.runs as usize);
     while left > 0 {
-        if page >= volume.first_node_page {
-            return Err(volume.broken(page).into());
+        if page >= cloud.first_node_page {
+            return Err(cloud.broken(page).into());
         }
-        let guard = access.retain(volume, page)?;
-        let points = PointPage::trusted(&guard, volume.header());
+        let guard = access.retain(cloud, page)?;
+        let points = PointPage::trusted(&guard, cloud.header());
         let here = left.min(points.len().saturating_sub(run));
         if here == 0 {
-            return Err(volume.broken(page).into());
+            return Err(cloud.broken(page).into());
         }
         visit(page, &points, run..run + here);
         left -= here;
@@ -447,15 +290,15 @@ pub(super) fn each_own_page(
 /// The samples that the points of a run may reach, where these are few stretches of all that lie in its bounds: rays pass
 /// most points of a wide run by.
 fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
-    let Place { volume, packet, rays, .. } = place;
+    let Place { cloud, packet, rays, .. } = place;
     let run = points.run(run);
-    let mut radii = [volume.header().radius.min(); RUN_POINTS];
-    if let Some(stored) = run.radii(volume.header()) {
+    let mut radii = [cloud.header().radius.min(); RUN_POINTS];
+    if let Some(stored) = run.radii(cloud.header()) {
         radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
     }
-    let positions = run.positions(volume.root_cell);
+    let positions = run.positions(cloud.root_cell);
     // Between the rays of a packet there may be any number of points that none of them meets.
-    let going = rays.going.ray_by_ray(packet);
+    let going = rays.ray_by_ray(packet);
     let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
         .filter_map(|(&position, &radius)| {
             // Far more than rounding takes from a point where it is added to samples.

@@ -1,0 +1,175 @@
+//! One packet on its way through one cloud, slab after slab.
+
+use super::frontier::{ActiveRuns, Frontier, Place, Runs, run_bounds};
+use super::live_rays::{LiveRays, bits_between};
+use super::volume::CloudVolume;
+use crate::field::{DecodedRun, FieldSamples, Packet, SimdLevel, Slab, Splatter};
+use crate::octree::page::PointPage;
+use crate::trace::access::{Access, Halt};
+use crate::trace::counts::RenderCounts;
+use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
+
+/// One packet on its way through one cloud.
+pub(in crate::trace) struct CloudMarch {
+    /// In the cloud's space.
+    packet: Packet,
+    frontier: Frontier,
+    active: Vec<ActiveRuns>,
+    /// Nothing before a packet has begun.
+    rays: Option<LiveRays>,
+}
+
+/// Memory to work in that all clouds of a thread share.
+pub(in crate::trace) struct CloudScratch {
+    run: Box<DecodedRun>,
+    /// One for each set of channels that some cloud has.
+    fields: Vec<FieldSamples>,
+}
+
+impl CloudScratch {
+    pub(in crate::trace) fn new() -> Self {
+        Self { run: Box::default(), fields: Vec::new() }
+    }
+}
+
+/// What is asked of a cloud in a slab.
+#[derive(Clone, Copy)]
+pub(in crate::trace) struct Request<'a> {
+    pub(in crate::trace) access: Access<'a>,
+    pub(in crate::trace) slab: Slab,
+    pub(in crate::trace) live: &'a Live,
+    /// Lanes that have not ended.
+    pub(in crate::trace) going: u64,
+    pub(in crate::trace) measure: Measure,
+    pub(in crate::trace) required: RequiredOutputs,
+    pub(in crate::trace) simd: SimdLevel,
+}
+
+impl CloudMarch {
+    /// With room for any packet; [`begin`](Self::begin) comes first.
+    pub(in crate::trace) fn new(packet: &Packet) -> Self {
+        Self { packet: packet.clone(), frontier: Frontier::default(), active: Vec::new(), rays: None }
+    }
+
+    /// Sets a packet at the root of a cloud.
+    pub(in crate::trace) fn begin(
+        &mut self,
+        access: Access<'_>,
+        volume: &CloudVolume,
+        packet: &Packet,
+        simd: SimdLevel,
+    ) -> Result<(), Halt> {
+        self.packet = volume.placement.local(packet);
+        self.active.clear();
+        let rays = LiveRays::new(&self.packet, simd);
+        let cloud = &volume.placement;
+        self.frontier.begin(Place { access, cloud, packet: &self.packet, rays: &rays })?;
+        self.rays = Some(rays);
+        Ok(())
+    }
+
+    /// The first sample from `from` on at which there may be points.
+    pub(in crate::trace) fn next_sample(&self, from: u64) -> Option<u64> {
+        if self.active.iter().any(|run| run.last >= from) {
+            return Some(from);
+        }
+        self.frontier.next_sample().map(|sample| sample.max(from))
+    }
+
+    /// Fills the lanes that points reach.
+    pub(in crate::trace) fn sample(
+        &mut self,
+        volume: &CloudVolume,
+        request: Request<'_>,
+        scratch: &mut CloudScratch,
+        counts: &mut RenderCounts,
+        out: &mut NodeSamples,
+    ) -> Result<(), Halt> {
+        let Request { access, slab, live, going, measure, required, simd } = request;
+        out.touched = 0;
+        let lanes = live.lanes() & going;
+        let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
+        rays.become_rays(&self.packet, slab, live, going, simd);
+        let place = Place { access, cloud: &volume.placement, packet: &self.packet, rays };
+        self.frontier.advance(place, slab.end(), &mut self.active)?;
+        if access.follows_lines {
+            self.frontier.precache(place);
+        }
+        self.active.retain(|run| run.last >= slab.first);
+        if self.active.is_empty() {
+            return Ok(());
+        }
+        let channels = volume.shading.channels(required);
+        let known = scratch.fields.iter().position(|field| field.channels() == channels);
+        let at = known.unwrap_or_else(|| {
+            scratch.fields.push(FieldSamples::new(channels));
+            scratch.fields.len() - 1
+        });
+        let field = &mut scratch.fields[at];
+        field.clear();
+        let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
+        self.gather(volume, request, lanes, &splatter, &mut scratch.run, counts, field)?;
+        volume.shading.transfer(field, measure, required, simd, out);
+        Ok(())
+    }
+
+    /// Adds all active runs to the samples of a slab, in the order of the file, one page retained at a time.
+    #[expect(clippy::too_many_arguments, reason = "the inner loop, and the room to work in")]
+    fn gather(
+        &mut self,
+        volume: &CloudVolume,
+        request: Request<'_>,
+        lanes: u64,
+        splatter: &Splatter,
+        run: &mut DecodedRun,
+        counts: &mut RenderCounts,
+        field: &mut FieldSamples,
+    ) -> Result<(), Halt> {
+        let Some(rays) = &self.rays else { return Ok(()) };
+        let CloudVolume { placement: cloud, shading } = volume;
+        self.active.sort_unstable();
+        let slab = request.slab;
+        let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
+        let matters = |runs: &ActiveRuns| {
+            let first = runs.first.max(slab.first) - slab.first;
+            first < slab.samples as u64 && live & bits_between(first, runs.last - slab.first) != 0
+        };
+        // Several stretches of the samples of one run are one run.
+        let mut before = None;
+        let mut at = 0;
+        while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
+            let of_page = self.active[at..].iter().take_while(|a| a.runs.page == page);
+            let (count, needed) = of_page.fold((0, false), |(n, any), a| (n + 1, any || matters(a)));
+            if !needed {
+                at += count;
+                continue;
+            }
+            let guard = request.access.retain(cloud, page)?;
+            let points = PointPage::trusted(&guard, cloud.header());
+            while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
+                let Runs { first, end, .. } = active.runs;
+                let again = before == Some(active.runs) && end - first == 1;
+                let end = if matters(active) && !again { end } else { first };
+                if first < end {
+                    before = Some(active.runs);
+                }
+                for index in usize::from(first)..usize::from(end) {
+                    // One by itself has been looked at before.
+                    let reaches = end - first == 1 || {
+                        let samples = rays.samples_in(&self.packet, &run_bounds(cloud, &points, index));
+                        samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
+                    };
+                    if reaches {
+                        let raw = points.run(index);
+                        let step = self.packet.least_step();
+                        shading.decoder.decode(&raw, cloud.header(), step, splatter.simd, run);
+                        counts.runs += 1;
+                        counts.splats += splatter.splat(run, &self.packet, slab, lanes, field);
+                    }
+                }
+                at += 1;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,15 @@
+//! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`, by the rays that still go
+//! on, `live_rays`), how a packet comes through it (`march`), and what its field looks like (`shading`).
+
+mod frontier;
+mod live_rays;
+mod march;
+mod placement;
+mod shading;
+mod volume;
+
+pub(super) use self::frontier::{each_own_page, run_bounds};
+pub(super) use self::march::{CloudMarch, CloudScratch, Request};
+pub(super) use self::placement::CloudPlacement;
+pub(super) use self::shading::CloudShading;
+pub(super) use self::volume::CloudVolume;

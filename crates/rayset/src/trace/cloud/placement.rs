@@ -1,0 +1,150 @@
+//! Where a cloud is in the world and in memory: its spaces, its octree's pages, and the bounds of what they hold.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::field::Packet;
+use crate::geometry::{Aabb, DAffine3, DVec3, Ray};
+use crate::octree::Cloud;
+use crate::octree::format::Header;
+use crate::octree::node::{Node, NodePage, nodes_per_page};
+use crate::octree::page::{RUN_POINTS, RootCell};
+use crate::scene::largest_stretch;
+use crate::trace::RenderError;
+use crate::trace::access::{Access, Halt};
+use crate::working_set::{Object, PageFault, PageGuard, PagedFiles};
+
+/// A cloud where the graph puts it.
+pub(in crate::trace) struct CloudPlacement {
+    cloud: Arc<Cloud>,
+    pub(in crate::trace) pages: Arc<Object>,
+    /// Number of its file among those of the render.
+    pub(in crate::trace) file: u32,
+    pub(in crate::trace) root_cell: RootCell,
+    pub(in crate::trace) first_node_page: u32,
+    /// `None` where local space is the world's.
+    local_from_world: Option<DAffine3>,
+    world_from_local: DAffine3,
+    /// The least that a unit of the world becomes here, along any direction.
+    least_stretch: f64,
+}
+
+impl CloudPlacement {
+    /// `None` where the cloud's pages are in no working set.
+    pub(in crate::trace) fn new(
+        cloud: &Arc<Cloud>,
+        world_from_local: &DAffine3,
+        paged: &PagedFiles,
+    ) -> Option<Self> {
+        let (file, pages) = paged.find(cloud)?;
+        let header = cloud.header();
+        Some(Self {
+            pages: pages.clone(),
+            file: file as u32,
+            root_cell: header.root_cell(),
+            first_node_page: header.point_pages,
+            local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
+            world_from_local: *world_from_local,
+            least_stretch: 1.0 / largest_stretch(world_from_local),
+            cloud: cloud.clone(),
+        })
+    }
+
+    pub(in crate::trace) fn header(&self) -> &Header {
+        self.cloud.header()
+    }
+
+    /// A packet as the cloud sees it.
+    pub(in crate::trace) fn local(&self, packet: &Packet) -> Packet {
+        self.local_from_world
+            .as_ref()
+            .map_or_else(|| packet.clone(), |map| packet.in_local_space(map, self.least_stretch))
+    }
+
+    /// A ray as the cloud sees it: places along it keep their distance in the world.
+    pub(in crate::trace) fn local_ray(&self, ray: &Ray) -> Ray {
+        self.local_from_world.as_ref().map_or(*ray, |map| Ray {
+            origin: map.transform_point3(ray.origin),
+            direction: map.transform_vector3(ray.direction),
+        })
+    }
+
+    /// What a length along a direction in the world is here.
+    pub(in crate::trace) fn stretch_along(&self, direction_world: DVec3) -> f64 {
+        self.local_from_world.as_ref().map_or(1.0, |map| map.transform_vector3(direction_world).length())
+    }
+
+    /// The largest radius that any point has along any ray, world space.
+    pub(in crate::trace) fn largest_radius_world(&self) -> f64 {
+        let stretch =
+            if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
+        f64::from(self.header().radius.max()) * stretch
+    }
+
+    pub(in crate::trace) fn local_from_world(&self) -> Option<&DAffine3> {
+        self.local_from_world.as_ref()
+    }
+
+    /// Bounds of influence of a node, world space.
+    pub(in crate::trace) fn bounds_world_of(&self, node: &Node) -> Aabb {
+        node.bounds(self.root_cell).transformed(&self.world_from_local)
+    }
+
+    /// The pages of a node's own points, estimated: for hints, which may be wrong without harm.
+    pub(in crate::trace) fn own_pages(&self, node: &Node) -> Range<u32> {
+        let own = node.own;
+        if own.runs == 0 {
+            return 0..0;
+        }
+        // A page says itself how many runs it has; from outside only the mean is known.
+        let header = self.header();
+        let runs = (header.points / RUN_POINTS as u64).max(1);
+        let runs_per_page = (runs / u64::from(header.point_pages).max(1)).max(1);
+        let last_run = u64::from(own.first_run) + u64::from(own.runs) - 1;
+        let pages = u32::try_from(last_run / runs_per_page).unwrap_or(u32::MAX);
+        own.first_page..own.first_page.saturating_add(pages).saturating_add(1).min(self.first_node_page)
+    }
+
+    /// The pages that are needed to open a node: of its own points and of its children's records.
+    pub(in crate::trace) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
+        let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
+        self.own_pages(node).chain(children)
+    }
+
+    /// More nodes than a walk through the octree can meet; a walk that meets more is in a file that is no tree.
+    pub(in crate::trace) fn most_nodes(&self) -> u64 {
+        let header = self.header();
+        header.nodes.min(u64::from(header.node_pages) * nodes_per_page(header.page_bytes as usize) as u64)
+    }
+
+    /// A page that is whole but contradicts another.
+    pub(in crate::trace) fn broken(&self, page: u32) -> RenderError {
+        RenderError::Page(PageFault::Damaged {
+            name: self.cloud.path().display().to_string(),
+            page,
+            offset: self.header().page_offset(page),
+            what: "the octree refers to a record that is not there".into(),
+        })
+    }
+}
+
+impl Access<'_> {
+    /// A page of a cloud.
+    pub(in crate::trace) fn retain(&self, cloud: &CloudPlacement, page: u32) -> Result<PageGuard, Halt> {
+        self.retain_page(&cloud.pages, page)
+    }
+
+    /// The root node of a cloud, or `None` where it is empty.
+    pub(in crate::trace) fn root(&self, cloud: &CloudPlacement) -> Result<Option<Node>, Halt> {
+        let header = cloud.header();
+        if header.points == 0 {
+            return Ok(None);
+        }
+        let place = header.root;
+        let guard = self.retain(cloud, cloud.first_node_page + place.page)?;
+        match NodePage::trusted(&guard).get(usize::from(place.index)) {
+            Some(root) => Ok(Some(root)),
+            None => Err(cloud.broken(place.page).into()),
+        }
+    }
+}

@@ -1,0 +1,300 @@
+//! From a cloud's field to volume: what of its points a field carries, and what density, attributes and gradient become.
+
+use std::sync::Arc;
+
+use fearless_simd::dispatch;
+
+use crate::field::{
+    AttributeColumns, Channels, FieldSamples, Kernel, RunDecoder, SLAB_SAMPLES, SampleRow, SimdLevel,
+};
+use crate::geometry::{DAffine3, DMat3};
+use crate::octree::format::Header;
+use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
+use crate::trace::math::{absorbed, ln};
+use crate::trace::node_samples::{
+    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, each_lane, normalize, numbers,
+};
+use crate::trace::transfer::ColorTable;
+
+/// Attributes are 0 where their weights sum to less than this times the largest weight.
+const LEAST_WEIGHT: f32 = 1e-12;
+
+enum Color {
+    Uniform([f32; 3]),
+    Points,
+    /// Of the density, or of an attribute of this number in the file.
+    Map {
+        table: ColorTable,
+        attribute: Option<usize>,
+    },
+}
+
+/// How a cloud looks.
+pub(in crate::trace) struct CloudShading {
+    pub(in crate::trace) kernel: Kernel,
+    pub(in crate::trace) normalised: bool,
+    pub(in crate::trace) opacity: OpacityRule,
+    pub(in crate::trace) unit_distance: f64,
+    pub(in crate::trace) material: [f32; MATERIAL],
+    pub(in crate::trace) decoder: RunDecoder,
+    /// What its field carries. The colour, or what it is mapped from, comes first.
+    columns: AttributeColumns,
+    /// The channel of each of the program's attributes, where the cloud has it.
+    named: Vec<Option<usize>>,
+    color: Color,
+    /// Density at the boundary.
+    boundary_density: f32,
+    least_weight: f32,
+    /// From gradients in the cloud's space to vectors in the world that point to where the cloud thins, by columns.
+    normal_map: [[f32; 3]; 3],
+}
+
+impl CloudShading {
+    /// Of an object that stands in the world so. Its field carries nothing but densities.
+    pub(in crate::trace) fn new(
+        object: &CloudObject,
+        local_from_world: Option<&DAffine3>,
+        unit_distance: f64,
+        material: [f32; MATERIAL],
+    ) -> Self {
+        let header = object.cloud.header();
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(color) => Color::Uniform(*color),
+            ColorRule::Points => Color::Points,
+            ColorRule::Map { map, input } => {
+                let attribute = if let MapInput::Attribute(index) = input { Some(*index) } else { None };
+                Color::Map { table: ColorTable::new(map), attribute }
+            }
+        };
+        // Gradients come to the world by the transpose of the inverse.
+        let map = local_from_world.map_or(DMat3::IDENTITY, |map| map.matrix3.transpose());
+        Self {
+            kernel: object.kernel,
+            normalised: object.normalised,
+            opacity: object.transfer.opacity.clone(),
+            unit_distance,
+            material,
+            decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
+            columns: AttributeColumns::default(),
+            named: Vec::new(),
+            color,
+            boundary_density: object.transfer.opacity.boundary_density(unit_distance) as f32,
+            least_weight: object.largest_point_density() as f32 * LEAST_WEIGHT,
+            normal_map: (-map).to_cols_array_2d().map(|column| column.map(|v| v as f32)),
+        }
+    }
+
+    /// The colour of all of it, if it is one.
+    pub(in crate::trace) fn uniform_color(&self) -> Option<[f32; 3]> {
+        if let Color::Uniform(color) = self.color { Some(color) } else { None }
+    }
+
+    /// Says what is wanted of it, and the names of the program's attributes. Nothing but densities comes before.
+    pub(in crate::trace) fn carry(&mut self, header: &Header, required: RequiredOutputs, names: &[Arc<str>]) {
+        let mut columns = AttributeColumns::default();
+        let mut scalar = None;
+        if required.color {
+            columns.color = matches!(self.color, Color::Points);
+            scalar = if let Color::Map { attribute, .. } = self.color { attribute } else { None };
+        }
+        columns.scalars.extend(scalar);
+        self.named = vec![None; names.len()];
+        for number in numbers(required.attributes) {
+            let Some(index) = header.attributes.iter().position(|a| a.name == *names[number]) else {
+                continue;
+            };
+            let known = columns.scalars.iter().position(|&known| known == index);
+            let place = known.unwrap_or_else(|| {
+                columns.scalars.push(index);
+                columns.scalars.len() - 1
+            });
+            self.named[number] = Some(columns.first_scalar() + place);
+        }
+        self.decoder = RunDecoder::new(header, self.kernel, self.normalised, columns.clone());
+        self.columns = columns;
+    }
+
+    /// What the field has to carry for a node of which so much is wanted.
+    pub(in crate::trace) fn channels(&self, required: RequiredOutputs) -> Channels {
+        Channels { gradient: required.normal || required.boundary, attributes: self.columns.channels() }
+    }
+
+    /// From the field to opacity, colour and shading vector.
+    pub(in crate::trace) fn transfer(
+        &self,
+        field: &FieldSamples,
+        measure: Measure,
+        required: RequiredOutputs,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
+        out.touched = field.touched;
+        each_lane(field.touched, |lane| {
+            out.opacity[lane] = self.opacity_of(&field.density[lane], measure, simd);
+            if required.color {
+                self.fill_color(field, lane, out);
+            }
+            for number in numbers(required.attributes) {
+                self.fill_attribute(field, lane, number, out);
+            }
+            if required.normal || required.boundary {
+                self.fill_normal(field, lane, required, simd, out);
+            }
+            if required.material {
+                for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                    rows[lane].0.fill(v);
+                }
+            }
+        });
+    }
+
+    fn opacity_of(&self, density: &SampleRow, measure: Measure, simd: SimdLevel) -> SampleRow {
+        match (&self.opacity, measure) {
+            (OpacityRule::Extinction(kappa), _) => {
+                let per_density = (kappa * self.unit_distance) as f32;
+                let optical_depth =
+                    dispatch!(simd.level(), _simd => optical_depth_of_extinction(density, per_density));
+                match measure {
+                    Measure::OpticalDepth => optical_depth,
+                    Measure::Opacity => {
+                        dispatch!(simd.level(), _simd => opacity_of_optical_depth(&optical_depth))
+                    }
+                }
+            }
+            (OpacityRule::Clamp, Measure::Opacity) => {
+                SampleRow(density.0.map(|d| if d > 0.0 { d.min(MAX_OPACITY as f32) } else { 0.0 }))
+            }
+            (OpacityRule::Clamp, Measure::OpticalDepth) => {
+                dispatch!(simd.level(), _simd => optical_depth_of_opacity(density))
+            }
+            (OpacityRule::Curve(_), _) => {
+                let curve = |d| self.opacity.opacity(f64::from(d), self.unit_distance) as f32;
+                let opacity = SampleRow(density.0.map(curve));
+                match measure {
+                    Measure::Opacity => opacity,
+                    Measure::OpticalDepth => {
+                        dispatch!(simd.level(), _simd => optical_depth_of_opacity(&opacity))
+                    }
+                }
+            }
+        }
+    }
+
+    fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut NodeSamples) {
+        let density = &field.density[lane].0;
+        match &self.color {
+            Color::Uniform(color) => {
+                for (rows, &v) in out.color.iter_mut().zip(color) {
+                    rows[lane].0.fill(v);
+                }
+            }
+            Color::Points => {
+                for (channel, rows) in out.color.iter_mut().enumerate() {
+                    rows[lane] = self.mean(field, lane, channel);
+                }
+            }
+            Color::Map { table, attribute } => {
+                let values = if attribute.is_some() { self.mean(field, lane, 0).0 } else { *density };
+                for j in (0..SLAB_SAMPLES).filter(|&j| density[j] > 0.0) {
+                    let color = table.color(values[j]);
+                    for (rows, v) in out.color.iter_mut().zip(color) {
+                        rows[lane].0[j] = v;
+                    }
+                }
+            }
+        }
+    }
+
+    fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut NodeSamples) {
+        out.attributes[number][lane] = match self.named.get(number).copied().flatten() {
+            Some(channel) => self.mean(field, lane, channel),
+            None => SampleRow([0.0; SLAB_SAMPLES]),
+        };
+    }
+
+    /// An attribute: Σ v·ω·a / Σ v·ω.
+    fn mean(&self, field: &FieldSamples, lane: usize, channel: usize) -> SampleRow {
+        let (density, sum) = (&field.density[lane].0, &field.attribute[channel][lane].0);
+        let defined = |j: usize| density[j] > self.least_weight;
+        SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
+    }
+
+    fn fill_normal(
+        &self,
+        field: &FieldSamples,
+        lane: usize,
+        required: RequiredOutputs,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
+        // Gradients come to the world by the transpose of the inverse; the shading vector points to where the cloud thins.
+        let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
+        let boundary = required.boundary.then_some((&field.density[lane], self.boundary_density));
+        let distance =
+            dispatch!(simd.level(), _simd => to_world(&self.normal_map, &mut x, &mut y, &mut z, boundary));
+        if required.boundary {
+            out.boundary[lane] = distance;
+        }
+        if required.normal {
+            for (rows, row) in out.normal.iter_mut().zip([x, y, z]) {
+                rows[lane] = row;
+            }
+        }
+    }
+}
+
+/// Maps gradients to the world and makes them unit vectors; returns how far the boundary is, to first order, where the
+/// densities and that of the boundary are given.
+#[inline(always)]
+fn to_world(
+    m: &[[f32; 3]; 3],
+    x: &mut SampleRow,
+    y: &mut SampleRow,
+    z: &mut SampleRow,
+    boundary: Option<(&SampleRow, f32)>,
+) -> SampleRow {
+    for j in 0..SLAB_SAMPLES {
+        let g = [x.0[j], y.0[j], z.0[j]];
+        let row = |axis: usize| m[0][axis] * g[0] + m[1][axis] * g[1] + m[2][axis] * g[2];
+        (x.0[j], y.0[j], z.0[j]) = (row(0), row(1), row(2));
+    }
+    let mut distance = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
+    if let Some((density, level)) = boundary {
+        for j in 0..SLAB_SAMPLES {
+            let slope = (x.0[j] * x.0[j] + y.0[j] * y.0[j] + z.0[j] * z.0[j]).sqrt();
+            distance.0[j] = (level - density.0[j]) / slope;
+        }
+    }
+    normalize(x, y, z);
+    distance
+}
+
+// Loops, not `map`: the compiler leaves closures out of functions that are compiled for other instruction sets.
+
+#[inline(always)]
+fn optical_depth_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
+    let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
+    for (t, &d) in optical_depth.0.iter_mut().zip(&density.0) {
+        // A density that is negative or not a number absorbs nothing.
+        *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
+    }
+    optical_depth
+}
+
+#[inline(always)]
+fn opacity_of_optical_depth(optical_depth: &SampleRow) -> SampleRow {
+    let mut opacity = SampleRow([0.0; SLAB_SAMPLES]);
+    for (o, &t) in opacity.0.iter_mut().zip(&optical_depth.0) {
+        *o = absorbed(t).min(MAX_OPACITY as f32);
+    }
+    opacity
+}
+
+#[inline(always)]
+fn optical_depth_of_opacity(opacity: &SampleRow) -> SampleRow {
+    let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
+    for (t, &o) in optical_depth.0.iter_mut().zip(&opacity.0) {
+        *t = if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
+    }
+    optical_depth
+}

@@ -1,0 +1,29 @@
+//! A cloud as a volume object.
+
+use super::placement::CloudPlacement;
+use super::shading::CloudShading;
+use crate::geometry::DAffine3;
+use crate::scene::CloudObject;
+use crate::trace::node_samples::MATERIAL;
+use crate::working_set::PagedFiles;
+
+/// A cloud in the world: where it is, and how it looks.
+pub(in crate::trace) struct CloudVolume {
+    pub(in crate::trace) placement: CloudPlacement,
+    pub(in crate::trace) shading: CloudShading,
+}
+
+impl CloudVolume {
+    /// `None` where the cloud's pages are in no working set.
+    pub(in crate::trace) fn new(
+        object: &CloudObject,
+        world_from_local: &DAffine3,
+        unit_distance: f64,
+        material: [f32; MATERIAL],
+        paged: &PagedFiles,
+    ) -> Option<Self> {
+        let placement = CloudPlacement::new(&object.cloud, world_from_local, paged)?;
+        let shading = CloudShading::new(object, placement.local_from_world(), unit_distance, material);
+        Some(Self { placement, shading })
+    }
+}

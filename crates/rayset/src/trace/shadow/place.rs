@@ -1,0 +1,28 @@
+//! Where samples are lit, and where their lights are.
+
+use crate::field::Packet;
+use crate::geometry::DVec3;
+use crate::scene::{Light, LightKind};
+use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY};
+
+/// The place at which a sample is lit.
+pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample: u64, j: usize) -> DVec3 {
+    let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
+    let depth = -f64::from(node.boundary[lane].0[j]);
+    if !(depth > 0.0 && depth <= STEPS_TO_BOUNDARY * packet.step_world()) {
+        return place;
+    }
+    place + node.normal_at(lane, j) * depth
+}
+
+/// The direction from a place to a light and its distance, infinite where it is nowhere; `None` where no ray goes there.
+pub(super) fn toward(light: &Light, place: DVec3) -> Option<(DVec3, f64)> {
+    match light.kind {
+        LightKind::Directional { direction } => Some((-direction.normalize(), f64::INFINITY)),
+        LightKind::Point { position, .. } => {
+            let toward = position - place;
+            Some((toward.try_normalize()?, toward.length()))
+        }
+        LightKind::Ambient | LightKind::Headlight => None,
+    }
+}

@@ -1,0 +1,55 @@
+//! What of each light reaches the samples of a slab, by whichever way the settings ask for.
+
+use super::cached::DeepShadowLookups;
+use super::exact::ShadowRays;
+use super::world::{LightWithShadows, ShadowWorld};
+use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
+use crate::trace::access::{Access, Halt};
+use crate::trace::composite::Shares;
+use crate::trace::counts::RenderCounts;
+use crate::trace::node_samples::NodeSamples;
+use crate::trace::shade::ShadowRows;
+
+/// The shadows of one thread.
+pub(in crate::trace) struct Shadows<'a> {
+    exact: ShadowRays<'a>,
+    cached: DeepShadowLookups<'a>,
+    world: &'a ShadowWorld,
+    rows: ShadowRows,
+}
+
+impl<'a> Shadows<'a> {
+    pub(in crate::trace) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
+        let all = |_: &LightWithShadows| Some(vec![SampleRow([1.0; SLAB_SAMPLES]); LANES]);
+        Self {
+            exact: ShadowRays::new(world, slab_samples),
+            cached: DeepShadowLookups::new(world, slab_samples),
+            world,
+            rows: world.lights.iter().map(|light| light.as_ref().and_then(all)).collect(),
+        }
+    }
+
+    /// Finds what reaches the samples that count.
+    pub(in crate::trace) fn find(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        slab: Slab,
+        node: &NodeSamples,
+        shares: &Shares,
+        counts: &mut RenderCounts,
+    ) -> Result<&ShadowRows, Halt> {
+        for (light, rows) in self.world.lights.iter().zip(&mut self.rows) {
+            let (Some(LightWithShadows { light, table }), Some(rows)) = (light, rows) else { continue };
+            match table {
+                Some(table) => {
+                    let undecided =
+                        self.cached.find(access, light, table, packet, slab, node, shares, counts, rows)?;
+                    self.exact.find_some(access, light, packet, slab, node, &undecided, counts, rows)?;
+                }
+                None => self.exact.find(access, light, packet, slab, node, shares, counts, rows)?,
+            }
+        }
+        Ok(&self.rows)
+    }
+}
