@@ -12,9 +12,9 @@ use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
 use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
-use super::scheduler::Turn;
+use super::scheduler::{Task, Turn};
 use super::tiles::{Attempt, Deferred, TileQueue};
-use super::view::{Tile, View, Work};
+use super::work::{Tile, TilePlace, Work};
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
 use crate::field::LANES;
@@ -55,7 +55,7 @@ impl Progress {
     }
 
     /// A thread has left.
-    pub(super) fn left(&self) {
+    fn left(&self) {
         self.lock().threads -= 1;
         self.changed.notify_all();
     }
@@ -108,15 +108,20 @@ struct TileSums {
 
 impl Job {
     /// Of tiles that lie in the picture, at least one.
-    pub(super) fn new(view: &View, work: &Work, stop: &CancelToken) -> Self {
-        let prepared = view.prepared.clone();
-        let passes = work.passes.ranges(view.settings.samples * view.settings.samples);
+    pub(super) fn new(
+        prepared: Arc<Prepared>,
+        rays: RayMaker,
+        settings: RenderSettings,
+        work: &Work,
+        stop: &CancelToken,
+    ) -> Self {
+        let passes = work.passes.ranges(settings.samples * settings.samples);
         let kept = if passes.len() > 1 { work.tiles.len() } else { 0 };
         Self {
-            lookahead_state: LookaheadState::new(&prepared.world, &work.tiles, prepared.exec().threads),
-            pages: prepared.session().pages().client(stop),
-            rays: view.rays,
-            settings: view.settings,
+            lookahead_state: LookaheadState::new(&prepared.world, &work.tiles, prepared.engine.exec.threads),
+            pages: prepared.engine.pages.client(stop),
+            rays,
+            settings,
             tiles: work.tiles.clone(),
             passes,
             earlier: (0..kept).map(|_| Mutex::new(None)).collect(),
@@ -176,32 +181,14 @@ impl Job {
 
     // The threads.
 
-    /// Whether there is something to do for another thread.
-    pub(super) fn has_work(&self) -> bool {
-        let state = self.lock();
-        !self.stop.is_cancelled() && !state.is_full() && state.has_tiles(self)
-    }
-
-    /// A thread is about to work on this.
-    pub(super) fn entered(&self) {
-        self.lock().threads += 1;
-    }
-
     /// Traces tile after tile, until there are none or the thread's turn is over.
-    pub(super) fn work(&self, turn: &Turn<'_>) {
-        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.trace_tiles(turn))) {
-            self.lock().panic.get_or_insert(panic);
-            self.stop.cancel();
-        }
-    }
-
     fn trace_tiles(&self, turn: &Turn<'_>) {
-        let exec = self.prepared.exec();
+        let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, exec.slab_samples);
         let asked_bytes = Cell::new(0);
-        let mut queue = TileQueue::new(self, &self.pages, &*exec.predictor, &asked_bytes);
+        let mut queue = TileQueue::new(&self.pages, &*exec.predictor, &asked_bytes);
         while !self.stop.is_cancelled()
-            && let Some(attempt) = queue.next(self.lookahead().tiles_to_defer())
+            && let Some(attempt) = queue.next(self.lookahead().tiles_to_defer(), || self.take())
         {
             exec.predictor.ahead(self.lookahead(), attempt.place.tile);
             let before = tracer.counts();
@@ -230,7 +217,7 @@ impl Job {
     }
 
     /// The next tile of the work, or one that a thread left behind.
-    pub(super) fn take(&self) -> Option<Deferred> {
+    fn take(&self) -> Option<Deferred> {
         let mut state = self.lock();
         if let Some(deferred) = state.left_behind.pop() {
             return Some(deferred);
@@ -314,6 +301,29 @@ impl Job {
     }
 }
 
+impl Task for Job {
+    fn has_work(&self) -> bool {
+        let state = self.lock();
+        !self.stop.is_cancelled() && !state.is_full() && state.has_tiles(self)
+    }
+
+    fn entered(&self) {
+        self.lock().threads += 1;
+    }
+
+    fn work(&self, turn: &Turn<'_>) {
+        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.trace_tiles(turn))) {
+            self.lock().panic.get_or_insert(panic);
+            self.stop.cancel();
+        }
+    }
+
+    fn when_left(&self) -> Box<dyn FnOnce()> {
+        let progress = self.progress.clone();
+        Box::new(move || progress.left())
+    }
+}
+
 impl State {
     fn is_full(&self) -> bool {
         self.outputs.len() >= MOST_WAITING
@@ -323,12 +333,4 @@ impl State {
         let fresh = self.pass < job.passes.len() && self.next < job.tiles.len();
         fresh || !self.left_behind.is_empty()
     }
-}
-
-/// A tile in one pass.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TilePlace {
-    /// Place of the tile in the order of the work.
-    pub(super) tile: usize,
-    pub(super) pass: usize,
 }

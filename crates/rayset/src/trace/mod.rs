@@ -6,10 +6,12 @@
 //! [`ExecSettings`] never do.
 
 mod access;
+mod bands;
 mod bounce;
 mod cloud;
 mod composite;
 mod counts;
+mod engine;
 mod grid_volume;
 mod job;
 mod layers;
@@ -34,17 +36,20 @@ mod steps;
 mod tiles;
 mod transfer;
 mod view;
+mod work;
 mod world;
 
 use std::io;
 use std::path::PathBuf;
 
 pub use self::counts::RenderCounts;
+pub use self::engine::ExecSettings;
 pub use self::predict::Prediction;
 pub use self::prepared::PreparedScene;
-pub use self::session::{ExecSettings, Session, SessionBuilder, render_once};
+pub use self::session::{Session, SessionBuilder, render_once};
 pub use self::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
-pub use self::view::{MAX_TILE_PIXELS, Region, Tile, View, Work};
+pub use self::view::View;
+pub use self::work::{MAX_TILE_PIXELS, Region, Tile, Work};
 use crate::scene::{CameraError, SceneError};
 use crate::working_set::PageFault;
 

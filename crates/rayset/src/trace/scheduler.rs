@@ -8,10 +8,23 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::job::Job;
-
 /// How long a thread stays with a render while another has none: long beside what it costs to begin again.
 const TURN: Duration = Duration::from_millis(20);
+
+/// What threads share: a render.
+pub(super) trait Task: Send + Sync {
+    /// Whether there is something to do for another thread.
+    fn has_work(&self) -> bool;
+
+    /// A thread is about to work on this.
+    fn entered(&self);
+
+    /// Works on it, until nothing is left to do or the thread's turn is over.
+    fn work(&self, turn: &Turn<'_>);
+
+    /// What is to be called when a thread has left, and has let go of this.
+    fn when_left(&self) -> Box<dyn FnOnce()>;
+}
 
 pub(super) struct Scheduler {
     shared: Arc<Shared>,
@@ -25,14 +38,14 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    jobs: Vec<Entry>,
+    tasks: Vec<Entry>,
     /// Threads that wait for work.
     idle: usize,
     closed: bool,
 }
 
 struct Entry {
-    job: Arc<Job>,
+    task: Arc<dyn Task>,
     /// Threads that work on it.
     threads: usize,
 }
@@ -69,10 +82,10 @@ impl Scheduler {
     }
 
     /// Has the threads work on a render until what this returns is dropped.
-    pub(super) fn add(&self, job: &Arc<Job>) -> Scheduled<'_> {
-        self.shared.lock().jobs.push(Entry { job: job.clone(), threads: 0 });
+    pub(super) fn add(&self, task: Arc<dyn Task>) -> Scheduled<'_> {
+        self.shared.lock().tasks.push(Entry { task: task.clone(), threads: 0 });
         self.shared.changed.notify_all();
-        Scheduled { shared: &self.shared, job: job.clone() }
+        Scheduled { shared: &self.shared, task }
     }
 }
 
@@ -81,7 +94,7 @@ impl Drop for Scheduler {
         self.shared.lock().closed = true;
         self.shared.changed.notify_all();
         for thread in self.threads.drain(..) {
-            // The last to hold a session may be one of its own threads.
+            // The last to hold an engine may be one of its own threads.
             if thread.thread().id() != std::thread::current().id() {
                 let _ = thread.join();
             }
@@ -92,7 +105,7 @@ impl Drop for Scheduler {
 /// A render that threads work on.
 pub(super) struct Scheduled<'a> {
     shared: &'a Shared,
-    job: Arc<Job>,
+    task: Arc<dyn Task>,
 }
 
 impl Scheduled<'_> {
@@ -104,7 +117,7 @@ impl Scheduled<'_> {
 
 impl Drop for Scheduled<'_> {
     fn drop(&mut self) {
-        self.shared.lock().jobs.retain(|entry| !Arc::ptr_eq(&entry.job, &self.job));
+        self.shared.lock().tasks.retain(|entry| !Arc::ptr_eq(&entry.task, &self.task));
     }
 }
 
@@ -118,7 +131,7 @@ impl Turn<'_> {
     /// Whether the thread is to leave: another render has waited for one.
     pub(super) fn is_over(&self) -> bool {
         self.since.elapsed() > TURN
-            && self.shared.lock().jobs.iter().any(|entry| entry.threads == 0 && entry.job.has_work())
+            && self.shared.lock().tasks.iter().any(|entry| entry.threads == 0 && entry.task.has_work())
     }
 
     /// There is something to do again for threads that found nothing.
@@ -128,31 +141,31 @@ impl Turn<'_> {
 }
 
 fn work(shared: &Shared) {
-    while let Some(job) = next_job(shared) {
-        job.work(&Turn { shared, since: Instant::now() });
+    while let Some(task) = next_task(shared) {
+        task.work(&Turn { shared, since: Instant::now() });
         let mut state = shared.lock();
-        if let Some(entry) = state.jobs.iter_mut().find(|entry| Arc::ptr_eq(&entry.job, &job)) {
+        if let Some(entry) = state.tasks.iter_mut().find(|entry| Arc::ptr_eq(&entry.task, &task)) {
             entry.threads -= 1;
         }
         drop(state);
-        let progress = job.progress();
-        drop(job);
-        progress.left();
+        let left = task.when_left();
+        drop(task);
+        left();
     }
 }
 
 /// Waits for a render that has work, and takes a place at the one with the fewest threads; `None` at the end.
-fn next_job(shared: &Shared) -> Option<Arc<Job>> {
+fn next_task(shared: &Shared) -> Option<Arc<dyn Task>> {
     let mut state = shared.lock();
     loop {
         if state.closed {
             return None;
         }
-        let waiting = state.jobs.iter_mut().filter(|entry| entry.job.has_work());
+        let waiting = state.tasks.iter_mut().filter(|entry| entry.task.has_work());
         if let Some(entry) = waiting.min_by_key(|entry| entry.threads) {
             entry.threads += 1;
-            entry.job.entered();
-            return Some(entry.job.clone());
+            entry.task.entered();
+            return Some(entry.task.clone());
         }
         state.idle += 1;
         state = shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner);

@@ -1,102 +1,29 @@
 //! What outlives scenes and pictures: pages in memory, open files, threads.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
-use super::job::Job;
-use super::memory::{self, SceneNeeds};
-use super::predict::{self, Prediction, Predictor};
+use super::engine::{Engine, ExecSettings};
+use super::predict::Prediction;
 use super::prepared::PreparedScene;
-use super::scheduler::{Scheduled, Scheduler};
 use super::sink::Picture;
-use super::view::MAX_TILE_PIXELS;
 use super::world::World;
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
-use crate::field::{SLAB_SAMPLES, SimdLevel};
+use crate::field::SimdLevel;
 use crate::scene::{Camera, Node, RenderSettings, Scene, Shape};
 use crate::working_set::read::{self, BackendKind, Delayed};
-use crate::working_set::{Kind, Limits, PagedFiles, Statistics, WorkingSet};
-
-/// More threads than any machine has processors.
-const MOST_THREADS: usize = 4096;
-
-/// How the work is done. Nothing here can change a pixel, but for vector instructions with and without fused
-/// multiply–add.
-#[derive(Clone)]
-pub struct ExecSettings {
-    /// Threads that trace.
-    pub threads: usize,
-    /// What brings pages in before they are needed.
-    pub predictor: Arc<dyn Predictor>,
-    /// Vector instructions. Those with and without fused multiply–add differ in last bits.
-    pub simd: SimdLevel,
-    /// Edge of a tile in pixels, 1 to 8.
-    pub tile_pixels: u32,
-    /// Samples worked on at a time, 1 to 32.
-    pub slab_samples: usize,
-    /// Whether files are read past the system's page cache.
-    pub direct: bool,
-}
-
-impl Default for ExecSettings {
-    fn default() -> Self {
-        Self {
-            threads: std::thread::available_parallelism().map_or(1, usize::from),
-            predictor: Arc::new(predict::PacketPredictor::default()),
-            simd: SimdLevel::default(),
-            tile_pixels: MAX_TILE_PIXELS,
-            slab_samples: SLAB_SAMPLES,
-            direct: false,
-        }
-    }
-}
+use crate::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 /// Pages in memory within a budget, the files that they come from, and the threads that trace. Cheap to clone.
 ///
 /// Any number of scenes can be prepared and rendered at a time, from any threads.
 #[derive(Clone)]
-pub struct Session(Arc<Inner>);
-
-struct Inner {
-    files: Mutex<PagedFiles>,
-    pages: WorkingSet,
-    exec: ExecSettings,
-    /// `None` where the budget is for pages alone, and fixed.
-    memory: Option<Mutex<Memory>>,
-    name_of_io: String,
-    // Last: its threads end when it goes.
-    scheduler: Scheduler,
-}
+pub struct Session(Arc<Engine>);
 
 impl std::fmt::Debug for Session {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Session").field("threads", &self.0.exec.threads).finish_non_exhaustive()
-    }
-}
-
-/// Memory of a session as a whole, divided between prepared scenes and pages.
-#[derive(Debug)]
-struct Memory {
-    total: u64,
-    /// What each prepared scene needs besides pages.
-    scenes: Vec<(u64, SceneNeeds)>,
-    last: u64,
-}
-
-/// A prepared scene's part of the memory of its session; given back when it is dropped.
-pub(super) struct Reservation {
-    session: Session,
-    number: u64,
-}
-
-impl Drop for Reservation {
-    fn drop(&mut self) {
-        if let Some(memory) = &self.session.0.memory {
-            let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
-            memory.scenes.retain(|(number, _)| *number != self.number);
-            self.session.divide(&memory);
-        }
     }
 }
 
@@ -197,13 +124,10 @@ impl SessionBuilder {
             backend = Arc::new(Delayed::new(backend, self.read_delay).map_err(RenderError::Threads)?);
         }
         let name_of_io = format!("{}{}", backend.name(), if self.exec.direct { ", direct" } else { "" });
-        let memory = match self.page_limits {
-            Some(_) => None,
-            None => Some(Mutex::new(Memory { total: self.memory_bytes, scenes: Vec::new(), last: 0 })),
-        };
+        let memory_bytes = self.page_limits.is_none().then_some(self.memory_bytes);
         let limits = self.page_limits.unwrap_or_else(|| Limits::total(self.memory_bytes));
         let files = PagedFiles::new(WorkingSet::new(limits, backend));
-        Session::with(files, self.exec, memory, name_of_io)
+        Ok(Session(Arc::new(Engine::start(files, self.exec, memory_bytes, name_of_io)?)))
     }
 }
 
@@ -220,29 +144,7 @@ impl Session {
     /// thread.
     #[doc(hidden)]
     pub fn over(files: PagedFiles, exec: ExecSettings) -> Result<Self, RenderError> {
-        Self::with(files, exec, None, String::new())
-    }
-
-    fn with(
-        files: PagedFiles,
-        exec: ExecSettings,
-        memory: Option<Mutex<Memory>>,
-        name_of_io: String,
-    ) -> Result<Self, RenderError> {
-        if !(1..=MAX_TILE_PIXELS).contains(&exec.tile_pixels)
-            || !(1..=SLAB_SAMPLES).contains(&exec.slab_samples)
-        {
-            let what = "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into();
-            return Err(RenderError::Setting { setting: "tile or slab", what });
-        }
-        if exec.threads > MOST_THREADS {
-            let what = format!("{} are more than {MOST_THREADS}", exec.threads);
-            return Err(RenderError::Setting { setting: "threads", what });
-        }
-        let scheduler = Scheduler::start(exec.threads.max(1)).map_err(RenderError::Threads)?;
-        let pages = files.pages.clone();
-        let files = Mutex::new(files);
-        Ok(Self(Arc::new(Inner { files, pages, exec, memory, name_of_io, scheduler })))
+        Ok(Self(Arc::new(Engine::start(files, exec, None, String::new())?)))
     }
 
     /// Compiles a scene: checks it, opens what files of it are not open yet, and makes everything that does not depend
@@ -252,36 +154,12 @@ impl Session {
     /// [`RenderError`] where the scene or a setting is invalid, or a file does not open.
     pub fn prepare(&self, scene: &Scene, settings: &RenderSettings) -> Result<PreparedScene, RenderError> {
         check(scene, settings)?;
-        let mut files = self.files();
+        let mut files = self.0.files();
         files.drop_unused();
         open_all(&scene.root, &mut files, self.0.exec.direct)?;
-        let reservation = self.reserve(scene, settings)?;
+        let reservation = self.0.reserve(scene, settings)?;
         let world = World::compile(scene, settings, self.0.exec.simd, &files)?;
-        Ok(PreparedScene::new(world, *settings, self.clone(), reservation))
-    }
-
-    /// Sets memory aside for a scene, and divides the rest among pages anew.
-    fn reserve(&self, scene: &Scene, settings: &RenderSettings) -> Result<Option<Reservation>, RenderError> {
-        let Some(memory) = &self.0.memory else { return Ok(None) };
-        let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
-        memory.last += 1;
-        let number = memory.last;
-        memory.scenes.push((number, SceneNeeds::of(scene, settings)));
-        let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
-        if let Err(needed) = memory::divide(&needs, self.0.exec.threads, memory.total) {
-            memory.scenes.pop();
-            return Err(RenderError::Memory { given: memory.total, needed });
-        }
-        self.divide(&memory);
-        Ok(Some(Reservation { session: self.clone(), number }))
-    }
-
-    /// Gives pages what scenes leave.
-    fn divide(&self, memory: &Memory) {
-        let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
-        if let Ok((page_bytes, shadow_bytes)) = memory::divide(&needs, self.0.exec.threads, memory.total) {
-            self.0.pages.set_limits(Limits::total(page_bytes).with_kind(Kind::Shadows, shadow_bytes));
-        }
+        Ok(PreparedScene::new(world, *settings, self.0.clone(), reservation))
     }
 
     /// How pages are read, in words.
@@ -337,15 +215,6 @@ impl Session {
     #[must_use]
     pub fn exec(&self) -> &ExecSettings {
         &self.0.exec
-    }
-
-    fn files(&self) -> MutexGuard<'_, PagedFiles> {
-        self.0.files.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Has the threads work on a render until what this returns is dropped.
-    pub(super) fn schedule(&self, job: &Arc<Job>) -> Scheduled<'_> {
-        self.0.scheduler.add(job)
     }
 }
 

@@ -5,8 +5,8 @@ use std::cell::Cell;
 use std::collections::VecDeque;
 
 use super::access::{Access, Lacking};
-use super::job::{Job, TilePlace};
 use super::predict::Predictor;
+use super::work::TilePlace;
 use crate::working_set::PageClient;
 
 /// Attempts at a tile without waiting. One more waits for every page, so that even a budget that keeps none of them
@@ -37,9 +37,8 @@ impl Deferred {
     }
 }
 
-/// The tiles that one thread works on: those of the job, and those that it deferred.
+/// The tiles that one thread works on: those that it takes, and those that it deferred.
 pub(super) struct TileQueue<'a> {
-    job: &'a Job,
     pages: &'a PageClient,
     predictor: &'a dyn Predictor,
     asked_bytes: &'a Cell<u64>,
@@ -49,24 +48,27 @@ pub(super) struct TileQueue<'a> {
 
 impl<'a> TileQueue<'a> {
     pub(super) fn new(
-        job: &'a Job,
         pages: &'a PageClient,
         predictor: &'a dyn Predictor,
         asked_bytes: &'a Cell<u64>,
     ) -> Self {
-        Self { job, pages, predictor, asked_bytes, deferred: VecDeque::new() }
+        Self { pages, predictor, asked_bytes, deferred: VecDeque::new() }
     }
 
-    /// A tile whose page has come, else one of the job, else the one deferred first, which then waits. A tile of the job
-    /// waits too where none may be deferred.
-    pub(super) fn next(&mut self, most_deferred: usize) -> Option<Attempt<'a>> {
+    /// A tile whose page has come, else what `take` gives, else the one deferred first, which then waits. What is taken
+    /// waits too where nothing may be deferred.
+    pub(super) fn next(
+        &mut self,
+        most_deferred: usize,
+        take: impl FnOnce() -> Option<Deferred>,
+    ) -> Option<Attempt<'a>> {
         let ready = self.deferred.iter().position(|deferred| self.is_ready(deferred));
         if let Some(deferred) = ready.and_then(|at| self.deferred.remove(at)) {
             let waits = deferred.attempts >= IMPATIENT_ATTEMPTS;
             return Some(self.attempt(&deferred, waits));
         }
         if (self.deferred.is_empty() || self.deferred.len() < most_deferred)
-            && let Some(deferred) = self.job.take()
+            && let Some(deferred) = take()
         {
             let waits = self.predictor.slabs_on_a_miss() == 0
                 || most_deferred == 0

@@ -1,146 +1,53 @@
-//! One look at a prepared scene: its tiles, and the work of rendering them.
+//! One look at a prepared scene: its tiles, and rendering them.
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use super::job::{Job, Next};
-use super::prepared::Prepared;
+use super::prepared::{Prepared, PreparedScene};
 use super::sink::{FinishedTile, TileSink};
+use super::work::{LOOKAHEAD_TILE_PIXELS, MAX_TILE_PIXELS, Region, Tile, Work};
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
-use crate::field::LANES;
 use crate::geometry::curve::hilbert_order;
-use crate::scene::{RayMaker, RenderSettings};
-
-/// Longest edge of a tile in pixels.
-pub const MAX_TILE_PIXELS: u32 = 8;
-/// Edge of the squares of pixels whose tiles follow each other: those that are looked ahead at together.
-pub(super) const LOOKAHEAD_TILE_PIXELS: u32 = 32;
-
-/// Pixels of a picture.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Region {
-    /// Columns.
-    pub columns: Range<u32>,
-    /// Rows.
-    pub rows: Range<u32>,
-}
-
-impl Region {
-    /// Number of pixels.
-    #[must_use]
-    pub fn pixels(&self) -> u64 {
-        self.columns.len() as u64 * self.rows.len() as u64
-    }
-
-    /// The smallest that holds all tiles, of which there is at least one.
-    pub(super) fn around(tiles: &[Tile]) -> Self {
-        let least = |of: fn(&Tile) -> u32| tiles.iter().map(of).min().unwrap_or(0);
-        let most = |of: fn(&Tile) -> u32| tiles.iter().map(of).max().unwrap_or(0);
-        Self {
-            columns: least(|t| t.x)..most(|t| t.x + t.width),
-            rows: least(|t| t.y)..most(|t| t.y + t.height),
-        }
-    }
-}
-
-/// A rectangle of pixels that is traced together: its upper left pixel and its size, each edge 1 to
-/// 8.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Tile {
-    /// Left column.
-    pub x: u32,
-    /// Top row.
-    pub y: u32,
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
-
-impl Tile {
-    /// Number of pixels.
-    #[must_use]
-    pub fn pixels(&self) -> usize {
-        self.width as usize * self.height as usize
-    }
-}
-
-const _: () = assert!(MAX_TILE_PIXELS as usize * MAX_TILE_PIXELS as usize == LANES);
-
-/// What is to be rendered of a view, and in what order. The order changes no pixel.
-#[derive(Clone, Debug)]
-pub struct Work {
-    pub(super) tiles: Vec<Tile>,
-    pub(super) passes: Passes,
-}
-
-/// How the rays of a pixel are divided into passes over all tiles.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Passes {
-    /// All in one.
-    One,
-    /// So many in each pass, and the rest in a last one.
-    Of(Vec<u32>),
-    /// One, then as many as there have been.
-    Doubling,
-}
-
-impl Work {
-    /// Tiles in the order in which they are to be rendered, each once with all of its rays.
-    #[must_use]
-    pub fn tiles(tiles: Vec<Tile>) -> Self {
-        Self { tiles, passes: Passes::One }
-    }
-
-    /// The same in passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`, and so on; the
-    /// last traces what is left of the square of [`RenderSettings::samples`]. After each pass every tile is handed out with
-    /// the mean of what its rays have seen so far; after the last this is, bit for bit, what it is in one pass.
-    #[must_use]
-    pub fn in_passes(self, rays: &[u32]) -> Self {
-        Self { passes: Passes::Of(rays.to_vec()), ..self }
-    }
-
-    /// The same in passes that double the number of rays: 1, 1, 2, 4, …
-    #[must_use]
-    pub fn progressive(self) -> Self {
-        Self { passes: Passes::Doubling, ..self }
-    }
-}
-
-impl Passes {
-    /// The rays of each pass, of `rays` in all.
-    pub(super) fn ranges(&self, rays: u32) -> Vec<Range<u32>> {
-        let mut ranges = Vec::new();
-        let mut done = 0;
-        let mut pass = 0;
-        while done < rays {
-            let count = match self {
-                Self::One => rays,
-                Self::Of(counts) => counts.get(pass).copied().unwrap_or(rays),
-                Self::Doubling => done.max(1),
-            };
-            let end = done.saturating_add(count.max(1)).min(rays);
-            ranges.push(done..end);
-            (done, pass) = (end, pass + 1);
-        }
-        ranges
-    }
-}
+use crate::scene::{Camera, RayMaker, RenderSettings};
 
 /// A prepared scene seen by a camera, in a picture of some size.
 ///
 /// Cheap to make: nothing of the scene is compiled or copied for it.
 #[derive(Clone)]
 pub struct View {
-    pub(super) prepared: Arc<Prepared>,
-    pub(super) rays: RayMaker,
+    prepared: Arc<Prepared>,
+    rays: RayMaker,
     pub(super) settings: RenderSettings,
 }
 
 impl std::fmt::Debug for View {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "View({} x {})", self.settings.width, self.settings.height)
+    }
+}
+
+impl PreparedScene {
+    /// A look at the scene, in a picture of the settings' size.
+    ///
+    /// # Errors
+    /// [`RenderError::Camera`] where the camera makes no rays.
+    pub fn view(&self, camera: &Camera) -> Result<View, RenderError> {
+        self.view_of_size(camera, self.0.settings.width, self.0.settings.height)
+    }
+
+    /// A look at the scene, in a picture of `width` by `height` pixels, each 1 to 1 048 576.
+    ///
+    /// # Errors
+    /// [`RenderError::Camera`] where the camera makes no rays, [`RenderError::Setting`] where the size is out of range.
+    pub fn view_of_size(&self, camera: &Camera, width: u32, height: u32) -> Result<View, RenderError> {
+        if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
+            let what = format!("{width}x{height} is not between 1x1 and 1048576x1048576");
+            return Err(RenderError::Setting { setting: "size", what });
+        }
+        let rays = camera.ray_maker(width, height)?;
+        let settings = RenderSettings { width, height, ..self.0.settings };
+        Ok(View { prepared: self.0.clone(), rays, settings })
     }
 }
 
@@ -173,7 +80,7 @@ impl View {
         if region.columns.is_empty() || region.rows.is_empty() {
             return Vec::new();
         }
-        let edge = self.prepared.exec().tile_pixels;
+        let edge = self.prepared.engine.exec.tile_pixels;
         let (x0, y0) = (region.columns.start / edge, region.rows.start / edge);
         let (x1, y1) = (region.columns.end.div_ceil(edge), region.rows.end.div_ceil(edge));
         let mut tiles: Vec<Tile> = hilbert_order(x1.saturating_sub(x0), y1.saturating_sub(y0))
@@ -186,8 +93,8 @@ impl View {
                 Tile { x, y, width, height }
             })
             .collect();
-        // NodeSamples by block along a curve of their own, so that each is come to once.
-        let block = |tile: &Tile| (tile.x / LOOKAHEAD_TILE_PIXELS, tile.y / LOOKAHEAD_TILE_PIXELS);
+        // Look-ahead tiles lie along a curve of their own, so that each is come to once.
+        let lookahead_tile = |tile: &Tile| (tile.x / LOOKAHEAD_TILE_PIXELS, tile.y / LOOKAHEAD_TILE_PIXELS);
         let first = (region.columns.start / LOOKAHEAD_TILE_PIXELS, region.rows.start / LOOKAHEAD_TILE_PIXELS);
         let columns = region.columns.end.div_ceil(LOOKAHEAD_TILE_PIXELS).saturating_sub(first.0);
         let rows = region.rows.end.div_ceil(LOOKAHEAD_TILE_PIXELS).saturating_sub(first.1);
@@ -196,7 +103,7 @@ impl View {
             place[(j * columns + i) as usize] = at;
         }
         tiles.sort_by_key(|tile| {
-            let (i, j) = block(tile);
+            let (i, j) = lookahead_tile(tile);
             place[((j - first.1) * columns + i - first.0) as usize]
         });
         tiles
@@ -227,12 +134,12 @@ impl View {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
-        let job = Arc::new(Job::new(self, work, &stop));
+        let job = Arc::new(Job::new(self.prepared.clone(), self.rays, self.settings, work, &stop));
         let progress = job.progress();
         let _woken = stop.register(Arc::new(move || progress.wake()));
         // A sink that panics ends the render, too.
         let _ended = CancelWhenDropped(&stop);
-        let scheduled = self.prepared.session().schedule(&job);
+        let scheduled = self.prepared.engine.scheduler.add(job.clone());
         loop {
             match job.next() {
                 Next::Tile(tile) => {

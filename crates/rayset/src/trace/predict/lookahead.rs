@@ -12,7 +12,7 @@ use crate::geometry::{Aabb, DVec3, Ray};
 use crate::octree::node::{Node, NodePage};
 use crate::scene::RayMaker;
 use crate::trace::cloud::{CloudPlacement, CloudVolume};
-use crate::trace::view::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
+use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
 use crate::trace::world::World;
 use crate::working_set::{Object, PageClient};
 

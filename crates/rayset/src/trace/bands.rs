@@ -1,0 +1,92 @@
+//! A view rendered into memory, or band by band, as encoders of files want it.
+
+use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
+use super::view::View;
+use super::work::{Region, Tile, Work};
+use super::{RenderCounts, RenderError};
+use crate::cancel::CancelToken;
+use crate::image::Band;
+
+impl View {
+    /// Renders the whole picture into memory.
+    ///
+    /// # Errors
+    /// As [`View::render`].
+    pub fn picture(&self) -> Result<Picture, RenderError> {
+        let mut picture = Picture::default();
+        self.render_bands(&self.region(), u32::MAX, &CancelToken::new(), &mut picture)?;
+        Ok(picture)
+    }
+
+    /// Renders a part of the picture in bands of at most `band_rows` rows, of which one is held at a time; each of its
+    /// pixels is the same, bit for bit, as in the whole.
+    ///
+    /// # Errors
+    /// As [`View::render`], and where the region is empty or not within the picture.
+    pub fn render_bands(
+        &self,
+        region: &Region,
+        band_rows: u32,
+        cancel: &CancelToken,
+        sink: &mut (impl BandSink + ?Sized),
+    ) -> Result<RenderCounts, RenderError> {
+        let whole = self.region();
+        let within = region.columns.end <= whole.columns.end && region.rows.end <= whole.rows.end;
+        if region.columns.is_empty() || region.rows.is_empty() || !within {
+            let what = "empty, or not within the picture".into();
+            return Err(RenderError::Setting { setting: "region", what });
+        }
+        let (mut counts, mut done) = (RenderCounts::default(), 0);
+        let mut row = region.rows.start;
+        while row < region.rows.end {
+            let rows = row..row + band_rows.clamp(1, region.rows.end - row);
+            let of_band = Region { columns: region.columns.clone(), rows };
+            let mut filling = Filling {
+                band: Band::new(
+                    row,
+                    of_band.columns.len() as u32,
+                    of_band.rows.len() as u32,
+                    self.settings.layers,
+                ),
+                left: region.columns.start,
+                done,
+                total: region.pixels(),
+                sink: &mut *sink,
+            };
+            counts += self.render(&Work::tiles(self.tiles(&of_band)), cancel, &mut filling)?;
+            let band = filling.band;
+            sink.band(&band).map_err(RenderError::Sink)?;
+            (row, done) = (of_band.rows.end, done + of_band.pixels());
+        }
+        Ok(counts)
+    }
+}
+
+/// A band whose tiles come in.
+struct Filling<'s, S: BandSink + ?Sized> {
+    band: Band,
+    /// Leftmost column.
+    left: u32,
+    done: u64,
+    total: u64,
+    sink: &'s mut S,
+}
+
+impl<S: BandSink + ?Sized> TileSink for Filling<'_, S> {
+    fn tile(&mut self, finished: &FinishedTile<'_>) -> Result<(), SinkError> {
+        let Tile { x, y, width, height } = finished.tile;
+        let length = width as usize;
+        for row in 0..height {
+            let from = row as usize * length;
+            let to = (y + row - self.band.first_row) as usize * self.band.width as usize;
+            let to = to + (x - self.left) as usize;
+            self.band.pixels[to..to + length].copy_from_slice(&finished.pixels[from..from + length]);
+            if !finished.layers.is_empty() {
+                self.band.layers[to..to + length].copy_from_slice(&finished.layers[from..from + length]);
+            }
+        }
+        self.done += finished.tile.pixels() as u64;
+        self.sink.progress(self.done, self.total);
+        Ok(())
+    }
+}

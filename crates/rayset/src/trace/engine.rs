@@ -1,0 +1,147 @@
+//! What a session consists of: pages in memory, open files, threads, and the memory that scenes and pages share.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::RenderError;
+use super::memory::{self, SceneNeeds};
+use super::predict::{self, Predictor};
+use super::scheduler::Scheduler;
+use super::work::MAX_TILE_PIXELS;
+use crate::field::{SLAB_SAMPLES, SimdLevel};
+use crate::scene::{RenderSettings, Scene};
+use crate::working_set::{Kind, Limits, PagedFiles, WorkingSet};
+
+/// More threads than any machine has processors.
+const MOST_THREADS: usize = 4096;
+
+/// How the work is done. Nothing here can change a pixel, but for vector instructions with and without fused
+/// multiply–add.
+#[derive(Clone)]
+pub struct ExecSettings {
+    /// Threads that trace.
+    pub threads: usize,
+    /// What brings pages in before they are needed.
+    pub predictor: Arc<dyn Predictor>,
+    /// Vector instructions. Those with and without fused multiply–add differ in last bits.
+    pub simd: SimdLevel,
+    /// Edge of a tile in pixels, 1 to 8.
+    pub tile_pixels: u32,
+    /// Samples worked on at a time, 1 to 32.
+    pub slab_samples: usize,
+    /// Whether files are read past the system's page cache.
+    pub direct: bool,
+}
+
+impl Default for ExecSettings {
+    fn default() -> Self {
+        Self {
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            predictor: Arc::new(predict::PacketPredictor::default()),
+            simd: SimdLevel::default(),
+            tile_pixels: MAX_TILE_PIXELS,
+            slab_samples: SLAB_SAMPLES,
+            direct: false,
+        }
+    }
+}
+
+/// What a session, and what is prepared in it, stand on.
+pub(super) struct Engine {
+    files: Mutex<PagedFiles>,
+    pub(super) pages: WorkingSet,
+    pub(super) exec: ExecSettings,
+    /// `None` where the budget is for pages alone, and fixed.
+    memory: Option<Mutex<Memory>>,
+    pub(super) name_of_io: String,
+    // Last: its threads end when it goes.
+    pub(super) scheduler: Scheduler,
+}
+
+/// The memory of an engine as a whole, divided between prepared scenes and pages.
+#[derive(Debug)]
+struct Memory {
+    total: u64,
+    /// What each prepared scene needs besides pages.
+    scenes: Vec<(u64, SceneNeeds)>,
+    last: u64,
+}
+
+/// A prepared scene's part of the memory of its engine; given back when it is dropped.
+pub(super) struct Reservation {
+    engine: Arc<Engine>,
+    number: u64,
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        if let Some(memory) = &self.engine.memory {
+            let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
+            memory.scenes.retain(|(number, _)| *number != self.number);
+            self.engine.divide(&memory);
+        }
+    }
+}
+
+impl Engine {
+    /// Over a working set, and files that are open already. Divides `memory_bytes` between scenes and pages; `None` where
+    /// the budget is for pages alone.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] where tiles or slabs are out of range, [`RenderError::Threads`] where the system gives no
+    /// thread.
+    pub(super) fn start(
+        files: PagedFiles,
+        exec: ExecSettings,
+        memory_bytes: Option<u64>,
+        name_of_io: String,
+    ) -> Result<Self, RenderError> {
+        if !(1..=MAX_TILE_PIXELS).contains(&exec.tile_pixels)
+            || !(1..=SLAB_SAMPLES).contains(&exec.slab_samples)
+        {
+            let what = "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into();
+            return Err(RenderError::Setting { setting: "tile or slab", what });
+        }
+        if exec.threads > MOST_THREADS {
+            let what = format!("{} are more than {MOST_THREADS}", exec.threads);
+            return Err(RenderError::Setting { setting: "threads", what });
+        }
+        let scheduler = Scheduler::start(exec.threads.max(1)).map_err(RenderError::Threads)?;
+        let pages = files.pages.clone();
+        let files = Mutex::new(files);
+        let memory = memory_bytes.map(|total| Mutex::new(Memory { total, scenes: Vec::new(), last: 0 }));
+        Ok(Self { files, pages, exec, memory, name_of_io, scheduler })
+    }
+
+    /// The open files.
+    pub(super) fn files(&self) -> MutexGuard<'_, PagedFiles> {
+        self.files.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sets memory aside for a scene, and divides the rest among pages anew.
+    pub(super) fn reserve(
+        self: &Arc<Self>,
+        scene: &Scene,
+        settings: &RenderSettings,
+    ) -> Result<Option<Reservation>, RenderError> {
+        let Some(memory) = &self.memory else { return Ok(None) };
+        let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
+        memory.last += 1;
+        let number = memory.last;
+        memory.scenes.push((number, SceneNeeds::of(scene, settings)));
+        let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
+        if let Err(needed) = memory::divide(&needs, self.exec.threads, memory.total) {
+            memory.scenes.pop();
+            return Err(RenderError::Memory { given: memory.total, needed });
+        }
+        self.divide(&memory);
+        Ok(Some(Reservation { engine: self.clone(), number }))
+    }
+
+    /// Gives pages what scenes leave.
+    fn divide(&self, memory: &Memory) {
+        let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
+        if let Ok((page_bytes, shadow_bytes)) = memory::divide(&needs, self.exec.threads, memory.total) {
+            self.pages.set_limits(Limits::total(page_bytes).with_kind(Kind::Shadows, shadow_bytes));
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! What is to be rendered: tiles of a picture, in an order, and passes over them.
+
+use std::ops::Range;
+
+use crate::field::LANES;
+
+/// Longest edge of a tile in pixels.
+pub const MAX_TILE_PIXELS: u32 = 8;
+/// Edge of the squares of pixels whose tiles follow each other: those that are looked ahead at together.
+pub(super) const LOOKAHEAD_TILE_PIXELS: u32 = 32;
+
+/// Pixels of a picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Columns.
+    pub columns: Range<u32>,
+    /// Rows.
+    pub rows: Range<u32>,
+}
+
+impl Region {
+    /// Number of pixels.
+    #[must_use]
+    pub fn pixels(&self) -> u64 {
+        self.columns.len() as u64 * self.rows.len() as u64
+    }
+
+    /// The smallest that holds all tiles, of which there is at least one.
+    pub(super) fn around(tiles: &[Tile]) -> Self {
+        let least = |of: fn(&Tile) -> u32| tiles.iter().map(of).min().unwrap_or(0);
+        let most = |of: fn(&Tile) -> u32| tiles.iter().map(of).max().unwrap_or(0);
+        Self {
+            columns: least(|t| t.x)..most(|t| t.x + t.width),
+            rows: least(|t| t.y)..most(|t| t.y + t.height),
+        }
+    }
+}
+
+/// A rectangle of pixels that is traced together: its upper left pixel and its size, each edge 1 to 8.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tile {
+    /// Left column.
+    pub x: u32,
+    /// Top row.
+    pub y: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl Tile {
+    /// Number of pixels.
+    #[must_use]
+    pub fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+}
+
+const _: () = assert!(MAX_TILE_PIXELS as usize * MAX_TILE_PIXELS as usize == LANES);
+
+/// What is to be rendered of a view, and in what order. The order changes no pixel.
+#[derive(Clone, Debug)]
+pub struct Work {
+    pub(super) tiles: Vec<Tile>,
+    pub(super) passes: Passes,
+}
+
+/// How the rays of a pixel are divided into passes over all tiles.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Passes {
+    /// All in one.
+    One,
+    /// So many in each pass, and the rest in a last one.
+    Of(Vec<u32>),
+    /// One, then as many as there have been.
+    Doubling,
+}
+
+impl Work {
+    /// Tiles in the order in which they are to be rendered, each once with all of its rays.
+    #[must_use]
+    pub fn tiles(tiles: Vec<Tile>) -> Self {
+        Self { tiles, passes: Passes::One }
+    }
+
+    /// The same in passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`, and so on; the
+    /// last traces what is left of the square of [`RenderSettings::samples`]. After each pass every tile is handed out with
+    /// the mean of what its rays have seen so far; after the last this is, bit for bit, what it is in one pass.
+    #[must_use]
+    pub fn in_passes(self, rays: &[u32]) -> Self {
+        Self { passes: Passes::Of(rays.to_vec()), ..self }
+    }
+
+    /// The same in passes that double the number of rays: 1, 1, 2, 4, …
+    #[must_use]
+    pub fn progressive(self) -> Self {
+        Self { passes: Passes::Doubling, ..self }
+    }
+}
+
+impl Passes {
+    /// The rays of each pass, of `rays` in all.
+    pub(super) fn ranges(&self, rays: u32) -> Vec<Range<u32>> {
+        let mut ranges = Vec::new();
+        let mut done = 0;
+        let mut pass = 0;
+        while done < rays {
+            let count = match self {
+                Self::One => rays,
+                Self::Of(counts) => counts.get(pass).copied().unwrap_or(rays),
+                Self::Doubling => done.max(1),
+            };
+            let end = done.saturating_add(count.max(1)).min(rays);
+            ranges.push(done..end);
+            (done, pass) = (end, pass + 1);
+        }
+        ranges
+    }
+}
+
+/// A tile in one pass.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TilePlace {
+    /// Place of the tile in the order of the work.
+    pub(super) tile: usize,
+    pub(super) pass: usize,
+}
