@@ -1,15 +1,15 @@
 //! One user of a working set, a render for instance: it retains pages, says which it will want and which it will not, and
 //! has its share of the budget. What it says concerns its own pages alone.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::Shared;
-use super::eviction::Evicted;
-use super::object::{HintMark, Object, PageGuard, Resident, Slot};
+use super::guard::PageGuard;
+use super::hints::Hints;
+use super::object::{HintMark, Object, Resident, Slot};
+use super::shared::Shared;
 use crate::cancel::CancelToken;
-use crate::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use crate::sync::{Mutex, lock};
+use crate::sync::atomic::Ordering;
+use crate::sync::lock;
 
 /// A user of a working set. Dropping it takes back its hints: those of their pages that nobody has asked for are the first to
 /// go, and so are those that are still on their way.
@@ -20,40 +20,10 @@ pub struct PageClient {
     hints: Arc<Hints>,
 }
 
-/// The hints of one client.
-#[derive(Default)]
-pub(super) struct Hints {
-    /// Bytes of pages that were read for a hint and not yet asked for.
-    unused_bytes: AtomicU64,
-    /// Hints of earlier eras have been taken back.
-    era: AtomicU32,
-    /// Pages hinted at, and some that have been asked for or have gone since.
-    pages: Mutex<Hinted>,
-}
-
-#[derive(Default)]
-struct Hinted {
-    pages: Vec<(Arc<Object>, u32)>,
-    /// How many there were when those that are settled were last taken out.
-    unsettled: usize,
-}
-
-/// The clients of a working set, by number. Numbers begin at 1.
-#[derive(Default)]
-pub(super) struct Clients {
-    last: u32,
-    hints: HashMap<u32, Arc<Hints>>,
-}
-
 impl PageClient {
     pub(super) fn new(shared: Arc<Shared>, cancel: CancelToken) -> Self {
         let hints = Arc::new(Hints::default());
-        let mut clients = lock(&shared.clients);
-        // Half of all words tell hints that were read from others.
-        clients.last = clients.last % (u32::MAX >> 1) + 1;
-        let number = clients.last;
-        clients.hints.insert(number, hints.clone());
-        drop(clients);
+        let number = lock(&shared.clients).enter(&hints);
         Self { shared, number, cancel, hints }
     }
 
@@ -66,7 +36,7 @@ impl PageClient {
     /// Bytes that this client can count on, for planning ahead: an equal share of the budget.
     #[must_use]
     pub fn share_bytes(&self) -> u64 {
-        let clients = lock(&self.shared.clients).hints.len().max(1);
+        let clients = lock(&self.shared.clients).len().max(1);
         self.shared.pool.limits().all_kinds() / clients as u64
     }
 
@@ -80,7 +50,7 @@ impl PageClient {
     #[must_use]
     pub fn peek(&self, object: &Object, page: u32) -> Option<PageGuard> {
         if let Some(found) = object.in_place(page) {
-            return found.ok();
+            return found.ok().map(PageGuard::from);
         }
         let slot = object.slot(page);
         if let Slot::Resident(resident) = &*slot {
@@ -175,14 +145,10 @@ impl PageClient {
     pub fn retire_unused(&self, object: &Arc<Object>, pages: &[u32]) {
         self.shared.retire_if(object, pages, |resident| resident.hint_mark().client() == Some(self.number));
     }
-}
 
-impl PageClient {
     /// Takes back all hints so far: those of their pages that nobody has asked for are the first to go.
     pub fn forget_hints(&self) {
-        self.hints.era.fetch_add(1, Ordering::Relaxed);
-        let hinted = std::mem::take(&mut lock(&self.hints.pages).pages);
-        for (object, page) in hinted {
+        for (object, page) in self.hints.take_back() {
             let unused = |resident: &Resident| resident.hint_mark().client() == Some(self.number);
             self.shared.retire_if(&object, &[page], unused);
         }
@@ -191,84 +157,7 @@ impl PageClient {
 
 impl Drop for PageClient {
     fn drop(&mut self) {
-        lock(&self.shared.clients).hints.remove(&self.number);
+        lock(&self.shared.clients).leave(self.number);
         self.forget_hints();
-    }
-}
-
-impl Hints {
-    fn note(&self, object: &Arc<Object>, pages: &[u32], client: u32) {
-        if pages.is_empty() {
-            return;
-        }
-        let mut hinted = lock(&self.pages);
-        hinted.pages.extend(pages.iter().map(|&page| (object.clone(), page)));
-        if hinted.pages.len() > 2 * hinted.unsettled + 256 {
-            hinted.pages.retain(|(object, page)| match &*object.slot(*page) {
-                Slot::Loading => true,
-                Slot::Resident(resident) => resident.hint_mark().client() == Some(client),
-                Slot::Absent | Slot::Failed(_) => false,
-            });
-            hinted.unsettled = hinted.pages.len();
-        }
-    }
-}
-
-impl Shared {
-    /// Whether a hint of an era of a client still holds.
-    pub(super) fn is_hint_of(&self, client: u32, era: u32) -> bool {
-        let clients = lock(&self.clients);
-        clients.hints.get(&client).is_some_and(|hints| hints.era.load(Ordering::Relaxed) == era)
-    }
-
-    /// Settles a hint: the page was asked for, or will not be. True where it was read for the hint. The caller holds the
-    /// lock of the page's slot, or has taken the page out.
-    pub(super) fn settle_hint(&self, resident: &Resident, bytes: u64) -> bool {
-        let mark = resident.hint_mark();
-        if mark == HintMark::None {
-            return false;
-        }
-        resident.hint.store(HintMark::None.word(), Ordering::Relaxed);
-        let HintMark::Read(client) = mark else { return false };
-        self.hint_was_used(client, bytes);
-        true
-    }
-
-    /// A page that was read for a hint no longer counts as unused.
-    pub(super) fn hint_was_used(&self, client: u32, bytes: u64) {
-        if let Some(hints) = lock(&self.clients).hints.get(&client) {
-            hints.unused_bytes.fetch_sub(bytes, Ordering::Relaxed);
-        }
-    }
-
-    fn retire_if(&self, object: &Arc<Object>, pages: &[u32], wanted: impl Fn(&Resident) -> bool) {
-        if object.is_in_place() {
-            return;
-        }
-        for &page in pages {
-            let slot = object.slot(page);
-            let serial = match &*slot {
-                Slot::Resident(resident)
-                    if Arc::strong_count(resident) == 1
-                        && wanted(resident)
-                        && !resident.retired.swap(true, Ordering::Relaxed) =>
-                {
-                    self.settle_hint(resident, object.bytes());
-                    Some(resident.serial)
-                }
-                _ => None,
-            };
-            drop(slot);
-            if let Some(serial) = serial {
-                self.pool.retire(object, page, serial);
-            }
-        }
-    }
-
-    pub(super) fn count_evictions(&self, evicted: &[Evicted]) {
-        for page in evicted {
-            self.counters[page.kind.index()].evictions.fetch_add(1, Ordering::Relaxed);
-            self.settle_hint(&page.resident, page.object.bytes());
-        }
     }
 }

@@ -12,7 +12,7 @@
 //!    a search.
 //!
 //! `request` follows a page on its way into memory, `eviction` says which gives way, `pool` holds the locks and their
-//! order.
+//! order; `object` has the states of pages, `guard` what retains them, `client` and `hints` who wants them.
 
 mod budget;
 mod buffer;
@@ -21,12 +21,15 @@ mod cloud;
 mod eviction;
 mod files;
 mod grid;
+mod guard;
+mod hints;
 #[cfg(all(test, feature = "model"))]
 mod models;
 mod object;
 mod pool;
 pub mod read;
 mod request;
+mod shared;
 mod source;
 mod stats;
 #[cfg(all(test, not(feature = "model")))]
@@ -37,35 +40,24 @@ use std::time::Duration;
 
 pub use self::budget::Limits;
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
-use self::client::Clients;
 pub use self::client::PageClient;
 pub use self::cloud::CloudPages;
 pub use self::files::PagedFiles;
 pub use self::grid::GridPages;
+pub use self::guard::PageGuard;
+pub use self::object::Object;
 use self::object::Slot;
-pub use self::object::{Object, PageGuard};
-use self::pool::PagePool;
 use self::read::ReadBackend;
+use self::shared::Shared;
 pub use self::source::{KINDS, Kind, PageFault, PageSource};
 use self::stats::Counters;
 pub use self::stats::{KindStatistics, Statistics};
-use crate::cancel::{CancelToken, Registration as Registered};
-use crate::sync::Mutex;
-use crate::sync::atomic::{AtomicU32, Ordering};
+use crate::cancel::CancelToken;
+use crate::sync::atomic::Ordering;
 
 /// How long a thread waits for room, or for a page, while no page is on its way: long enough for any release to happen,
 /// short enough not to hang for ever.
 const PATIENCE: Duration = Duration::from_secs(10);
-
-/// What all clients share.
-struct Shared {
-    pool: PagePool,
-    backend: Arc<dyn ReadBackend>,
-    clients: Mutex<Clients>,
-    /// Number of the current period of the statistics; pages of period 0 were never read.
-    period: AtomicU32,
-    counters: [Counters; KINDS],
-}
 
 /// Pages in memory, shared by threads. Cheap to clone.
 #[derive(Clone)]
@@ -81,14 +73,7 @@ impl WorkingSet {
     }
 
     fn with_patience(limits: Limits, backend: Arc<dyn ReadBackend>, patience: Duration) -> Self {
-        let shared = Shared {
-            pool: PagePool::new(limits, patience),
-            backend,
-            clients: Mutex::default(),
-            period: AtomicU32::new(1),
-            counters: Default::default(),
-        };
-        Self { shared: Arc::new(shared) }
+        Self { shared: Arc::new(Shared::new(limits, backend, patience)) }
     }
 
     /// A new client, whose waits end when `cancel` is cancelled.
@@ -138,7 +123,7 @@ impl WorkingSet {
     /// What has happened since the set was made, or since [`reset_statistics`](Self::reset_statistics).
     #[must_use]
     pub fn statistics(&self) -> Statistics {
-        Statistics::collect(&self.shared.counters, &self.shared.pool)
+        Statistics::collect(&self.shared.counters, self.shared.pool.peaks())
     }
 
     /// Bytes of the pages that are retained now. Looks at every page in memory.

@@ -1,4 +1,4 @@
-//! Objects, the states of their pages, and the guards that retain them.
+//! Objects and the states of their pages.
 //!
 //! The states of a page, all under the lock of its own slot:
 //!
@@ -11,13 +11,12 @@
 //!     └──────────────────────────── evicted ─────────────────────┘
 //! ```
 
-use std::ops::{Deref, Range};
+use std::ops::Range;
 use std::sync::Arc;
 
-use super::Shared;
 use super::buffer::PageBuffer;
 use super::source::{Kind, PageFault, PageSource};
-use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering, fence};
+use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard, lock};
 
 /// A page in memory. It is retained as long as anything but its slot refers to it: references are added under the lock of
@@ -94,9 +93,25 @@ pub struct Object {
     in_place: Option<InPlace>,
 }
 
+/// Memory that pages lie in.
+type Memory = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+/// A page where it lies in memory for good.
+pub(super) struct PageInPlace {
+    memory: Memory,
+    range: Range<usize>,
+}
+
+impl PageInPlace {
+    pub(super) fn bytes(&self) -> &[u8] {
+        // Memory that changes its length behind our back has no such part any more.
+        (*self.memory).as_ref().get(self.range.clone()).unwrap_or(&[])
+    }
+}
+
 /// Pages that lie in memory and are used where they are.
 struct InPlace {
-    memory: Arc<dyn AsRef<[u8]> + Send + Sync>,
+    memory: Memory,
     /// Whether each page has been checked.
     checked: Vec<AtomicBool>,
 }
@@ -155,7 +170,7 @@ impl Object {
     }
 
     /// A page where it lies in memory, checked the first time; `None` where pages have to be brought in.
-    pub(super) fn in_place(&self, page: u32) -> Option<Result<PageGuard, PageFault>> {
+    pub(super) fn in_place(&self, page: u32) -> Option<Result<PageInPlace, PageFault>> {
         let InPlace { memory, checked } = self.in_place.as_ref()?;
         let start = self.source.offset(page);
         let range = usize::try_from(start).ok().map(|start| start..start + self.source.page_bytes());
@@ -172,45 +187,6 @@ impl Object {
             }
             checked[page as usize].store(true, Ordering::Release);
         }
-        Some(Ok(PageGuard(Held::InPlace(memory.clone(), range))))
-    }
-}
-
-/// A retained page; its bytes stay in memory while the guard lives.
-pub struct PageGuard(Held);
-
-enum Held {
-    // Fields are dropped in this order: whoever waits for room is told when the page is free.
-    Resident(Arc<Resident>, #[expect(dead_code, reason = "it acts when it is dropped")] Release),
-    InPlace(Arc<dyn AsRef<[u8]> + Send + Sync>, Range<usize>),
-}
-
-/// Tells those who wait for room that a page has been released.
-struct Release(Arc<Shared>);
-
-impl PageGuard {
-    /// The caller holds the lock of the page's slot.
-    pub(super) fn new(resident: &Arc<Resident>, shared: &Arc<Shared>) -> Self {
-        Self(Held::Resident(resident.clone(), Release(shared.clone())))
-    }
-}
-
-impl Deref for PageGuard {
-    type Target = [u8];
-
-    fn deref(&self) -> &[u8] {
-        match &self.0 {
-            Held::Resident(resident, _) => resident.buffer.bytes(),
-            // Memory that changes its length behind our back has no such part any more.
-            Held::InPlace(memory, range) => (**memory).as_ref().get(range.clone()).unwrap_or(&[]),
-        }
-    }
-}
-
-impl Drop for Release {
-    fn drop(&mut self) {
-        // Either we see the one who waits, or that one sees that the page is free: see `PagePool::reserve`.
-        fence(Ordering::SeqCst);
-        self.0.pool.released();
+        Some(Ok(PageInPlace { memory: memory.clone(), range }))
     }
 }

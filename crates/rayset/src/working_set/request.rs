@@ -10,12 +10,14 @@ use std::time::Instant;
 
 use super::buffer::PageBuffer;
 use super::client::PageClient;
-use super::object::{HintMark, Object, PageGuard, Resident, Slot};
+use super::guard::PageGuard;
+use super::object::{HintMark, Object, Resident, Slot};
 use super::pool::WaitError;
 use super::read::Read;
+use super::shared::Shared;
 use super::source::PageFault;
 use super::stats::Counters;
-use super::{Registered, Shared};
+use crate::cancel::Registration as Registered;
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 impl PageClient {
@@ -26,7 +28,7 @@ impl PageClient {
     /// client is cancelled while it waits.
     pub fn retain(&self, object: &Arc<Object>, page: u32) -> Result<PageGuard, PageFault> {
         if let Some(found) = object.in_place(page) {
-            return found;
+            return found.map(PageGuard::from);
         }
         let counters = self.shared.counters_of(object, page);
         let mut slot = object.slot(page);
@@ -58,7 +60,7 @@ impl PageClient {
     /// [`PageFault`] where the page could not be read, or is damaged.
     pub fn retain_resident(&self, object: &Object, page: u32) -> Option<Result<PageGuard, PageFault>> {
         if let Some(found) = object.in_place(page) {
-            return Some(found);
+            return Some(found.map(PageGuard::from));
         }
         match &*object.slot(page) {
             Slot::Resident(resident) => {
@@ -235,10 +237,6 @@ impl PageClient {
 }
 
 impl Shared {
-    fn counters_of(&self, object: &Object, page: u32) -> &Counters {
-        &self.counters[object.kind(page).index()]
-    }
-
     /// A guard on a page that has been asked for. The caller holds the lock of its slot.
     fn guard(
         self: &Arc<Self>,

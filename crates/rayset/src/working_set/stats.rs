@@ -2,9 +2,7 @@
 
 use std::time::Instant;
 
-use super::KINDS;
-use super::Kind;
-use super::pool::PagePool;
+use super::source::{KINDS, Kind};
 use crate::sync::atomic::{AtomicU64, Ordering};
 
 /// Counters of one kind; all relaxed, so that counting never orders anything.
@@ -96,8 +94,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    pub(super) fn collect(counters: &[Counters; KINDS], pool: &PagePool) -> Self {
-        let (peak_bytes, peaks) = pool.peaks();
+    pub(super) fn collect(counters: &[Counters; KINDS], (peak_bytes, peaks): (u64, [u64; KINDS])) -> Self {
         let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
         let by_kind = std::array::from_fn(|k| {
             let c = &counters[k];

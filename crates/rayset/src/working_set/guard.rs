@@ -1,0 +1,52 @@
+//! Guards that retain pages.
+
+use std::ops::Deref;
+use std::sync::Arc;
+
+use super::object::{PageInPlace, Resident};
+use super::shared::Shared;
+use crate::sync::atomic::{Ordering, fence};
+
+/// A retained page; its bytes stay in memory while the guard lives.
+pub struct PageGuard(Held);
+
+enum Held {
+    // Fields are dropped in this order: whoever waits for room is told when the page is free.
+    Resident(Arc<Resident>, #[expect(dead_code, reason = "it acts when it is dropped")] Release),
+    InPlace(PageInPlace),
+}
+
+/// Tells those who wait for room that a page has been released.
+struct Release(Arc<Shared>);
+
+impl PageGuard {
+    /// The caller holds the lock of the page's slot.
+    pub(super) fn new(resident: &Arc<Resident>, shared: &Arc<Shared>) -> Self {
+        Self(Held::Resident(resident.clone(), Release(shared.clone())))
+    }
+}
+
+impl From<PageInPlace> for PageGuard {
+    fn from(page: PageInPlace) -> Self {
+        Self(Held::InPlace(page))
+    }
+}
+
+impl Deref for PageGuard {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match &self.0 {
+            Held::Resident(resident, _) => resident.buffer.bytes(),
+            Held::InPlace(page) => page.bytes(),
+        }
+    }
+}
+
+impl Drop for Release {
+    fn drop(&mut self) {
+        // Either we see the one who waits, or that one sees that the page is free: see `PagePool::reserve`.
+        fence(Ordering::SeqCst);
+        self.0.pool.released();
+    }
+}

@@ -1,0 +1,83 @@
+//! What clients have hinted at, and how much of it nobody has asked for yet.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::object::{Object, Slot};
+use crate::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use crate::sync::{Mutex, lock};
+
+/// The hints of one client.
+#[derive(Default)]
+pub(super) struct Hints {
+    /// Bytes of pages that were read for a hint and not yet asked for.
+    pub(super) unused_bytes: AtomicU64,
+    /// Hints of earlier eras have been taken back.
+    pub(super) era: AtomicU32,
+    /// Pages hinted at, and some that have been asked for or have gone since.
+    pages: Mutex<Hinted>,
+}
+
+#[derive(Default)]
+struct Hinted {
+    pages: Vec<(Arc<Object>, u32)>,
+    /// How many there were when those that are settled were last taken out.
+    unsettled: usize,
+}
+
+/// The clients of a working set, by number. Numbers begin at 1.
+#[derive(Default)]
+pub(super) struct Clients {
+    last: u32,
+    hints: HashMap<u32, Arc<Hints>>,
+}
+
+impl Hints {
+    /// Notes pages that a client has hinted at.
+    pub(super) fn note(&self, object: &Arc<Object>, pages: &[u32], client: u32) {
+        if pages.is_empty() {
+            return;
+        }
+        let mut hinted = lock(&self.pages);
+        hinted.pages.extend(pages.iter().map(|&page| (object.clone(), page)));
+        if hinted.pages.len() > 2 * hinted.unsettled + 256 {
+            hinted.pages.retain(|(object, page)| match &*object.slot(*page) {
+                Slot::Loading => true,
+                Slot::Resident(resident) => resident.hint_mark().client() == Some(client),
+                Slot::Absent | Slot::Failed(_) => false,
+            });
+            hinted.unsettled = hinted.pages.len();
+        }
+    }
+
+    /// Ends an era; returns the pages that were hinted at.
+    pub(super) fn take_back(&self) -> Vec<(Arc<Object>, u32)> {
+        self.era.fetch_add(1, Ordering::Relaxed);
+        std::mem::take(&mut lock(&self.pages).pages)
+    }
+}
+
+impl Clients {
+    /// A new client; returns its number.
+    pub(super) fn enter(&mut self, hints: &Arc<Hints>) -> u32 {
+        // Half of all words tell hints that were read from others.
+        self.last = self.last % (u32::MAX >> 1) + 1;
+        self.hints.insert(self.last, hints.clone());
+        self.last
+    }
+
+    /// A client has gone.
+    pub(super) fn leave(&mut self, client: u32) {
+        self.hints.remove(&client);
+    }
+
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.hints.len()
+    }
+
+    /// The hints of one of them.
+    pub(super) fn hints_of(&self, client: u32) -> Option<&Arc<Hints>> {
+        self.hints.get(&client)
+    }
+}

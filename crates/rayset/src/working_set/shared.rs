@@ -1,0 +1,99 @@
+//! What all clients of a working set share.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::budget::Limits;
+use super::eviction::Evicted;
+use super::hints::Clients;
+use super::object::{HintMark, Object, Resident, Slot};
+use super::pool::PagePool;
+use super::read::ReadBackend;
+use super::source::KINDS;
+use super::stats::Counters;
+use crate::sync::atomic::{AtomicU32, Ordering};
+use crate::sync::{Mutex, lock};
+
+/// What all clients share.
+pub(super) struct Shared {
+    pub(super) pool: PagePool,
+    pub(super) backend: Arc<dyn ReadBackend>,
+    pub(super) clients: Mutex<Clients>,
+    /// Number of the current period of the statistics; pages of period 0 were never read.
+    pub(super) period: AtomicU32,
+    pub(super) counters: [Counters; KINDS],
+}
+
+impl Shared {
+    pub(super) fn new(limits: Limits, backend: Arc<dyn ReadBackend>, patience: Duration) -> Self {
+        Self {
+            pool: PagePool::new(limits, patience),
+            backend,
+            clients: Mutex::default(),
+            period: AtomicU32::new(1),
+            counters: Default::default(),
+        }
+    }
+
+    pub(super) fn counters_of(&self, object: &Object, page: u32) -> &Counters {
+        &self.counters[object.kind(page).index()]
+    }
+
+    /// Whether a hint of an era of a client still holds.
+    pub(super) fn is_hint_of(&self, client: u32, era: u32) -> bool {
+        let clients = lock(&self.clients);
+        clients.hints_of(client).is_some_and(|hints| hints.era.load(Ordering::Relaxed) == era)
+    }
+
+    /// Settles a hint: the page was asked for, or will not be. True where it was read for the hint. The caller holds the
+    /// lock of the page's slot, or has taken the page out.
+    pub(super) fn settle_hint(&self, resident: &Resident, bytes: u64) -> bool {
+        let mark = resident.hint_mark();
+        if mark == HintMark::None {
+            return false;
+        }
+        resident.hint.store(HintMark::None.word(), Ordering::Relaxed);
+        let HintMark::Read(client) = mark else { return false };
+        self.hint_was_used(client, bytes);
+        true
+    }
+
+    /// A page that was read for a hint no longer counts as unused.
+    pub(super) fn hint_was_used(&self, client: u32, bytes: u64) {
+        if let Some(hints) = lock(&self.clients).hints_of(client) {
+            hints.unused_bytes.fetch_sub(bytes, Ordering::Relaxed);
+        }
+    }
+
+    /// Retires those of `pages` that are not retained, and that `wanted` says.
+    pub(super) fn retire_if(&self, object: &Arc<Object>, pages: &[u32], wanted: impl Fn(&Resident) -> bool) {
+        if object.is_in_place() {
+            return;
+        }
+        for &page in pages {
+            let slot = object.slot(page);
+            let serial = match &*slot {
+                Slot::Resident(resident)
+                    if Arc::strong_count(resident) == 1
+                        && wanted(resident)
+                        && !resident.retired.swap(true, Ordering::Relaxed) =>
+                {
+                    self.settle_hint(resident, object.bytes());
+                    Some(resident.serial)
+                }
+                _ => None,
+            };
+            drop(slot);
+            if let Some(serial) = serial {
+                self.pool.retire(object, page, serial);
+            }
+        }
+    }
+
+    pub(super) fn count_evictions(&self, evicted: &[Evicted]) {
+        for page in evicted {
+            self.counters[page.kind.index()].evictions.fetch_add(1, Ordering::Relaxed);
+            self.settle_hint(&page.resident, page.object.bytes());
+        }
+    }
+}
