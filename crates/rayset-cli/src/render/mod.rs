@@ -1,5 +1,6 @@
 //! `rayset render`: [`run`] is the way from arguments to a picture.
 
+mod args;
 mod camera;
 mod picture;
 mod report;
@@ -7,59 +8,25 @@ mod shot;
 mod sink;
 mod work;
 
-pub(crate) use work::PredictorArg;
-
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use clap::Args;
 use rayset::CancelToken;
-use rayset::memory::MemoryPlan;
+use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::output::Destination;
 use rayset::scene::Camera;
 use rayset::{PreparedScene, Region};
 
+pub(crate) use self::args::{RenderArgs, defaults};
 pub(crate) use self::camera::CameraArgs;
-use self::picture::{LookArgs, PictureArgs};
 use self::report::RenderReport;
 use self::shot::Shot;
 use self::sink::{Format, PictureSink};
-use self::work::{Work, WorkArgs};
+pub(crate) use self::work::PredictorArg;
+use self::work::Work;
 use crate::outputs::{self, Outputs};
 use crate::report::{bytes, remark};
-use crate::values::{self, Frames};
-
-/// Render a scene or a cloud to a PNG picture.
-///
-/// The picture depends on the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
-/// change a pixel.
-#[derive(Args, Clone)]
-pub(crate) struct RenderArgs {
-    /// Scene file (.json) or cloud file
-    input: PathBuf,
-    /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo, opacity, instanceId,
-    /// samples, bytes
-    #[arg(short, long)]
-    output: PathBuf,
-    /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    turntable: Option<u32>,
-    /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
-    #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
-    frames: Option<Frames>,
-    #[command(flatten)]
-    picture: PictureArgs,
-    #[command(flatten)]
-    look: LookArgs,
-    #[command(flatten)]
-    camera: CameraArgs,
-    #[command(flatten)]
-    work: WorkArgs,
-    /// Write statistics to this file, as JSON
-    #[arg(long)]
-    stats: Option<PathBuf>,
-}
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     // The scene may be long to read: what can be refused before is.
@@ -73,7 +40,8 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         .map(|(path, camera)| Ok((outputs.add(&path, None)?, camera)))
         .collect::<Result<Vec<_>>>()?;
     let stats = args.stats.as_ref().map(|path| outputs.add(path, None)).transpose()?;
-    let (work, plan) = Work::prepare(&args.work, &shot)?;
+    let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(shot.loading_bytes);
+    let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
     let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
     for (picture, camera) in &pictures {
         render(&shot, &prepared, camera, &region, picture, stats.as_ref(), &work, &plan)?;
@@ -135,32 +103,4 @@ fn render(
 fn numbered(path: &Path, frame: u32) -> PathBuf {
     let extension = path.extension().map_or_else(|| "png".into(), |e| e.to_string_lossy().into_owned());
     path.with_extension(format!("{frame:04}.{extension}"))
-}
-
-/// The options of a render with default values, for commands that render on the way.
-pub(crate) fn defaults(cloud: &Path, output: &Path) -> Result<RenderArgs> {
-    #[derive(clap::Parser)]
-    struct Wrapper {
-        #[command(flatten)]
-        args: RenderArgs,
-    }
-    let words = [Path::new("render"), cloud, Path::new("--output"), output];
-    Ok(<Wrapper as clap::Parser>::try_parse_from(words.map(Path::as_os_str))?.args)
-}
-
-impl RenderArgs {
-    pub(crate) fn with_memory(mut self, memory: u64) -> Self {
-        self.work.memory = Some(memory);
-        self
-    }
-
-    pub(crate) fn with_camera(mut self, camera: CameraArgs) -> Self {
-        self.camera = camera;
-        self
-    }
-
-    pub(crate) fn with_size(mut self, width: u32, height: u32) -> Self {
-        self.picture.size = Some((width, height));
-        self
-    }
 }

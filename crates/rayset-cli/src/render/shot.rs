@@ -8,7 +8,7 @@ use rayset::image::DisplayTransform;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
 
-use super::RenderArgs;
+use super::args::RenderArgs;
 use super::camera::warn_of_small_radii;
 use crate::kinds;
 

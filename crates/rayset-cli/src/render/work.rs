@@ -7,10 +7,10 @@ use clap::{Args, ValueEnum};
 use rayset::SimdLevel;
 use rayset::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::memory::{Kind, Limits};
+use rayset::scene::RenderSettings;
 use rayset::storage::BackendKind;
 use rayset::{Prediction, RenderError, Session};
 
-use super::shot::Shot;
 use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
 
@@ -90,13 +90,15 @@ pub(crate) struct Work {
 }
 
 impl Work {
-    pub(super) fn prepare(args: &WorkArgs, shot: &Shot) -> Result<(Self, MemoryPlan)> {
-        let settings = shot.settings;
-        let needs = SceneNeeds::of(&shot.scene, &settings).with_loading(shot.loading_bytes);
+    pub(super) fn prepare(
+        args: &WorkArgs,
+        needs: &SceneNeeds,
+        settings: &RenderSettings,
+    ) -> Result<(Self, MemoryPlan)> {
         let threads = args.threads.unwrap_or_else(processors).max(1);
         let stored = needs.clouds().iter().map(|cloud| cloud.header().render_memory).max().filter(|&m| m > 0);
         let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);
-        let plan = memory::plan(&needs, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
+        let plan = memory::plan(needs, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
             |least| {
                 anyhow!(
                     "--memory {} is too small for this picture with {threads} threads; the smallest that would do \

@@ -7,7 +7,8 @@ use super::kernel::Kernel;
 use super::simd::SimdLevel;
 use crate::geometry::DVec3;
 use crate::octree::format::Header;
-use crate::octree::page::{RUN_POINTS, RootCell, Run};
+use crate::octree::layout::{RUN_POINTS, RootCell};
+use crate::octree::page::Run;
 
 /// Above this ratio of a run's extent to its smallest radius, single precision about the run's centre would cost more
 /// than a few 1e-5 of a radius, and the run is evaluated in double precision instead.

@@ -17,7 +17,7 @@ use super::kernel::{self, Kernel, LaneKernel};
 use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 use super::run::{DecodedRun, WideRun};
 use super::simd::SimdLevel;
-use crate::octree::page::RUN_POINTS;
+use crate::octree::layout::RUN_POINTS;
 
 /// Vectors of sixteen in a slab.
 const BLOCKS: usize = SLAB_SAMPLES / 16;

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
-use super::verify::{Depth, VerifyError, VerifyReport, verify};
 use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
 use crate::storage::{MemoryStorage, Storage};
 
@@ -80,14 +79,6 @@ impl Cloud {
     #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
-    }
-
-    /// Checks the file, as deep as is asked for, in bounded memory.
-    ///
-    /// # Errors
-    /// [`VerifyError`] at the first that is wrong.
-    pub fn verify(&self, depth: Depth) -> Result<VerifyReport, VerifyError> {
-        verify(self, depth)
     }
 
     /// What kind of page stands at a number.

@@ -2,14 +2,12 @@
 //!
 //! `docs/format.md` shows the same tables in prose. The frame around them is [`crate::container`].
 
+use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::container::{
-    BLOCK_BYTES, FileHeader, FileKind, HeaderError, Identity, MAX_PAGE_BYTES, OpenError, OpenFile,
-    PAGE_HEAD_BYTES, Reader, Section, SectionKind, Writer,
+    BLOCK_BYTES, FileHeader, FileKind, HeaderError, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
+    Section, SectionKind, Writer,
 };
-use crate::geometry::curve::MAX_LEVEL;
 use crate::geometry::{Aabb, DVec3};
-use crate::octree::node::nodes_per_page;
-use crate::octree::page::{RUN_HEAD_BYTES, RUN_POINTS};
 use crate::points::ColumnType;
 
 /// First eight bytes of every cloud file.
@@ -78,47 +76,6 @@ pub struct AttributeInfo {
     pub min: f64,
     /// Largest finite value, rounded to `f64`.
     pub max: f64,
-}
-
-/// Where a node's record is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct NodeRef {
-    /// Number among the node pages, which follow the point pages.
-    pub page: u32,
-    /// Index of the record in the page.
-    pub index: u16,
-}
-
-/// Where the columns of a run stand behind its positions. Every column is padded to four bytes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ColumnLayout {
-    /// Bytes of a point in columns of four and eight bytes a value, which need no padding.
-    words: u32,
-    /// Columns of two bytes a value.
-    halves: u32,
-    /// Columns of one byte a value.
-    bytes: u32,
-}
-
-impl ColumnLayout {
-    /// The layout with another column behind the others.
-    #[must_use]
-    pub fn with(self, value_bytes: usize) -> Self {
-        match value_bytes {
-            1 => Self { bytes: self.bytes + 1, ..self },
-            2 => Self { halves: self.halves + 1, ..self },
-            wide => Self { words: self.words + wide as u32, ..self },
-        }
-    }
-
-    /// Bytes that the columns of `points` points take.
-    #[must_use]
-    #[inline]
-    pub fn run_bytes(self, points: usize) -> usize {
-        points * self.words as usize
-            + self.halves as usize * (2 * points).next_multiple_of(4)
-            + self.bytes as usize * points.next_multiple_of(4)
-    }
 }
 
 /// What a cloud file says of itself.
@@ -191,6 +148,12 @@ const STORED: u8 = 1;
 const CLASSES: u8 = 2;
 
 impl Header {
+    /// The root cell.
+    #[must_use]
+    pub fn root_cell(&self) -> RootCell {
+        RootCell { min: self.root_min, size: self.root_size }
+    }
+
     /// Offset of a page in the file.
     #[must_use]
     pub fn page_offset(&self, page: u32) -> u64 {
@@ -433,17 +396,4 @@ impl Header {
         }
         Ok(())
     }
-}
-
-/// Deepest level of a node.
-pub const DEEPEST_LEVEL: u8 = MAX_LEVEL as u8;
-
-/// Largest run of `layout` at the widest encoding of positions, with its record and the head of its page: the least that
-/// a page must have.
-#[must_use]
-pub fn least_page_bytes(layout: ColumnLayout) -> usize {
-    let run = RUN_POINTS * 24 + layout.run_bytes(RUN_POINTS);
-    ((PAGE_HEAD_BYTES + RUN_HEAD_BYTES).next_multiple_of(4) + run)
-        .next_multiple_of(BLOCK_BYTES)
-        .min(MAX_PAGE_BYTES)
 }

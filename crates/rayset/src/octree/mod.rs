@@ -6,6 +6,7 @@
 pub mod build;
 pub mod file;
 pub mod format;
+pub mod layout;
 pub mod node;
 pub mod page;
 pub mod verify;

@@ -1,12 +1,9 @@
 //! Node records: tight bounds of influence, what level of detail needs, and where children and points are.
 
-use super::format::{DEEPEST_LEVEL, Header, NodeRef};
-use super::page::RootCell;
+use super::format::Header;
+use super::layout::{DEEPEST_LEVEL, NODE_BYTES, NodeRef, RootCell, nodes_per_page};
 use crate::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 use crate::geometry::{Aabb, DVec3};
-
-/// Bytes of a record.
-pub const NODE_BYTES: usize = 80;
 
 /// Runs that a node owns, which may continue over several pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -105,12 +102,6 @@ impl Node {
             first_child: NodeRef { page: u32_at(72), index: u16_at(76) },
         }
     }
-}
-
-/// Most records in a page.
-#[must_use]
-pub fn nodes_per_page(page_bytes: usize) -> usize {
-    (page_bytes - PAGE_HEAD_BYTES) / NODE_BYTES
 }
 
 /// A node page whose records have been checked.

@@ -3,14 +3,11 @@
 //! A run stores positions as offsets from its own corner, in steps that are a power of two, so that decoding to
 //! coordinates about the run's centre is exact in `f32` for the usual 16-bit encoding.
 
-use super::format::{ColumnLayout, Header};
+use super::format::Header;
+use super::layout::{ColumnLayout, RUN_HEAD_BYTES, RUN_POINTS, RootCell};
 use crate::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 use crate::geometry::{Aabb, DVec3};
 
-/// Most points in a run.
-pub const RUN_POINTS: usize = 128;
-/// Bytes of a run's record.
-pub const RUN_HEAD_BYTES: usize = 18;
 /// Run corners lie on a lattice of this many steps along the root cell's edge.
 const ORIGIN_STEPS: f64 = 16_777_216.0;
 /// Exponent of the coarsest step: `root_size · 2^-COARSEST_STEP`.
@@ -71,23 +68,6 @@ pub struct RunHead {
     step_code: u8,
     /// Start of the run's data in its page, in units of four bytes.
     offset_words: u16,
-}
-
-/// The root cell, which every run's frame refers to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RootCell {
-    /// Smallest corner, world space.
-    pub min: DVec3,
-    /// Edge, a power of two, world space.
-    pub size: f64,
-}
-
-impl Header {
-    /// The root cell.
-    #[must_use]
-    pub fn root_cell(&self) -> RootCell {
-        RootCell { min: self.root_min, size: self.root_size }
-    }
 }
 
 /// 2^−(COARSEST_STEP + code), from its bits: this is asked for with every run that a ray comes near.

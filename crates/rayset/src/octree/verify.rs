@@ -1,7 +1,8 @@
 //! Checking a whole file: every checksum and record, and every bound and total that a render relies on.
 
 use super::file::Cloud;
-use super::format::{Header, NodeRef};
+use super::format::Header;
+use super::layout::NodeRef;
 use super::node::{Node, NodePage};
 use super::page::{PointPage, Run};
 use crate::container::{PageKind, ScanError};
@@ -65,11 +66,21 @@ pub enum VerifyError {
     },
 }
 
+impl Cloud {
+    /// Checks the file, as deep as is asked for, in bounded memory.
+    ///
+    /// # Errors
+    /// [`VerifyError`] at the first that is wrong.
+    pub fn verify(&self, depth: Depth) -> Result<VerifyReport, VerifyError> {
+        verify(self, depth)
+    }
+}
+
 /// Checks an open cloud. Holds one page at a time, and with [`Depth::Deep`] all nodes and one summary for each run.
 ///
 /// # Errors
 /// [`VerifyError`] at the first thing that is wrong.
-pub fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
+fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
     let mut report = VerifyReport::default();
     if depth == Depth::Quick {
         return Ok(report);

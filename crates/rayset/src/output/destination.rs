@@ -27,12 +27,6 @@ pub(super) enum Target {
 }
 
 impl Destination {
-    /// Removes what this process is writing at the moment for this destination, though it is locked: for a process that is
-    /// about to end by a signal. `temp_dir` is where temporary files lie, if not beside the output.
-    pub fn remove_own_partials(&self, temp_dir: Option<&Path>) {
-        super::partial::remove_own_partials(self, temp_dir);
-    }
-
     /// Looks at a path. Nothing is created or changed.
     ///
     /// # Errors

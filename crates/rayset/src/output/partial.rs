@@ -130,19 +130,22 @@ pub(crate) fn remove_leftovers(folder: &Path, output: &Destination) {
     });
 }
 
-/// See [`Destination::remove_own_partials`].
-pub(super) fn remove_own_partials(destination: &Destination, temp_dir: Option<&Path>) {
-    if destination.is_stream() {
-        return;
-    }
-    for folder in std::iter::once(destination.folder()).chain(temp_dir) {
-        for_each_partial(folder, destination.file_name(), |path, process| {
-            // In another container there may be a process of the same number: only what is open here is removed.
-            if process == std::process::id() && is_open_here(path).unwrap_or(true) {
-                std::fs::remove_file(path)?;
-            }
-            Ok(())
-        });
+impl Destination {
+    /// Removes what this process is writing at the moment for this destination, though it is locked: for a process that is
+    /// about to end by a signal. `temp_dir` is where temporary files lie, if not beside the output.
+    pub fn remove_own_partials(&self, temp_dir: Option<&Path>) {
+        if self.is_stream() {
+            return;
+        }
+        for folder in std::iter::once(self.folder()).chain(temp_dir) {
+            for_each_partial(folder, self.file_name(), |path, process| {
+                // In another container there may be a process of the same number: only what is open here is removed.
+                if process == std::process::id() && is_open_here(path).unwrap_or(true) {
+                    std::fs::remove_file(path)?;
+                }
+                Ok(())
+            });
+        }
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod camera;
 mod colormap;
+mod error;
 mod graph;
 mod light;
 mod material;
@@ -22,6 +23,7 @@ use crate::geometry::Aabb;
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
 pub use colormap::Colormap;
+pub use error::{MOST_ATTRIBUTES, SceneError};
 pub(crate) use graph::check_transform;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
@@ -29,8 +31,7 @@ pub use graph::largest_stretch;
 #[cfg(not(feature = "internals"))]
 pub(crate) use graph::largest_stretch;
 pub use graph::{
-    Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_ATTRIBUTES, MOST_PLACES, Node, Operator,
-    SceneError, Shape, Transfer,
+    Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_PLACES, Node, Operator, Shape, Transfer,
 };
 pub use light::{Light, LightKind, Lighting};
 pub use material::Material;

@@ -5,20 +5,24 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::error::SceneFileError;
 use super::json::Json;
 use super::preset::Preset;
 use super::reader::{Cursor, Object, listed, nearest, shortened};
-use super::{MOST_MOVES, MOST_STOPS, MOST_TRANSFERS, SceneFileError};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use crate::grid::{self, Grid};
 use crate::octree::{self, Cloud};
 use crate::regular_file;
 use crate::scene::{
-    Channel, CloudObject, ColorMap, ColorRule, FARTHEST, Form, GridObject, MOST_PLACES, MapInput, Material,
-    Node, NoiseCloud, OpacityRule, Operator, Palette, Pattern, Procedural, SHORTEST, Shape, Solid, Transfer,
-    check_transform,
+    Channel, CloudObject, ColorMap, ColorRule, FARTHEST, Form, GridObject, MOST_PLACES, MOST_STOPS, MapInput,
+    Material, Node, NoiseCloud, OpacityRule, Operator, Palette, Pattern, Procedural, SHORTEST, Shape, Solid,
+    Transfer, check_transform,
 };
+
+/// Most moves of a node, and most transfer functions.
+const MOST_MOVES: usize = 256;
+const MOST_TRANSFERS: usize = 16;
 
 /// Keys that every node may have.
 const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "material"];

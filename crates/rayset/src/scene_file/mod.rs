@@ -4,22 +4,24 @@
 //! A scene holds what decides pixels and nothing else: camera, image, lights, render settings and the graph. Memory and
 //! threads are for whoever renders it.
 
+mod error;
 mod graph;
 mod json;
 mod locate;
 mod preset;
 mod reader;
+mod text;
 mod view;
 
 use std::cell::RefCell;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
+pub use self::error::{LoadError, SceneFileError};
 use self::graph::GraphReader;
 use self::json::Json;
 use self::reader::{Cursor, Document, Object};
+use self::text::read_text;
 use crate::image::DisplayTransform;
-use crate::regular_file;
 use crate::scene::{
     BRIGHTEST, Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError,
 };
@@ -27,17 +29,10 @@ use crate::scene::{
 /// Version of the form that this code reads.
 pub const VERSION: u32 = 1;
 
-/// Longest scene or preset that is read.
-const LONGEST_BYTES: u64 = 4 << 20;
 /// Most lights of a scene.
 const MOST_LIGHTS: usize = 1024;
 /// Most cameras of an animation.
 const MOST_KEYS: usize = 16_384;
-/// Most points of a curve, and stops of a colour map.
-pub(crate) use crate::scene::MOST_STOPS;
-/// Most moves of a node, and most transfer functions.
-const MOST_MOVES: usize = 256;
-const MOST_TRANSFERS: usize = 16;
 
 /// What a scene file says.
 #[derive(Clone, Debug)]
@@ -56,39 +51,6 @@ pub struct SceneFile {
     pub files: Vec<PathBuf>,
     /// An upper bound of the memory that reading took, for a plan of the whole process: most of it is free again.
     pub loading_bytes: u64,
-}
-
-/// What is wrong with a scene file, and where.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{}:{line}:{column}: {}{what}", file.display(), if key.is_empty() { String::new() } else { format!("{key}: ") })]
-pub struct SceneFileError {
-    /// The file.
-    pub file: PathBuf,
-    /// Line, counted from 1.
-    pub line: usize,
-    /// Column, counted from 1 in characters.
-    pub column: usize,
-    /// The way to the value, as `root.children[1].radius`; empty where it is the whole file.
-    pub key: String,
-    /// What is wrong, what was expected and what to do.
-    pub what: String,
-}
-
-/// Why there is no scene.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum LoadError {
-    /// The operating system refused.
-    #[error("cannot read {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        r#source: std::io::Error,
-    },
-    /// Something in the file.
-    #[error(transparent)]
-    Content(#[from] SceneFileError),
 }
 
 impl SceneFile {
@@ -150,16 +112,6 @@ impl SceneFile {
         let loading_bytes = loading_bytes(text, &value);
         Ok(Self { scene, camera, path, settings, display_transform, files, loading_bytes })
     }
-}
-
-/// Reads the text of a scene or a preset.
-fn read_text(path: &Path) -> std::io::Result<String> {
-    let (mut text, file) = (String::new(), regular_file::open(path)?);
-    if file.take(LONGEST_BYTES + 1).read_to_string(&mut text)? as u64 > LONGEST_BYTES {
-        let what = "longer than 4 MiB; points and voxels belong into files of their own";
-        return Err(std::io::Error::new(std::io::ErrorKind::FileTooLarge, what));
-    }
-    Ok(text)
 }
 
 /// An upper bound of the memory that reading a scene takes.

@@ -2,10 +2,11 @@
 //! `Points` (value, opacity, midpoint, sharpness, …), as its colour map editor exports them. Colours between points lie
 //! on straight lines in RGB, whatever `ColorSpace` says; midpoints and sharpness are left out of account.
 
+use super::error::SceneFileError;
 use super::json::Json;
 use super::reader::{Cursor, listed};
-use super::{MOST_STOPS, SceneFileError, read_text};
-use crate::scene::{ColorMap, FARTHEST, Palette};
+use super::text::read_text;
+use crate::scene::{ColorMap, FARTHEST, MOST_STOPS, Palette};
 
 /// A map of a preset file.
 pub(super) struct Preset {

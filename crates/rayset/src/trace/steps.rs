@@ -18,8 +18,8 @@ use super::cloud::{CloudPlacement, each_own_page, run_bounds};
 use super::program::{Action, Program};
 use crate::field::RayColumns;
 use crate::geometry::{Aabb, Beam, DVec3, Ray};
+use crate::octree::layout::RUN_POINTS;
 use crate::octree::node::{Node, NodePage};
-use crate::octree::page::RUN_POINTS;
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step};
 
 /// Finest automatic step: the coarsest times 2 to the minus this.

@@ -11,9 +11,9 @@ use rayset::container::{
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
-use rayset::octree::format::NodeRef;
-use rayset::octree::node::{NODE_BYTES, Node, NodePage, RunRange};
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::layout::{NODE_BYTES, NodeRef};
+use rayset::octree::node::{Node, NodePage, RunRange};
+use rayset::octree::verify::Depth;
 use rayset::points::ArraySource;
 use rayset::trace::ExecSettings;
 
@@ -22,7 +22,7 @@ use crate::common::{build_at, camera, folder, mixed_points, paged, picture, scen
 /// What opening and checking a file comes to, as a message.
 fn check(path: &Path) -> Result<(), String> {
     let cloud = Cloud::open(path).map_err(|e| e.to_string())?;
-    verify(&cloud, Depth::Pages).map(|_| ()).map_err(|e| e.to_string())
+    cloud.verify(Depth::Pages).map(|_| ()).map_err(|e| e.to_string())
 }
 
 fn small_cloud(path: &Path) {
@@ -158,7 +158,7 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
         let outcome = picture(&scene, &camera(), &settings(8, 8), &exec, &paged(&scene, 1 << 30));
         let message = outcome.expect_err("no tree is walked for ever").to_string();
         assert!(message.contains("octree") && message.contains("c.rset"), "{message}");
-        let message = verify(&cloud, Depth::Deep).expect_err("no tree is checked for ever").to_string();
+        let message = cloud.verify(Depth::Deep).expect_err("no tree is checked for ever").to_string();
         assert!(message.contains("node"), "{message}");
     }
 }
@@ -178,7 +178,7 @@ fn records_that_contradict_each_other_under_right_checksums_are_errors() {
         std::fs::write(&path, &bytes).expect("a write");
         Cloud::open(&path)
             .map_err(|e| e.to_string())
-            .and_then(|cloud| verify(&cloud, Depth::Deep).map(|_| ()).map_err(|e| e.to_string()))
+            .and_then(|cloud| cloud.verify(Depth::Deep).map(|_| ()).map_err(|e| e.to_string()))
     };
     assert_eq!(changed(&|_| {}), Ok(()));
     let page_bytes = header.page_bytes as usize;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::verify::Depth;
 use rayset::points::{ArraySource, PointBatch, PointSource, Workload};
 
 use crate::common::{Random, folder, mixed_points};
@@ -19,7 +19,7 @@ fn check(folder: &Path, sources: &dyn Fn() -> Vec<Box<dyn PointSource>>, options
         let options = BuildOptions { threads, memory_bytes: memory, ..options.clone() };
         build::run(sources(), &path, &options, &BuildControl::default()).expect("the cloud builds");
         let cloud = Cloud::open(&path).expect("the cloud opens");
-        verify(&cloud, Depth::Deep).expect("all bounds hold");
+        cloud.verify(Depth::Deep).expect("all bounds hold");
         let bytes = std::fs::read(&path).expect("the file reads");
         match &first {
             None => first = Some(bytes),

@@ -6,7 +6,7 @@ use rayset::octree::Cloud;
 use rayset::octree::build::{
     self, BuildControl, BuildError, BuildOptions, InvalidPolicy, Precision, Quantity, Rule,
 };
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::verify::Depth;
 use rayset::points::ArraySource;
 use rayset::scene::Camera;
 use rayset::trace::ExecSettings;
@@ -73,7 +73,7 @@ fn no_points_make_an_empty_cloud_and_an_empty_picture() {
         let cloud =
             build_at(&folder.path().join("c.rset"), Box::new(ArraySource::new(vec![], vec![])), &options);
         assert_eq!(cloud.header().points, 0);
-        verify(&cloud, Depth::Deep).expect("an empty cloud is whole");
+        cloud.verify(Depth::Deep).expect("an empty cloud is whole");
         let pixels = plain_picture(&scene(&cloud, Kernel::Wyvill, true), &settings(16, 16));
         assert!(pixels.iter().all(|p| *p == [0.0; 4]));
     }
@@ -106,7 +106,7 @@ fn coordinates_too_small_for_their_squares_are_kept_within_what_the_file_says() 
             let radius = Some(Rule::Number(size.max(1e-18)));
             let options = BuildOptions { radius, ..BuildOptions::default() };
             let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
-            verify(&cloud, Depth::Deep).unwrap_or_else(|e| panic!("size {size}, offset {offset}: {e}"));
+            cloud.verify(Depth::Deep).unwrap_or_else(|e| panic!("size {size}, offset {offset}: {e}"));
         }
     }
 }
@@ -128,7 +128,7 @@ fn clouds_of_few_points_at_decimal_places_are_whole() {
             let source = ArraySource::new(position.clone(), vec![]);
             let options = BuildOptions { radius: Some(rule), ..BuildOptions::default() };
             let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
-            verify(&cloud, Depth::Deep).unwrap_or_else(|e| panic!("{position:?}: {e}"));
+            cloud.verify(Depth::Deep).unwrap_or_else(|e| panic!("{position:?}: {e}"));
         }
     }
 }

@@ -8,7 +8,7 @@ use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, Rule};
 use rayset::octree::format::MAX_ATTRIBUTES;
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::verify::Depth;
 use rayset::points::{ArraySource, ColumnInfo, ColumnType, PointSource, Values};
 use rayset::trace::ExecSettings;
 
@@ -45,7 +45,7 @@ fn a_file_overwritten_while_it_is_open_gives_its_own_picture_or_an_error() {
         }
     }
     assert!(errors > 6, "{errors} errors");
-    assert!(verify(&cloud, Depth::Pages).is_err(), "it is another file now");
+    assert!(cloud.verify(Depth::Pages).is_err(), "it is another file now");
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn an_unknown_required_feature_is_an_error_with_a_name_and_an_optional_one_is_no
     optional[40] |= 0x10;
     reseal(&mut optional);
     std::fs::write(&path, &optional).expect("a write");
-    verify(&Cloud::open(&path).expect("it opens"), Depth::Deep).expect("it is whole");
+    Cloud::open(&path).expect("it opens").verify(Depth::Deep).expect("it is whole");
 
     let mut required = bytes.clone();
     required[32] |= 0x20;
@@ -133,13 +133,13 @@ fn an_unknown_section_is_ignored_but_for_its_checksum() {
     bytes[..4096].copy_from_slice(&header.encode());
     reseal(&mut bytes);
     std::fs::write(&path, &bytes).expect("a write");
-    verify(&Cloud::open(&path).expect("it opens"), Depth::Deep).expect("it is whole");
+    Cloud::open(&path).expect("it opens").verify(Depth::Deep).expect("it is whole");
     for flipped in [at + 3, at + 900] {
         let mut damaged = bytes.clone();
         damaged[flipped] ^= 1;
         std::fs::write(&path, &damaged).expect("a write");
         let cloud = Cloud::open(&path).expect("it opens");
-        assert!(verify(&cloud, Depth::Pages).is_err(), "byte {flipped}");
+        assert!(cloud.verify(Depth::Pages).is_err(), "byte {flipped}");
     }
 }
 
@@ -188,7 +188,7 @@ proptest! {
         let folder = folder();
         let options = BuildOptions { attributes: names, ..BuildOptions::default() };
         let cloud = build_at(&folder.path().join("c.rset"), Box::new(ArraySource::typed(position, all)), &options);
-        verify(&cloud, Depth::Deep).expect("it is whole");
+        cloud.verify(Depth::Deep).expect("it is whole");
         let header = cloud.header();
         for (stored, (info, _)) in header.attributes.iter().zip(&columns) {
             prop_assert_eq!(
@@ -247,7 +247,7 @@ fn as_many_columns_as_there_may_be_fit_the_smallest_clouds() {
     let path = folder.path().join("c.rset");
     let options = BuildOptions { attributes: names, ..BuildOptions::default() };
     let cloud = build_at(&path, source(), &options);
-    verify(&cloud, Depth::Deep).expect("it is whole");
+    cloud.verify(Depth::Deep).expect("it is whole");
     let tight = BuildOptions { page_bytes: Some(16 << 10), ..options };
     let error =
         build::run(vec![source()], &path, &tight, &BuildControl::default()).expect_err("a run does not fit");

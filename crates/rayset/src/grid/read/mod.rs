@@ -5,6 +5,7 @@
 //! their end, so that their checksums are seen, and hold nothing behind the voxels but what the header says.
 
 mod data;
+mod error;
 mod fields;
 mod meta;
 mod nifti;
@@ -17,6 +18,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use self::data::{Voxels, what_of};
+pub use self::error::ReadError;
 pub use self::raw::RawLayout;
 use self::stored::Stored;
 use super::VoxelKind;
@@ -24,59 +26,6 @@ use crate::geometry::{DAffine3, DVec3};
 
 /// The most voxels along an axis.
 const MOST_VOXELS: u64 = 1 << 24;
-
-/// Why a volume cannot be read.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// The operating system refused.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        r#source: io::Error,
-    },
-    /// A pipe, a device or a folder.
-    #[error("{}: this is not a regular file; volumes are read from files alone", path.display())]
-    NotRegular {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The file ends early, or is damaged.
-    #[error("{}, byte {offset} of the voxels: {what}", path.display())]
-    Data {
-        /// The file.
-        path: PathBuf,
-        /// Bytes of voxels before.
-        offset: u64,
-        /// What is wrong.
-        what: String,
-    },
-    /// The header.
-    #[error("{}, {place}: {what}", path.display())]
-    Header {
-        /// The file.
-        path: PathBuf,
-        /// Line, key or byte.
-        place: String,
-        /// What is wrong, and what was expected.
-        what: String,
-    },
-    /// A format that is not known.
-    #[error("{}: expected a name that ends in nrrd, nhdr, mha, mhd, nii, nii.gz or vti, or a --raw layout", path.display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-    },
-}
-
-impl ReadError {
-    /// Something of a header.
-    fn header(path: &Path, place: &str, what: &str) -> Self {
-        Self::Header { path: path.to_owned(), place: place.to_owned(), what: what.to_owned() }
-    }
-}
 
 /// A volume that is being read.
 pub struct VolumeSource {

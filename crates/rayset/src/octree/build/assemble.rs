@@ -6,19 +6,24 @@
 use std::io::{self, BufWriter, Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
 
+use super::context::Context;
+use super::error::BuildError;
 use super::ingest::Ingested;
 use super::partition::Assemble;
 use super::plan::Cell;
 use super::subtree::{DraftRun, Piece, Summary};
-use super::{BuildError, Context, settled};
+
 use crate::container::{
     BLOCK_BYTES, FileKind, Identity, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind, seal_file,
     stored_page_checksum,
 };
 use crate::geometry::DVec3;
-use crate::octree::format::{Column, ColumnLayout, Header, NodeRef, least_page_bytes};
-use crate::octree::node::{NODE_BYTES, Node, RunRange, nodes_per_page, to_cell_units};
-use crate::octree::page::{RUN_HEAD_BYTES, RootCell, RunHead};
+use crate::octree::format::{Column, Header};
+use crate::octree::layout::{
+    ColumnLayout, NODE_BYTES, NodeRef, RUN_HEAD_BYTES, RootCell, least_page_bytes, nodes_per_page,
+};
+use crate::octree::node::{Node, RunRange, to_cell_units};
+use crate::octree::page::RunHead;
 use crate::output::{OutputFile, OutputWriter};
 use crate::spill::Spill;
 
@@ -446,4 +451,9 @@ impl Assemble<Piece> for Assembler {
         self.attach(open.cell, node, open.summary);
         Ok(())
     }
+}
+
+/// A column that turned out to be the same everywhere is stored once.
+fn settled(min: f32, max: f32) -> Column {
+    if min == max { Column::Constant(min) } else { Column::Varying { min, max } }
 }

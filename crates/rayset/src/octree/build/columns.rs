@@ -1,7 +1,8 @@
 //! Which columns of the sources make which columns of a record.
 
+use super::error::BuildError;
+use super::options::{BuildOptions, Rule};
 use super::record::RecordLayout;
-use super::{BuildError, BuildOptions, Rule};
 use crate::octree::format::NAME_BYTES;
 use crate::points::{ColumnInfo, ColumnType, PointSource};
 

@@ -1,13 +1,16 @@
 //! The first pass: every record is read once, checked, and written to a temporary file with what later passes need.
 
 use super::columns::{Columns, radius_rule, weight_rule};
+use super::context::Context;
+use super::control::Stage;
 use super::depths::Depths;
+use super::error::{BuildError, Quantity, Skipped};
+use super::options::{BuildOptions, InvalidPolicy, Rule};
 use super::record::{self, RecordLayout};
-use super::{BuildError, BuildOptions, Context, InvalidPolicy, Quantity, Rule, Skipped, Stage};
 use crate::container::{Identity, Metadata, RecordSum};
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::format::AttributeInfo;
-use crate::octree::page::RootCell;
+use crate::octree::layout::RootCell;
 use crate::points::{PointBatch, PointSource, Values};
 use crate::spill::{Spill, SpillWriter};
 

@@ -6,9 +6,12 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::context::Context;
+use super::control::Stage;
+use super::error::BuildError;
+use super::pipeline;
 use super::plan::{Cell, Event, LEAF_POINTS, Plan, Pyramid};
 use super::record::{Key, KeyMaker};
-use super::{BuildError, Context, Stage, pipeline};
 use crate::geometry::curve::MAX_LEVEL;
 use crate::spill::Spill;
 
@@ -117,7 +120,7 @@ pub(super) struct Partition<'a> {
 /// have something to do, too.
 const MOST_SORTED: u64 = 1 << 18;
 /// Points in the own list of a node that a run may not divide.
-const RUN: usize = crate::octree::page::RUN_POINTS;
+const RUN: usize = crate::octree::layout::RUN_POINTS;
 
 impl<'a> Partition<'a> {
     pub(super) fn new(

@@ -6,7 +6,7 @@
 
 use crate::geometry::DVec3;
 use crate::geometry::curve::{MAX_LEVEL, hilbert};
-use crate::octree::page::RootCell;
+use crate::octree::layout::RootCell;
 use crate::points::ColumnType;
 
 /// Bits of a place along the curve.

@@ -5,11 +5,13 @@
 //! the cell, so that about twenty supports overlap on a surface. A cell of fewer than 32 points measures nothing
 //! reliable and takes the geometric mean of all others. All of this is a function of the points alone.
 
+use super::context::Context;
+use super::control::Stage;
+use super::error::{BuildError, Quantity};
 use super::ingest::{Ingested, LIMIT};
 use super::partition::{Assemble, Pack, Partition, Region, Sorted};
 use super::plan::Cell;
 use super::record::{self, KeyMaker};
-use super::{BuildError, Context, Quantity, Stage};
 use crate::cancel::CancelToken;
 use crate::geometry::curve::MAX_LEVEL;
 use crate::spill::SpillWriter;

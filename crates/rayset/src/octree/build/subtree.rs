@@ -1,14 +1,15 @@
 //! Ordered records in memory become encoded runs and draft nodes; several threads do this at once.
 
-use super::Precision;
 use super::ingest::Ingested;
+use super::options::Precision;
 use super::partition::{Pack, Sorted};
 use super::plan::{Cell, LEAF_POINTS};
 use super::record::{self, KeyMaker, RecordLayout};
 use crate::cancel::CancelToken;
 use crate::geometry::curve::MAX_LEVEL;
 use crate::geometry::{Aabb, DVec3};
-use crate::octree::page::{RUN_POINTS, RootCell, RunColumns, RunHead, encode_run};
+use crate::octree::layout::{RUN_POINTS, RootCell};
+use crate::octree::page::{RunColumns, RunHead, encode_run};
 
 /// What a node record says about the points at and below it.
 #[derive(Clone, Copy, Debug)]

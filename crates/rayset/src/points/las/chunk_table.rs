@@ -7,10 +7,10 @@ use std::sync::Arc;
 use laz::decoders::ArithmeticDecoder;
 use laz::decompressors::{IntegerDecompressor, IntegerDecompressorBuilder};
 
-use super::compressed::Trouble;
 use super::header::Header;
 use super::method::{Chunking, Method};
 use super::stretch::{Input, Stretch};
+use super::trouble::Trouble;
 
 /// Bytes of the table before its entries: version and number of entries.
 const HEAD_BYTES: u64 = 8;

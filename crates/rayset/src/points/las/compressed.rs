@@ -18,6 +18,7 @@ use super::header::Header;
 use super::method::{Chunking, Method};
 use super::point14::Point14;
 use super::stretch::{BUFFER_BYTES, Input, Stretch};
+use super::trouble::Trouble;
 
 /// Memory of the models of a point without extra bytes: 2.7 MB were counted where points are compressed one by one
 /// (format 5), and 3.4 MB in layers (format 10, all four scanner channels).
@@ -25,28 +26,6 @@ const MODELS_BYTES: u64 = 3 << 20;
 const LAYERED_MODELS_BYTES: u64 = 5 << 20;
 /// Memory of the model of an extra byte: 256 frequencies, their sums, a table and its bookkeeping.
 const EXTRA_BYTE_BYTES: u64 = 2816;
-
-/// Why compressed points could not be read.
-#[derive(Debug)]
-pub(super) enum Trouble {
-    Io(io::Error),
-    /// They are not what they should be, near a byte of the file.
-    Damaged {
-        byte: u64,
-        what: String,
-    },
-}
-
-impl Trouble {
-    pub(super) fn at(byte: u64, what: impl Into<String>) -> Self {
-        Self::Damaged { byte, what: what.into() }
-    }
-
-    /// Tells what the system refused from what the data refused.
-    pub(super) fn from_io(error: io::Error, byte: u64, what: &str) -> Self {
-        if error.raw_os_error().is_some() { Self::Io(error) } else { Self::at(byte, what) }
-    }
-}
 
 enum Decoder {
     Sequential(SequentialPointRecordDecompressor<'static, Input>),

@@ -21,6 +21,7 @@ mod point14;
 mod quiet;
 mod records;
 mod stretch;
+mod trouble;
 mod words;
 
 use std::fs::File;
@@ -30,12 +31,13 @@ use std::sync::Arc;
 
 use laz::DecompressionSelection as Layers;
 
-use self::compressed::{CompressedPoints, Trouble};
+use self::compressed::CompressedPoints;
 use self::fields::Field;
 use self::header::Header;
 use self::method::Method;
 use self::records::Records;
 use self::stretch::Stretch;
+use self::trouble::Trouble;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 
 /// Bytes of records that are decoded at a time, or one record where it is longer.

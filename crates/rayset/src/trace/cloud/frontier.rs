@@ -11,9 +11,9 @@ use super::live_rays::LiveRays;
 use super::placement::CloudPlacement;
 use crate::field::{Packet, SLAB_SAMPLES};
 use crate::geometry::Aabb;
-use crate::octree::format::NodeRef;
+use crate::octree::layout::{NodeRef, RUN_POINTS};
 use crate::octree::node::{Node, NodePage};
-use crate::octree::page::{PointPage, RUN_POINTS};
+use crate::octree::page::PointPage;
 use crate::trace::access::{Access, Halt};
 
 /// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.

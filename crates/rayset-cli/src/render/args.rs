@@ -1,0 +1,70 @@
+//! The arguments of `rayset render`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::Args;
+
+use super::camera::CameraArgs;
+use super::picture::{LookArgs, PictureArgs};
+use super::work::WorkArgs;
+use crate::values::{self, Frames};
+
+/// Render a scene or a cloud to a PNG picture.
+///
+/// The picture depends on the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
+/// change a pixel.
+#[derive(Args, Clone)]
+pub(crate) struct RenderArgs {
+    /// Scene file (.json) or cloud file
+    pub(super) input: PathBuf,
+    /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo, opacity, instanceId,
+    /// samples, bytes
+    #[arg(short, long)]
+    pub(super) output: PathBuf,
+    /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub(super) turntable: Option<u32>,
+    /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
+    #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
+    pub(super) frames: Option<Frames>,
+    #[command(flatten)]
+    pub(super) picture: PictureArgs,
+    #[command(flatten)]
+    pub(super) look: LookArgs,
+    #[command(flatten)]
+    pub(super) camera: CameraArgs,
+    #[command(flatten)]
+    pub(super) work: WorkArgs,
+    /// Write statistics to this file, as JSON
+    #[arg(long)]
+    pub(super) stats: Option<PathBuf>,
+}
+
+/// The options of a render with default values, for commands that render on the way.
+pub(crate) fn defaults(cloud: &Path, output: &Path) -> Result<RenderArgs> {
+    #[derive(clap::Parser)]
+    struct Wrapper {
+        #[command(flatten)]
+        args: RenderArgs,
+    }
+    let words = [Path::new("render"), cloud, Path::new("--output"), output];
+    Ok(<Wrapper as clap::Parser>::try_parse_from(words.map(Path::as_os_str))?.args)
+}
+
+impl RenderArgs {
+    pub(crate) fn with_memory(mut self, memory: u64) -> Self {
+        self.work.memory = Some(memory);
+        self
+    }
+
+    pub(crate) fn with_camera(mut self, camera: CameraArgs) -> Self {
+        self.camera = camera;
+        self
+    }
+
+    pub(crate) fn with_size(mut self, width: u32, height: u32) -> Self {
+        self.picture.size = Some((width, height));
+        self
+    }
+}

@@ -1,0 +1,187 @@
+//! What can be said of a build.
+
+use std::path::PathBuf;
+
+use super::error::BuildError;
+use crate::container::MAX_PAGE_BYTES;
+use crate::octree::format::{MAX_ATTRIBUTES, NAME_BYTES};
+use crate::points::PointSource;
+
+/// Where a number of each point comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Rule {
+    /// The same for every point.
+    Number(f64),
+    /// A column of the input, by its name.
+    Attribute(String),
+    /// Radius only: from the local spacing of the points.
+    Auto,
+}
+
+/// What to do with a record whose position, radius or weight is no usable number.
+///
+/// A record is invalid where a coordinate is not finite, a radius is not a positive number, or a weight is not finite.
+/// Coordinates, radii and weights beyond 1e18 in size, and radii below 1e-18, are out of range: they cannot be stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum InvalidPolicy {
+    /// Count invalid records and go on; stop where any is out of range, with the factor that would bring them into it.
+    #[default]
+    Skip,
+    /// Count invalid records and those out of range, and go on.
+    SkipAll,
+    /// Stop with an error that names the first such record.
+    Reject,
+}
+
+/// How exactly positions are stored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Precision {
+    /// Within this fraction of the smallest radius of the 128 points of a run.
+    Relative(f64),
+    /// As read, bit for bit.
+    Exact,
+}
+
+impl Default for Precision {
+    /// 1/4096 of the radius: the error of the density stays about 1e-5 of its maximum where supports overlap.
+    fn default() -> Self {
+        Self::Relative(1.0 / 4096.0)
+    }
+}
+
+/// How to build a cloud.
+#[derive(Clone, Debug)]
+pub struct BuildOptions {
+    /// Radius of influence. `None`: the column `radius` where every input has one, else [`Rule::Auto`].
+    pub radius: Option<Rule>,
+    /// Factor on every radius, whatever `radius` is.
+    pub radius_scale: f64,
+    /// Factor on every coordinate, and on radii that come from a column.
+    pub length_scale: f64,
+    /// Weight. `None`: the column `weight` where every input has one, else 1.
+    pub weight: Option<Rule>,
+    /// Factor on every weight, whatever `weight` is.
+    pub weight_scale: f64,
+    /// Further columns to keep.
+    pub attributes: Vec<String>,
+    /// Whether to keep colours where every input has them.
+    pub keep_color: bool,
+    /// What to do with invalid records.
+    pub invalid: InvalidPolicy,
+    /// How exactly to store positions.
+    pub precision: Precision,
+    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 32768, or 16384 below 500 000 points, or as many as a run
+    /// of so many columns needs.
+    pub page_bytes: Option<u32>,
+    /// Memory to render with, stored in the file as a default.
+    pub render_memory: Option<u64>,
+    /// Bytes that the build may allocate. Changes nothing in the file.
+    pub memory_bytes: u64,
+    /// Threads. Changes nothing in the file.
+    pub threads: usize,
+    /// Where temporary files go; beside the output by default. Changes nothing in the file.
+    pub temp_dir: Option<PathBuf>,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        Self {
+            radius: None,
+            radius_scale: 1.0,
+            length_scale: 1.0,
+            weight: None,
+            weight_scale: 1.0,
+            attributes: Vec::new(),
+            keep_color: true,
+            invalid: InvalidPolicy::Skip,
+            precision: Precision::default(),
+            page_bytes: None,
+            render_memory: None,
+            memory_bytes: 256 << 20,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            temp_dir: None,
+        }
+    }
+}
+
+/// What the first pass takes besides the source that it reads: a batch of points and a buffer of records.
+const READING_BYTES: u64 = 6 << 20;
+
+/// More threads than any machine has processors.
+const MOST_THREADS: usize = 4096;
+
+/// Smallest `memory_bytes` a build with `threads` threads runs in.
+#[must_use]
+pub fn minimum_memory(threads: usize) -> u64 {
+    (4 << 20) + (threads as u64) * (2 << 20)
+}
+
+/// Refuses options that are out of range.
+///
+/// # Errors
+/// [`BuildError::NoInput`], [`BuildError::Option`], [`BuildError::Memory`].
+pub(super) fn check_options(
+    options: &BuildOptions,
+    sources: &[Box<dyn PointSource + '_>],
+) -> Result<(), BuildError> {
+    let wrong = |option, what: String| Err(BuildError::Option { option, what });
+    if sources.is_empty() {
+        return Err(BuildError::NoInput);
+    }
+    if options.threads > MOST_THREADS {
+        return wrong("threads", format!("{} are more than {MOST_THREADS}", options.threads));
+    }
+    // Sources are read one after another, before anything else takes much, but all are open.
+    let reading: u64 = sources.iter().map(|s| s.memory_needed()).sum();
+    let needed = minimum_memory(options.threads.max(1)).max(READING_BYTES + reading);
+    if options.memory_bytes < needed {
+        return Err(BuildError::Memory { given: options.memory_bytes, needed });
+    }
+    if let Some(page) = options.page_bytes
+        && (page == 0 || page % 4096 != 0 || page as usize > MAX_PAGE_BYTES || page < 16384)
+    {
+        return wrong(
+            "page size",
+            format!("{page} is no multiple of 4096 between 16384 and {MAX_PAGE_BYTES}"),
+        );
+    }
+    if options.attributes.len() > MAX_ATTRIBUTES {
+        return wrong("attributes", format!("at most {MAX_ATTRIBUTES} can be kept"));
+    }
+    if let Some(name) = options.attributes.iter().find(|a| a.is_empty() || a.len() > NAME_BYTES) {
+        return wrong("attributes", format!("`{name}` has not 1 to {NAME_BYTES} bytes"));
+    }
+    let mut names: Vec<&String> = options.attributes.iter().collect();
+    names.sort();
+    if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        return wrong("attributes", format!("`{}` is named twice", pair[0]));
+    }
+    if let Precision::Relative(p) = options.precision
+        && !(p > 0.0 && p <= 0.5)
+    {
+        return wrong("precision", format!("{p} is not in (0, 0.5] of a radius"));
+    }
+    for (option, scale) in [
+        ("radius scale", options.radius_scale),
+        ("length scale", options.length_scale),
+        ("weight scale", options.weight_scale),
+    ] {
+        if !(scale > 0.0 && scale.is_finite()) {
+            return wrong(option, format!("{scale} is not a positive number"));
+        }
+    }
+    match options.radius {
+        Some(Rule::Number(r)) if !(1e-18..=1e18).contains(&(r * options.radius_scale)) => {
+            return wrong("radius", format!("{} is not between 1e-18 and 1e18", r * options.radius_scale));
+        }
+        _ => {}
+    }
+    match options.weight {
+        Some(Rule::Number(w)) if !((w * options.weight_scale).abs() <= 1e18) => {
+            return wrong("weight", format!("{} is not a number of at most 1e18", w * options.weight_scale));
+        }
+        Some(Rule::Auto) => return wrong("weight", "only a radius can be `auto`".into()),
+        _ => {}
+    }
+    Ok(())
+}

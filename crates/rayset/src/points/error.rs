@@ -1,0 +1,82 @@
+//! Why points cannot be read, and where.
+
+use std::path::{Path, PathBuf};
+use std::{fmt, io};
+
+/// A position in a file, for messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// One-based line of a text file.
+    Line(u64),
+    /// Byte offset from the start of the file.
+    Byte(u64),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Line(n) => write!(f, "line {n}"),
+            Self::Byte(n) => write!(f, "byte {n}"),
+        }
+    }
+}
+
+/// Why points could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// The operating system refused.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        r#source: io::Error,
+    },
+    /// The file breaks the rules of its own format.
+    #[error("{}, {place}: {what}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Where in it.
+        place: Place,
+        /// What was found and what was expected.
+        what: String,
+    },
+    /// Points of a LAS or LAZ file could not be decoded.
+    #[error("{}, byte {byte}: {what}; {read} of {count} points could be read", path.display())]
+    Las {
+        /// The file.
+        path: PathBuf,
+        /// Byte of the file, near where the damage is.
+        byte: u64,
+        /// What was found.
+        what: String,
+        /// Number of points before the damage.
+        read: u64,
+        /// Number of points that the header claims.
+        count: u64,
+    },
+    /// This build of the library cannot read the format.
+    #[error("{}: this build cannot read such files; compile it with the feature `{feature}`", path.display())]
+    NotCompiled {
+        /// The file.
+        path: PathBuf,
+        /// The cargo feature that it takes.
+        feature: &'static str,
+    },
+    /// The extension names no format that can be read.
+    #[error(
+        "{}: unknown kind of file; expected .ply, .las, .laz, .xyz, .txt, .csv, .asc or .pts", path.display()
+    )]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl ReadError {
+    pub(super) fn malformed(path: &Path, place: Place, what: impl Into<String>) -> Self {
+        Self::Malformed { path: path.to_owned(), place, what: what.into() }
+    }
+}

@@ -1,0 +1,25 @@
+//! Why compressed points could not be read.
+
+use std::io;
+
+/// Why compressed points could not be read.
+#[derive(Debug)]
+pub(super) enum Trouble {
+    Io(io::Error),
+    /// They are not what they should be, near a byte of the file.
+    Damaged {
+        byte: u64,
+        what: String,
+    },
+}
+
+impl Trouble {
+    pub(super) fn at(byte: u64, what: impl Into<String>) -> Self {
+        Self::Damaged { byte, what: what.into() }
+    }
+
+    /// Tells what the system refused from what the data refused.
+    pub(super) fn from_io(error: io::Error, byte: u64, what: &str) -> Self {
+        if error.raw_os_error().is_some() { Self::Io(error) } else { Self::at(byte, what) }
+    }
+}
