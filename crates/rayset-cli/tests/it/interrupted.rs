@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use rayset::grid::Grid;
 use rayset::octree::Cloud;
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::verify::Depth;
 
 use crate::common::{Random, folder};
 
@@ -84,7 +84,7 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
     assert!(build(folder.path()).status().expect("the program runs").success());
     assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
     let cloud = Cloud::open(&folder.path().join("c.rset")).expect("the cloud opens");
-    verify(&cloud, Depth::Deep).expect("the cloud is whole");
+    cloud.verify(Depth::Deep).expect("the cloud is whole");
 }
 
 #[test]

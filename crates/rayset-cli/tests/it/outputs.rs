@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions};
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::verify::Depth;
 use rayset::output::{Destination, OutputError, OutputFile};
 use rayset::points::{self, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 
@@ -105,7 +105,7 @@ fn of_builds_at_once_to_one_output_the_last_to_finish_wins_whole() {
             }
         });
         let cloud = Cloud::open(&path).expect("the cloud opens");
-        verify(&cloud, Depth::Deep).expect("the cloud is whole");
+        cloud.verify(Depth::Deep).expect("the cloud is whole");
         assert!(counts.contains(&cloud.header().points), "round {round}");
         assert_eq!(names(folder.path()), ["c.rset"], "round {round}");
     }
