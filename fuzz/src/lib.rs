@@ -12,7 +12,7 @@ use rayset::grid::build::{self as grid_build, GridBuildOptions};
 use rayset::grid::read::VolumeSource;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
-use rayset::octree::verify::{Depth, verify};
+use rayset::octree::verify::Depth;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
 use rayset::scene_file::SceneFile;
@@ -90,7 +90,7 @@ pub fn points(data: &[u8]) {
         Err(error) => sentence(&error),
         Ok(_) => {
             let cloud = Cloud::open(&cloud).expect("what is built opens");
-            verify(&cloud, Depth::Deep).expect("what is built is whole");
+            cloud.verify(Depth::Deep).expect("what is built is whole");
         }
     }
 }
@@ -143,7 +143,7 @@ pub fn files(data: &[u8]) {
     match Cloud::open(&path) {
         Err(error) => sentence(&error),
         Ok(cloud) => {
-            if let Err(error) = verify(&cloud, Depth::Deep) {
+            if let Err(error) = cloud.verify(Depth::Deep) {
                 sentence(&error);
             }
             let scene = Scene::of_cloud(CloudObject::plain(Arc::new(cloud)));
