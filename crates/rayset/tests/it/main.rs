@@ -7,6 +7,7 @@ mod bad_bytes;
 mod bounces;
 mod build_control;
 mod build_is_pure;
+mod circles;
 mod colormaps;
 mod common;
 mod corpus;

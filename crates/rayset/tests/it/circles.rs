@@ -1,0 +1,205 @@
+//! No circle of files: who reads one file needs those that it uses, and never comes back to where they began.
+//!
+//! Imports are followed to the file that defines a name, through what folders hand on (`pub use self::…`).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// A module, as the names on the way to it from the root of its crate.
+type Module = Vec<String>;
+
+struct File {
+    /// Paths that it uses, each with whether it hands the name on.
+    uses: Vec<(Vec<String>, bool)>,
+}
+
+struct Crate {
+    files: BTreeMap<Module, File>,
+}
+
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("a folder of sources") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+fn module_of(path: &Path) -> Module {
+    let mut names: Module =
+        path.with_extension("").iter().map(|name| name.to_string_lossy().into_owned()).collect();
+    if names.last().is_some_and(|name| name == "mod" || name == "lib" || name == "main") {
+        names.pop();
+    }
+    names
+}
+
+/// What is compiled into the crate itself, without comments.
+fn code(text: &str) -> String {
+    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+    text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
+}
+
+/// `a::{b, c::d}` as `a::b` and `a::c::d`.
+fn expand(tree: &str, found: &mut Vec<String>) {
+    let Some((before, rest)) = tree.split_once('{') else {
+        return found.push(tree.trim().to_owned());
+    };
+    let inner = rest.rsplit_once('}').map_or(rest, |(inner, _)| inner);
+    let (mut depth, mut part) = (0, String::new());
+    for letter in inner.chars().chain([',']) {
+        match letter {
+            ',' if depth == 0 => {
+                if !part.trim().is_empty() {
+                    expand(&format!("{}{}", before.trim(), part.trim()), found);
+                }
+                part.clear();
+                continue;
+            }
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            _ => {}
+        }
+        part.push(letter);
+    }
+}
+
+fn names(path: &str) -> Vec<String> {
+    path.split("::").map(|name| name.trim().to_owned()).collect()
+}
+
+impl File {
+    fn read(text: &str) -> Self {
+        let code = code(text);
+        let mut uses = Vec::new();
+        let mut rest = String::new();
+        for (at, statement) in code.split(';').enumerate() {
+            let line = statement.trim_start_matches(|c: char| c != '\n' || at == 0).trim_start();
+            let start = statement.rfind("\nuse ").or(statement.rfind("\npub use "));
+            let start =
+                start.or(statement.rfind("\npub(crate) use ")).or(statement.rfind("\npub(super) use "));
+            let start = start.or(statement.rfind("\npub(in crate::trace) use "));
+            let start = start.or(line.starts_with("use ").then(|| statement.len() - line.len()));
+            match start.and_then(|start| statement[start..].split_once("use ").map(|(a, b)| (start, a, b))) {
+                Some((start, visible, tree)) => {
+                    rest.push_str(&statement[..start]);
+                    let mut paths = Vec::new();
+                    expand(tree, &mut paths);
+                    let path = |p: &String| names(p.split(" as ").next().unwrap_or_default());
+                    uses.extend(paths.iter().map(|p| (path(p), visible.contains("pub"))));
+                }
+                None => rest.push_str(statement),
+            }
+        }
+        // Paths in the midst of code.
+        for root in ["crate::", "super::"] {
+            for (at, _) in rest.match_indices(root) {
+                let end = rest[at..].find(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
+                uses.push((names(rest[at..at + end.unwrap_or(0)].trim_end_matches(':')), false));
+            }
+        }
+        Self { uses }
+    }
+}
+
+impl Crate {
+    fn read(root: &Path) -> Self {
+        let mut paths = Vec::new();
+        sources(root, &mut paths);
+        let file = |path: &PathBuf| {
+            let text = std::fs::read_to_string(path).expect("a source file");
+            (module_of(path.strip_prefix(root).expect("below the root")), File::read(&text))
+        };
+        Self { files: paths.iter().map(file).collect() }
+    }
+
+    /// The module whose file defines what a path means in a module; `None` for what is of another crate.
+    fn definition(&self, module: &Module, path: &[String], depth: u32) -> Option<Module> {
+        let mut here = module.clone();
+        let mut path = path.iter().peekable();
+        match path.peek().map(|name| name.as_str()) {
+            Some("crate") => {
+                here.clear();
+                path.next();
+            }
+            Some("self") => drop(path.next()),
+            Some("super") => {
+                while path.next_if(|name| *name == "super").is_some() {
+                    here.pop();
+                }
+            }
+            _ => {}
+        }
+        let mut entered = here != *module || path.len() == 0;
+        while let Some(name) = path.peek() {
+            let below: Module = here.iter().cloned().chain([(*name).clone()]).collect();
+            if !self.files.contains_key(&below) {
+                break;
+            }
+            (here, entered) = (below, true);
+            path.next();
+        }
+        let file = self.files.get(&here)?;
+        if let Some(name) = path.peek()
+            && depth < 8
+        {
+            let handed_on = file.uses.iter().find(|(to, on)| *on && to.last() == Some(name));
+            if let Some(found) = handed_on.and_then(|(to, _)| self.definition(&here, to, depth + 1)) {
+                return Some(found);
+            }
+        }
+        entered.then_some(here)
+    }
+
+    /// What each file uses of others. A folder's file that only hands names on does not use where they are from.
+    fn arrows(&self) -> BTreeMap<Module, BTreeSet<Module>> {
+        let mut arrows = BTreeMap::new();
+        for (module, file) in &self.files {
+            let known = file.uses.iter().filter(|(path, on)| !on || path[0] == "crate" || path[0] == "super");
+            let to = known.filter_map(|(path, _)| self.definition(module, path, 0));
+            arrows.insert(module.clone(), to.filter(|to| to != module).collect());
+        }
+        arrows
+    }
+}
+
+/// The files of circles, and those between them: what is left where files that use nothing of the others go, and go again.
+fn circles(mut arrows: BTreeMap<Module, BTreeSet<Module>>) -> BTreeMap<Module, BTreeSet<Module>> {
+    loop {
+        let done: BTreeSet<Module> =
+            arrows.iter().filter(|(_, to)| to.is_empty()).map(|(from, _)| from.clone()).collect();
+        if done.is_empty() {
+            return arrows;
+        }
+        arrows.retain(|from, _| !done.contains(from));
+        arrows.values_mut().for_each(|to| to.retain(|to| !done.contains(to)));
+    }
+}
+
+#[test]
+fn no_circle_of_files_in_library_and_program() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for (root, least) in [(here.join("src"), 400), (here.join("../rayset-cli/src"), 20)] {
+        let arrows = Crate::read(&root).arrows();
+        let count: usize = arrows.values().map(BTreeSet::len).sum();
+        assert!(count > least, "{count} arrows in {}: imports are not understood any more", root.display());
+        let left = circles(arrows);
+        assert!(left.is_empty(), "{}: {left:#?}", root.display());
+    }
+}
+
+#[test]
+fn a_circle_is_found() {
+    let file = |text: &str| File::read(text);
+    let files = [
+        (vec![], "mod a;\nmod b;\npub use self::a::A;\n"),
+        (vec!["a".to_owned()], "use crate::b::{B, c};\npub struct A;\n"),
+        (vec!["b".to_owned()], "//! B.\n\nfn b() { crate::A }\n"),
+    ];
+    let all = Crate { files: files.into_iter().map(|(module, text)| (module, file(text))).collect() };
+    let names: Vec<String> = circles(all.arrows()).into_keys().flatten().collect();
+    assert_eq!(names, ["a", "b"]);
+}
