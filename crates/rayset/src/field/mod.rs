@@ -1,19 +1,26 @@
 //! The density field of a cloud, evaluated along rays: kernels, the splatting of runs onto a packet of rays, and the
-//! brute-force judge that all of it is measured against.
+//! brute-force reference that all of it is measured against.
 
 mod bare;
+mod counts;
 pub mod kernel;
+mod lane_ray;
 mod packet;
+mod pairs;
 mod ray_columns;
 pub mod reference;
 mod run;
+mod samples;
 mod simd;
 mod splat;
+mod splat_wide;
 
 pub use bare::{BARE_SAMPLES, bare_loop};
+pub use counts::SplatCounts;
 pub use kernel::Kernel;
 pub use packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{Crossing, RayColumns};
 pub use run::{AttributeColumns, DecodedRun, RunDecoder, linear_from_srgb};
+pub use samples::{Channels, FieldSamples, SampleRow};
 pub use simd::SimdLevel;
-pub use splat::{Channels, FieldSamples, SampleRow, SplatCounts, Splatter};
+pub use splat::Splatter;

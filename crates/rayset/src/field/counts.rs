@@ -1,0 +1,32 @@
+//! How much work splatting is.
+
+/// How much work was done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SplatCounts {
+    /// Pairs of a ray and a point that were tested.
+    pub pairs_tested: u64,
+    /// Pairs that were added to samples.
+    pub pairs_added: u64,
+    /// Evaluations of a kernel: pairs added times samples worked on.
+    pub kernel_evaluations: u64,
+}
+
+impl std::ops::AddAssign for SplatCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.pairs_tested += other.pairs_tested;
+        self.pairs_added += other.pairs_added;
+        self.kernel_evaluations += other.kernel_evaluations;
+    }
+}
+
+impl std::ops::Sub for SplatCounts {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        Self {
+            pairs_tested: self.pairs_tested - other.pairs_tested,
+            pairs_added: self.pairs_added - other.pairs_added,
+            kernel_evaluations: self.kernel_evaluations - other.kernel_evaluations,
+        }
+    }
+}

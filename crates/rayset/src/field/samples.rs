@@ -1,0 +1,87 @@
+//! The field at the samples of one slab of a packet, as runs are added to it.
+
+use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
+use super::pairs::Pairs;
+use super::run::DecodedRun;
+
+/// What is accumulated besides the density.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Channels {
+    /// The gradient of the density.
+    pub gradient: bool,
+    /// How many weighted attributes.
+    pub attributes: usize,
+}
+
+/// One value for each sample of a slab.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub struct SampleRow(pub [f32; SLAB_SAMPLES]);
+
+/// The field at the samples of one slab of a packet.
+#[derive(Clone, Debug)]
+pub struct FieldSamples {
+    /// Σ v·ω for each lane.
+    pub density: Vec<SampleRow>,
+    /// Σ v·∇ω, three components, where asked for.
+    pub gradient: [Vec<SampleRow>; 3],
+    /// Σ v·ω·a, one for each attribute.
+    pub attribute: Vec<Vec<SampleRow>>,
+    /// Lanes that received anything since [`clear`](Self::clear); the rows of all others are stale.
+    pub touched: u64,
+    /// Room to work in, kept from run to run: its contents need not be cleared.
+    pub(super) pairs: Option<Box<Pairs>>,
+}
+
+impl FieldSamples {
+    /// Room for the channels asked for.
+    #[must_use]
+    pub fn new(channels: Channels) -> Self {
+        let rows = |wanted: bool| vec![SampleRow([0.0; SLAB_SAMPLES]); if wanted { LANES } else { 0 }];
+        Self {
+            density: rows(true),
+            gradient: std::array::from_fn(|_| rows(channels.gradient)),
+            attribute: (0..channels.attributes).map(|_| rows(true)).collect(),
+            touched: 0,
+            pairs: None,
+        }
+    }
+
+    /// What there is room for.
+    #[must_use]
+    pub fn channels(&self) -> Channels {
+        Channels { gradient: !self.gradient[0].is_empty(), attributes: self.attribute.len() }
+    }
+
+    /// Forgets all contributions.
+    pub fn clear(&mut self) {
+        self.touched = 0;
+    }
+
+    /// Zeroes a lane's rows on its first contribution.
+    #[inline(always)]
+    pub(super) fn begin<const GRADIENT: bool>(&mut self, lane: usize) {
+        if self.touched >> lane & 1 != 0 {
+            return;
+        }
+        self.touched |= 1 << lane;
+        self.density[lane].0.fill(0.0);
+        for channel in 0..3 {
+            if GRADIENT {
+                self.gradient[channel][lane].0.fill(0.0);
+            }
+        }
+        for rows in &mut self.attribute {
+            rows[lane].0.fill(0.0);
+        }
+    }
+}
+
+/// Everything that a splat works on.
+pub(super) struct SplatJob<'a> {
+    pub(super) run: &'a DecodedRun,
+    pub(super) packet: &'a Packet,
+    pub(super) slab: Slab,
+    pub(super) lanes: u64,
+    pub(super) samples: &'a mut FieldSamples,
+}
