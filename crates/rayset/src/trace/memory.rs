@@ -28,9 +28,9 @@ const CLOUD_BYTES: u64 = 48 << 10;
 const LOOKAHEAD_BYTES: u64 = 24;
 /// One part in so many of the pages' memory is lost in between them.
 const ALLOCATOR_PART: u64 = 32;
-/// And more where pages and blocks of shadows, of other sizes, take each other's place.
+/// And more where pages and tiles of shadow tables, of other sizes, take each other's place.
 const MIXED_ALLOCATOR_PART: u64 = 14;
-/// What a march through the graph keeps of every place: its samples, its cloud's state, its block.
+/// What a march through the graph keeps of every place: its samples, its cloud's state, where they lie.
 const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<NodeSamples>>()) as u64;
 /// Blocks of 16 rows of layers on their way into an OpenEXR file, for each column: six, with what compression takes.
 const EXR_BYTES: u64 = 6 * 16 * 60;
@@ -49,7 +49,7 @@ pub struct SceneNeeds {
     /// The graph, as it is given and as it is compiled, and what is left of reading it.
     scene_bytes: u64,
     thread_bytes: u64,
-    /// Blocks of cached shadows.
+    /// Tiles of shadow tables.
     shadow_tiles: u64,
     layers: bool,
 }
@@ -72,37 +72,23 @@ impl SceneNeeds {
             }
             Shape::Grid(_) | Shape::Procedural(_) | Shape::Operator(..) => {}
         });
-        let lit = scene.lighting != Lighting::Unlit;
-        let has = |wanted: fn(&Node) -> bool| {
-            let mut found = false;
-            scene.root.for_each(&mut |node| found |= wanted(node));
-            found
-        };
-        let turns = has(|n| n.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0));
-        let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
-        let required = RequiredOutputs {
-            color: true,
-            normal: lit || settings.layers,
-            boundary: lit
-                && (turns
-                    || scene.lighting.throws_shadows()
-                    || has(|node| matches!(node.shape, Shape::Operator(Operator::Difference, _)))),
-            outside: false,
-            material: settings.layers || (lit && has(|node| node.material.is_some())),
-            attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
-        };
+        let turns = has(scene, |node| {
+            node.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0)
+        });
+        let required = largest_outputs(scene, settings, turns);
         let census = Census::of(&scene.root);
-        let most_blocks = blocks(&scene.root) + census.shared;
-        let picture = most_blocks * NodeSamples::bytes(required);
+        let most_held = node_samples_held(&scene.root) + census.shared;
+        let picture = most_held * NodeSamples::bytes(required);
         let opacity_only = RequiredOutputs { attributes: required.attributes, ..RequiredOutputs::default() };
         let shadow =
-            if scene.lighting.throws_shadows() { most_blocks * NodeSamples::bytes(opacity_only) } else { 0 };
+            if scene.lighting.throws_shadows() { most_held * NodeSamples::bytes(opacity_only) } else { 0 };
         let passes = if shadow > 0 { 2 } else { 1 };
-        // Shadows have a march for rays and one for tables, each with blocks and clouds of its own.
+        // Shadows have a march for rays and one for tables, each with node samples and clouds of its own.
         let marches = if shadow > 0 { 3 } else { 1 };
         let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
         // Of the field of a cloud.
-        let sums = u64::from(names) * marches * (LANES * size_of::<SampleRow>()) as u64;
+        let sums =
+            u64::from(required.attributes.count_ones()) * marches * (LANES * size_of::<SampleRow>()) as u64;
         let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
         let in_shadow = lights.iter().filter(|light| light.throws_shadows()).count();
         let thread_bytes = THREAD_BYTES
@@ -146,10 +132,10 @@ impl SceneNeeds {
     }
 }
 
-/// An upper bound of the blocks in use at a time, besides those that several operators need.
-fn blocks(node: &Node) -> usize {
+/// An upper bound of the node samples in use at a time, besides those that several operators need.
+fn node_samples_held(node: &Node) -> usize {
     let Shape::Operator(operator, children) = &node.shape else { return 1 };
-    let deepest = children.iter().map(|child| blocks(child)).max().unwrap_or(0);
+    let deepest = children.iter().map(|child| node_samples_held(child)).max().unwrap_or(0);
     let own = if *operator == Operator::Intersection { children.len() } else { 2 };
     own + deepest
 }
@@ -289,56 +275,59 @@ pub fn plan(
     process_bytes: u64,
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
-    let page = needs.files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
+    let demand = Demand::of(&[needs], threads);
     // Tiles are listed, 24 bytes each.
     let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
     let row = u64::from(width) * pixel + u64::from(width) / 2;
-    let pages: u64 = needs.files().map(|(pages, _)| pages).sum();
-    let slots = pages + needs.shadow_tiles;
-    let overhead = WorkingSet::overhead_bytes(u32::try_from(slots).unwrap_or(u32::MAX));
-    let overhead = overhead + pages * LOOKAHEAD_BYTES;
-    // The picture's rows also pass through the encoder.
-    let threads_bytes = threads as u64 * needs.thread_bytes;
-    let fixed = process_bytes + needs.scene_bytes + threads_bytes + READING_BYTES + overhead + 8 * row;
     let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
-    let fixed = fixed + encoder;
-    let block = SHADOW_TILE_BYTES as u64;
-    let largest = if needs.shadow_tiles > 0 { page.max(block) } else { page };
-    let least_page_bytes = least_pages(threads) * (largest + OVERHEAD_BYTES + largest / MIXED_ALLOCATOR_PART);
+    // The picture's rows also pass through the encoder.
+    let fixed = process_bytes + demand.fixed + 8 * row + encoder;
+    let least_page_bytes = demand.least_page_bytes();
     let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
         return Err(least_bytes);
     }
-    // A quarter of what is free may go to the picture, in whole rows of look-ahead blocks where it can.
+    // A quarter of what is free may go to the picture, in whole rows of look-ahead tiles where it can.
     let free = budget_bytes - fixed - least_page_bytes;
     let rows =
         (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
     let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
     let band_rows = (rows as u32).min(height).max(1);
-    let picture = u64::from(band_rows) * row;
     // Of a grid, a layer of bricks.
     let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
-    let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * page);
+    let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * demand.page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
-    // What the allocator adds to each counts most where they are small.
-    let unit = if needs.shadow_tiles > 0 { page.min(block) } else { page };
-    let mixed = needs.shadow_tiles > 0 && needs.files().any(|(_, bytes)| bytes != block);
-    let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
-    let page_bytes = (budget_bytes - fixed - picture) / (unit + OVERHEAD_BYTES + unit / part) * unit;
-    let page_bytes = page_bytes.max(least_pages(threads) * largest);
-    let file_bytes: u64 = needs.files().map(|(pages, bytes)| pages * bytes).sum();
+    let (page_bytes, shadow_bytes) = demand.divide(budget_bytes - fixed - u64::from(band_rows) * row);
     Ok(MemoryPlan {
-        largest_page_bytes: page,
+        largest_page_bytes: demand.page,
         page_bytes,
-        shadow_bytes: page_bytes
-            .saturating_sub(file_bytes)
-            .max(page_bytes / 2)
-            .max(block * (threads as u64 + 1))
-            .min(page_bytes),
+        shadow_bytes,
         band_rows,
         least_bytes,
         comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_page_bytes,
     })
+}
+
+/// Whether any node of a scene is so.
+fn has(scene: &Scene, wanted: impl Fn(&Node) -> bool) -> bool {
+    let mut found = false;
+    scene.root.for_each(&mut |node| found |= wanted(node));
+    found
+}
+
+/// The most that is required of any node of a scene.
+fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -> RequiredOutputs {
+    let lit = scene.lighting != Lighting::Unlit;
+    let cuts = || has(scene, |node| matches!(node.shape, Shape::Operator(Operator::Difference, _)));
+    let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
+    RequiredOutputs {
+        color: true,
+        normal: lit || settings.layers,
+        boundary: lit && (turns_rays || scene.lighting.throws_shadows() || cuts()),
+        outside: false,
+        material: settings.layers || (lit && has(scene, |node| node.material.is_some())),
+        attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
+    }
 }
 
 /// Divides the memory of a session that has prepared these scenes: bytes for pages, and how many of these tables of shadows
@@ -347,36 +336,72 @@ pub fn plan(
 /// # Errors
 /// The smallest memory that would do.
 pub(super) fn divide(scenes: &[&SceneNeeds], threads: usize, total: u64) -> Result<(u64, u64), u64> {
-    let block = SHADOW_TILE_BYTES as u64;
-    let files = || scenes.iter().flat_map(|needs| needs.files());
-    let shadow_tiles: u64 = scenes.iter().map(|needs| needs.shadow_tiles).sum();
-    let page = files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
-    let (largest, unit) = if shadow_tiles > 0 { (page.max(block), page.min(block)) } else { (page, page) };
-    let pages: u64 = files().map(|(pages, _)| pages).sum();
-    let slots = u32::try_from(pages + shadow_tiles).unwrap_or(u32::MAX);
-    let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
-    // Each thread works on one scene at a time.
-    let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
-    let fixed = of_scenes
-        + threads as u64 * of_thread
-        + WorkingSet::overhead_bytes(slots)
-        + pages * LOOKAHEAD_BYTES
-        + READING_BYTES;
-    let mixed = shadow_tiles > 0 && files().any(|(_, bytes)| bytes != block);
-    let part = if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART };
-    let least = fixed + least_pages(threads) * (largest + OVERHEAD_BYTES + largest / part);
-    if total < least {
-        return Err(least);
+    let demand = Demand::of(scenes, threads);
+    let least = demand.fixed + demand.least_page_bytes();
+    if total < least { Err(least) } else { Ok(demand.divide(total - demand.fixed)) }
+}
+
+/// What scenes that are rendered in one session take besides pages, and how large their pages are.
+struct Demand {
+    threads: usize,
+    fixed: u64,
+    /// The largest page of a file.
+    page: u64,
+    /// The largest and the smallest page, tiles of shadow tables included.
+    largest: u64,
+    smallest: u64,
+    /// One part in so many is lost in between pages.
+    allocator_part: u64,
+    /// Bytes of all pages of the files.
+    file_bytes: u64,
+}
+
+impl Demand {
+    fn of(scenes: &[&SceneNeeds], threads: usize) -> Self {
+        let tile = SHADOW_TILE_BYTES as u64;
+        let files = || scenes.iter().flat_map(|needs| needs.files());
+        let shadow_tiles: u64 = scenes.iter().map(|needs| needs.shadow_tiles).sum();
+        let page = files().map(|(_, bytes)| bytes).max().unwrap_or(4096);
+        let (largest, smallest) =
+            if shadow_tiles > 0 { (page.max(tile), page.min(tile)) } else { (page, page) };
+        let pages: u64 = files().map(|(pages, _)| pages).sum();
+        let slots = u32::try_from(pages + shadow_tiles).unwrap_or(u32::MAX);
+        let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
+        // Each thread works on one scene at a time.
+        let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
+        let mixed = shadow_tiles > 0 && files().any(|(_, bytes)| bytes != tile);
+        Self {
+            threads,
+            fixed: of_scenes
+                + threads as u64 * of_thread
+                + WorkingSet::overhead_bytes(slots)
+                + pages * LOOKAHEAD_BYTES
+                + READING_BYTES,
+            page,
+            largest,
+            smallest,
+            allocator_part: if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART },
+            file_bytes: files().map(|(pages, bytes)| pages * bytes).sum(),
+        }
     }
-    let page_bytes = (total - fixed) / (unit + OVERHEAD_BYTES + unit / part) * unit;
-    let page_bytes = page_bytes.max(least_pages(threads) * largest);
-    let file_bytes: u64 = files().map(|(pages, bytes)| pages * bytes).sum();
-    let shadow_bytes = page_bytes
-        .saturating_sub(file_bytes)
-        .max(page_bytes / 2)
-        .max(block * (threads as u64 + 1))
-        .min(page_bytes);
-    Ok((page_bytes, shadow_bytes))
+
+    /// The least that pages do with.
+    fn least_page_bytes(&self) -> u64 {
+        least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / MIXED_ALLOCATOR_PART)
+    }
+
+    /// Bytes of pages that fit where so much memory is left, and how many of these tables of shadows may take.
+    fn divide(&self, room: u64) -> (u64, u64) {
+        // What the allocator adds to each counts most where they are small.
+        let each = self.smallest + OVERHEAD_BYTES + self.smallest / self.allocator_part;
+        let page_bytes = (room / each * self.smallest).max(least_pages(self.threads) * self.largest);
+        let shadow_bytes = page_bytes
+            .saturating_sub(self.file_bytes)
+            .max(page_bytes / 2)
+            .max(SHADOW_TILE_BYTES as u64 * (self.threads as u64 + 1))
+            .min(page_bytes);
+        (page_bytes, shadow_bytes)
+    }
 }
 
 /// Pages without which threads could wait for each other for ever: each retains one at a time, and one is on its way.

@@ -16,7 +16,9 @@ use super::procedural_volume::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
 use crate::geometry::{Aabb, DAffine3};
-use crate::scene::{LightKind, Lighting, Material, Node, Operator, Scene, Shape};
+use crate::scene::{
+    CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
+};
 use crate::working_set::PagedFiles;
 
 /// What an instruction does.
@@ -65,6 +67,9 @@ pub(super) struct Program {
     pub(super) constants: Constants,
     pub(super) simd: SimdLevel,
 }
+
+/// What a node becomes: what it does, its bounds in the world, and the colour that every sample of it has, if so.
+type Compiled = (Action, Aabb, Option<[f32; 3]>);
 
 /// A node in one place of the world, of one material.
 type Key = (*const Node, [u64; 12], usize);
@@ -179,44 +184,12 @@ impl Compiler<'_> {
         }
         let of_leaf = self.of_leaf(material, &node.shape);
         let (action, bounds, color) = match &node.shape {
-            Shape::Cloud(object) => {
-                let volume = CloudVolume::new(
-                    object,
-                    &world_from_local,
-                    self.scene.unit_distance,
-                    of_leaf,
-                    self.paged,
-                )
-                .ok_or_else(|| not_paged(object.cloud.path()))?;
-                let (bounds, color) =
-                    (object.bounds().transformed(&world_from_local), volume.shading.uniform_color());
-                (Action::Cloud(Box::new(volume)), bounds, color)
-            }
-            Shape::Grid(object) => {
-                let unit = self.scene.unit_distance;
-                let volume = GridVolume::new(object, &world_from_local, unit, of_leaf, self.paged)
-                    .ok_or_else(|| not_paged(object.grid.path()))?;
-                let bounds = Node::new(node.shape.clone()).bounds().transformed(&world_from_local);
-                let color = volume.uniform_color();
-                (Action::Grid(Box::new(volume)), bounds, color)
-            }
-            Shape::Procedural(field) => {
-                let reach = self.scene.unit_distance;
-                let volume = ProceduralVolume::new(field.clone(), &world_from_local, reach, of_leaf);
-                let color = field.uniform_color().map(|c| c.map(|v| v as f32));
-                (Action::Procedural(Box::new(volume)), field.bounds().transformed(&world_from_local), color)
-            }
             Shape::Operator(operator, children) => {
-                let children: Vec<usize> = (children.iter())
-                    .map(|child| self.add(child, &world_from_local, material))
-                    .collect::<Result<_, _>>()?;
-                let (operator, children) = self.drop_unreachable_subtrahends(*operator, children);
-                let bounds = self.operator_bounds(operator, &children);
-                let first = self.instructions[children[0]].color;
-                let colored = if operator == Operator::Difference { &children[..1] } else { &children[..] };
-                let same = colored.iter().all(|&c| self.instructions[c].color == first);
-                (Action::Operator(operator, children), bounds, first.filter(|_| same))
+                self.operator(*operator, children, &world_from_local, material)?
             }
+            Shape::Cloud(object) => self.cloud(object, &world_from_local, of_leaf)?,
+            Shape::Grid(object) => self.grid(object, &world_from_local, of_leaf)?,
+            Shape::Procedural(field) => self.procedural(field, &world_from_local, of_leaf),
         };
         let transfers: Vec<CompiledTransfer> =
             node.transfers.iter().map(|t| CompiledTransfer::new(t, &self.names)).collect();
@@ -233,6 +206,63 @@ impl Compiler<'_> {
         let at = self.instructions.len() - 1;
         self.known.insert(key, at);
         Ok(at)
+    }
+
+    fn cloud(
+        &self,
+        object: &CloudObject,
+        world_from_local: &DAffine3,
+        material: [f32; MATERIAL],
+    ) -> Result<Compiled, RenderError> {
+        let unit = self.scene.unit_distance;
+        let volume = CloudVolume::new(object, world_from_local, unit, material, self.paged)
+            .ok_or_else(|| not_paged(object.cloud.path()))?;
+        let color = volume.shading.uniform_color();
+        Ok((Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color))
+    }
+
+    fn grid(
+        &self,
+        object: &GridObject,
+        world_from_local: &DAffine3,
+        material: [f32; MATERIAL],
+    ) -> Result<Compiled, RenderError> {
+        let unit = self.scene.unit_distance;
+        let volume = GridVolume::new(object, world_from_local, unit, material, self.paged)
+            .ok_or_else(|| not_paged(object.grid.path()))?;
+        let bounds = Node::new(Shape::Grid(object.clone())).bounds().transformed(world_from_local);
+        let color = volume.uniform_color();
+        Ok((Action::Grid(Box::new(volume)), bounds, color))
+    }
+
+    fn procedural(
+        &self,
+        field: &Arc<dyn Procedural>,
+        world_from_local: &DAffine3,
+        material: [f32; MATERIAL],
+    ) -> Compiled {
+        let reach = self.scene.unit_distance;
+        let volume = ProceduralVolume::new(field.clone(), world_from_local, reach, material);
+        let color = field.uniform_color().map(|c| c.map(|v| v as f32));
+        (Action::Procedural(Box::new(volume)), field.bounds().transformed(world_from_local), color)
+    }
+
+    fn operator(
+        &mut self,
+        operator: Operator,
+        children: &[Arc<Node>],
+        world_from_local: &DAffine3,
+        material: usize,
+    ) -> Result<Compiled, RenderError> {
+        let children: Vec<usize> = (children.iter())
+            .map(|child| self.add(child, world_from_local, material))
+            .collect::<Result<_, _>>()?;
+        let (operator, children) = self.drop_unreachable_subtrahends(operator, children);
+        let bounds = self.operator_bounds(operator, &children);
+        let first = self.instructions[children[0]].color;
+        let colored = if operator == Operator::Difference { &children[..1] } else { &children[..] };
+        let same = colored.iter().all(|&c| self.instructions[c].color == first);
+        Ok((Action::Operator(operator, children), bounds, first.filter(|_| same)))
     }
 
     /// What is taken away where nothing is, and farther from it than boundaries light, is left out.

@@ -272,6 +272,7 @@ impl Exponents {
         rays.iter().for_each(|ray| beam.include(ray));
         // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
+        let local = LocalRays { rays: &rays, stretch: &stretch, columns: &columns, stretches: (least, most) };
         let mut stack: Vec<Node> = access.root(cloud)?.into_iter().collect();
         let (mut opened, mut opened_runs) = (1, 0);
         while let Some(node) = stack.pop() {
@@ -280,40 +281,7 @@ impl Exponents {
             if self.of(f64::from(node.radius_min) / most) >= finest_known || beam.span(&bounds).is_none() {
                 continue;
             }
-            let own = if node.child_mask == 0 {
-                Some(f64::from(node.radius_min))
-            } else if node.own.runs > 0 {
-                // Own points of an inner node are wider than the cells of its children.
-                let cell = cloud.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
-                Some(f64::from(cell as f32).max(f64::from(node.radius_min)))
-            } else {
-                None
-            };
-            if let Some(own) = own {
-                let near = columns.cross(&bounds, 0.0).near;
-                let same = (least == most).then(|| self.of(own / least));
-                let scattered = bounds.size().max_element() > SCATTERED * own;
-                let mut ask_points = 0;
-                for (i, ray) in rays.iter().enumerate().filter(|(i, _)| near >> i & 1 == 1) {
-                    let k = same.unwrap_or_else(|| self.of(own / stretch[i]));
-                    if k < self.of_rays[i] && bounds.clip(ray).is_some() {
-                        if scattered && k <= ASKED_THEMSELVES {
-                            ask_points |= 1 << i;
-                        } else {
-                            self.of_rays[i] = k;
-                        }
-                    }
-                }
-                if ask_points != 0 {
-                    // Runs belong to one node each, and hold a point at least.
-                    opened_runs += u64::from(node.own.runs);
-                    if opened_runs > cloud.header().points {
-                        return Err(cloud.broken(node.own.first_page).into());
-                    }
-                    let some = LocalRays { rays: &rays, stretch: &stretch, columns: &columns };
-                    self.lower_by_points(access, cloud, &node, some, ask_points)?;
-                }
-            }
+            self.lower_by_node(access, cloud, &node, local, &mut opened_runs)?;
             if node.child_mask != 0 {
                 let page = node.first_child.page;
                 let guard = access.retain(cloud, cloud.first_node_page + page)?;
@@ -328,6 +296,51 @@ impl Exponents {
             }
         }
         Ok(())
+    }
+
+    /// Rays that meet the box of a node's own points take at most a fraction of the least that these can be; where they
+    /// are scattered and far finer than everything else, the points are asked themselves.
+    fn lower_by_node(
+        &mut self,
+        access: Access<'_>,
+        cloud: &CloudPlacement,
+        node: &Node,
+        local: LocalRays<'_>,
+        opened_runs: &mut u64,
+    ) -> Result<(), Halt> {
+        let own = if node.child_mask == 0 {
+            f64::from(node.radius_min)
+        } else if node.own.runs > 0 {
+            // Own points of an inner node are wider than the cells of its children.
+            let cell = cloud.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
+            f64::from(cell as f32).max(f64::from(node.radius_min))
+        } else {
+            return Ok(());
+        };
+        let bounds = node.bounds(cloud.root_cell);
+        let near = local.columns.cross(&bounds, 0.0).near;
+        let same = local.same_stretch().map(|stretch| self.of(own / stretch));
+        let scattered = bounds.size().max_element() > SCATTERED * own;
+        let mut ask_points = 0;
+        for (i, ray) in local.rays.iter().enumerate().filter(|(i, _)| near >> i & 1 == 1) {
+            let k = same.unwrap_or_else(|| self.of(own / local.stretch[i]));
+            if k < self.of_rays[i] && bounds.clip(ray).is_some() {
+                if scattered && k <= ASKED_THEMSELVES {
+                    ask_points |= 1 << i;
+                } else {
+                    self.of_rays[i] = k;
+                }
+            }
+        }
+        if ask_points == 0 {
+            return Ok(());
+        }
+        // Runs belong to one node each, and hold a point at least.
+        *opened_runs += u64::from(node.own.runs);
+        if *opened_runs > cloud.header().points {
+            return Err(cloud.broken(node.own.first_page).into());
+        }
+        self.lower_by_points(access, cloud, node, local, ask_points)
     }
 
     /// Rays that pass through the spheres of influence of a node's own points take at most a fraction of their radii.
@@ -381,4 +394,14 @@ struct LocalRays<'a> {
     /// Lengths of their directions.
     stretch: &'a [f64],
     columns: &'a RayColumns,
+    /// The least and the greatest of the lengths.
+    stretches: (f64, f64),
+}
+
+impl LocalRays<'_> {
+    /// The length of their directions, if it is the same for all.
+    fn same_stretch(&self) -> Option<f64> {
+        let (least, most) = self.stretches;
+        (least == most).then_some(least)
+    }
 }
