@@ -28,6 +28,7 @@ mod right_picture;
 mod same_picture;
 mod scattered;
 mod schema;
+mod session_memory;
 mod sessions;
 mod shadows;
 mod tables;
