@@ -104,11 +104,9 @@ impl Prepared {
             generate::write_source(&mut *workload.source(), &outputs.add(&ply, None)?)?;
         }
         outputs.add(&path, None)?;
-        let options = BuildOptions {
-            radius: workload.radius().map(build::Rule::Number),
-            threads,
-            ..BuildOptions::default()
-        };
+        let options = BuildOptions::default()
+            .with_radius(workload.radius().map(build::Rule::Number))
+            .with_threads(threads);
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = Instant::now();
         build::to_file(vec![source], &path, &options, &BuildControl::default())?;
@@ -128,10 +126,8 @@ impl Prepared {
         bare: f64,
     ) -> Result<Vec<Measured>> {
         let scene = self.scene(translucent);
-        let settings = RenderSettings {
-            stop_transmittance: if translucent { 0.0 } else { 0.01 },
-            ..RenderSettings::default()
-        };
+        let settings =
+            RenderSettings::default().with_stop_transmittance(if translucent { 0.0 } else { 0.01 });
         let mut runs =
             cases.iter().map(|case| self.prepare(case, threads, simd)).collect::<Result<Vec<_>>>()?;
         for round in 0..=repeat.max(1) {

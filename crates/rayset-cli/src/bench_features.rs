@@ -107,8 +107,8 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
         std::iter::once(ambient).chain(given).collect()
     };
     // The same samples in every picture: automatic steps know the boxes beside the cloud.
-    let plain = RenderSettings { step: Step::Fixed(0.25 * unit_distance), ..RenderSettings::default() };
-    let cached = RenderSettings { shadows: Shadows::Cached { resolution: 512 }, ..plain };
+    let plain = RenderSettings::default().with_step(Step::Fixed(0.25 * unit_distance));
+    let cached = plain.with_shadows(Shadows::Cached { resolution: 512 });
     let of = |root: Node, lights: Option<Vec<Light>>| Scene {
         root: Arc::new(root),
         lighting: lights.map_or(Lighting::Unlit, Lighting::Lit),
@@ -137,7 +137,7 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
         feature("one light, exact shadows", lit(suns(1, true)), plain),
         feature("one light, reflectance 0.3", of(leaf.clone().of(mirror), Some(suns(1, false))), plain),
         feature("one light, refractive index 1.3", of(leaf.clone().of(glass), Some(suns(1, false))), plain),
-        feature("layers", of(leaf.clone(), None), RenderSettings { layers: true, ..plain }),
+        feature("layers", of(leaf.clone(), None), plain.with_layers(true)),
         feature("difference with a box out of sight", with(Operator::Difference, &far_box), plain),
         feature("union with a box out of sight", with(Operator::Union, &far_box), plain),
         feature("difference with a cylinder", with(Operator::Difference, &hole), plain),

@@ -96,7 +96,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let options = options(args)?;
     let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let read = ReadOptions { text_columns: args.columns.clone() };
+    let read = ReadOptions::default().with_text_columns(args.columns.clone());
     let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
     let meter = Meter::new("points", args.json);
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
@@ -128,10 +128,9 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
     };
     let meter = Meter::new("slices", args.json);
     let started = std::time::Instant::now();
-    let options = GridBuildOptions {
-        memory_bytes: args.memory.saturating_sub(PROCESS_BYTES),
-        temp_dir: args.temp_dir.clone(),
-    };
+    let options = GridBuildOptions::default()
+        .with_memory_bytes(args.memory.saturating_sub(PROCESS_BYTES))
+        .with_temp_dir(args.temp_dir.clone());
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
     let built = build::grid_to_file(source, &args.output, &options, &control);
     meter.finish();
@@ -204,26 +203,27 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
             }
         },
     };
-    Ok(BuildOptions {
-        radius: args.radius.as_deref().map(values::rule).transpose()?,
-        radius_scale: args.radius_scale,
-        length_scale: args.length_scale,
-        weight: args.weight.as_deref().map(values::rule).transpose()?,
-        weight_scale: args.weight_scale,
-        attributes: args.attributes.clone(),
-        keep_color: !args.no_color,
-        invalid: match args.invalid {
+    let options = BuildOptions::default();
+    let threads = args.threads.unwrap_or(options.threads);
+    Ok(options
+        .with_radius(args.radius.as_deref().map(values::rule).transpose()?)
+        .with_radius_scale(args.radius_scale)
+        .with_length_scale(args.length_scale)
+        .with_weight(args.weight.as_deref().map(values::rule).transpose()?)
+        .with_weight_scale(args.weight_scale)
+        .with_attributes(args.attributes.clone())
+        .with_keep_color(!args.no_color)
+        .with_invalid(match args.invalid {
             Invalid::Skip => InvalidPolicy::Skip,
             Invalid::SkipAll => InvalidPolicy::SkipAll,
             Invalid::Reject => InvalidPolicy::Reject,
-        },
-        precision,
-        page_bytes: args.page_size.map(|n| u32::try_from(n).unwrap_or(u32::MAX)),
-        render_memory: args.render_memory,
-        memory_bytes: args.memory.saturating_sub(PROCESS_BYTES),
-        threads: args.threads.unwrap_or_else(|| BuildOptions::default().threads),
-        temp_dir: args.temp_dir.clone(),
-    })
+        })
+        .with_precision(precision)
+        .with_page_bytes(args.page_size.map(|n| u32::try_from(n).unwrap_or(u32::MAX)))
+        .with_render_memory(args.render_memory)
+        .with_memory_bytes(args.memory.saturating_sub(PROCESS_BYTES))
+        .with_threads(threads)
+        .with_temp_dir(args.temp_dir.clone()))
 }
 
 /// A build in numbers.

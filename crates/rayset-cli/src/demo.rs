@@ -54,11 +54,9 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
     generate::write_source(&mut *workload.source(), &Destination::new(&points)?)?;
 
     report::say(format_args!("2. build their octree on disk, within {}", report::bytes(args.memory)));
-    let options = BuildOptions {
-        radius: workload.radius().map(build::Rule::Number),
-        memory_bytes: args.memory.saturating_sub(memory::PROCESS_BYTES),
-        ..BuildOptions::default()
-    };
+    let options = BuildOptions::default()
+        .with_radius(workload.radius().map(build::Rule::Number))
+        .with_memory_bytes(args.memory.saturating_sub(memory::PROCESS_BYTES));
     let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
     let meter = Meter::new("points", false);
     let built = build::to_file(

@@ -185,8 +185,7 @@ impl Preparation<'_> {
     }
 
     fn build_options(&self) -> BuildOptions {
-        let memory_bytes = self.args.memory.saturating_sub(PROCESS_BYTES);
-        BuildOptions { memory_bytes, ..BuildOptions::default() }
+        BuildOptions::default().with_memory_bytes(self.args.memory.saturating_sub(PROCESS_BYTES))
     }
 
     /// A cloud of height 1 that stands on the ground, from a scan or a workload.
@@ -226,12 +225,11 @@ impl Preparation<'_> {
                 }
             }
         }
-        let options = BuildOptions {
-            radius: Some(Rule::Number(radius)),
-            weight: Some(Rule::Number(0.4)),
-            keep_color: false,
-            ..self.build_options()
-        };
+        let options = self
+            .build_options()
+            .with_radius(Some(Rule::Number(radius)))
+            .with_weight(Some(Rule::Number(0.4)))
+            .with_keep_color(false);
         reset_peak_rss();
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = std::time::Instant::now();
@@ -283,7 +281,7 @@ impl Preparation<'_> {
     }
 
     fn grid_options(&self) -> GridBuildOptions {
-        GridBuildOptions { memory_bytes: self.args.memory.saturating_sub(PROCESS_BYTES), temp_dir: None }
+        GridBuildOptions::default().with_memory_bytes(self.args.memory.saturating_sub(PROCESS_BYTES))
     }
 
     /// Fractal noise as a volume of bytes.

@@ -92,6 +92,7 @@ impl Progress for Meter {
             Stage::Read => "reading",
             Stage::Spacing => "spacing",
             Stage::Write => "writing",
+            _ => "building",
         };
         self.show(title, done, total);
     }

@@ -33,8 +33,11 @@ struct Pairs {
 
 impl From<SplatCounts> for Pairs {
     fn from(counts: SplatCounts) -> Self {
-        let SplatCounts { pairs_tested: tested, pairs_added: added, kernel_evaluations } = counts;
-        Self { tested, added, kernel_evaluations }
+        Self {
+            tested: counts.pairs_tested,
+            added: counts.pairs_added,
+            kernel_evaluations: counts.kernel_evaluations,
+        }
     }
 }
 
@@ -98,7 +101,7 @@ impl PageCounts {
     /// Those of the kinds for which `wanted` holds.
     fn new(set: &Statistics, wanted: impl Fn(Kind) -> bool) -> Self {
         let sum = |number: fn(&rayset::memory::KindStatistics) -> u64| {
-            Kind::ALL.into_iter().filter(|&kind| wanted(kind)).map(|kind| number(set.kind(kind))).sum()
+            Kind::ALL.iter().copied().filter(|&kind| wanted(kind)).map(|kind| number(set.kind(kind))).sum()
         };
         Self {
             hits: sum(|k| k.hits),
@@ -119,7 +122,7 @@ impl PageCounts {
 impl From<&Statistics> for PageStatistics {
     fn from(set: &Statistics) -> Self {
         let all = PageCounts::new(set, |_| true);
-        let used = Kind::ALL.into_iter().filter(|&kind| set.kind(kind).hits + set.kind(kind).misses > 0);
+        let used = Kind::ALL.iter().copied().filter(|&kind| set.kind(kind).hits + set.kind(kind).misses > 0);
         let by_kind = used.map(|kind| KindCounts {
             kind: kind.name(),
             peak_bytes: set.kind(kind).peak_bytes,

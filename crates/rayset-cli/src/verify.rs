@@ -37,7 +37,7 @@ pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
     report::say(match depth {
         Depth::Quick => "ok: header, footer and length".to_owned(),
         Depth::Pages => format!("ok: {} pages, {} points", found.pages, report::count(found.points)),
-        Depth::Deep => format!(
+        _ => format!(
             "ok: {} pages, {} points, bounds and totals of {} runs and {} nodes",
             found.pages,
             report::count(found.points),

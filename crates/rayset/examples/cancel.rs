@@ -12,7 +12,7 @@ mod common;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = common::knot_under_a_lamp()?;
-    let settings = RenderSettings { width: 320, height: 240, ..RenderSettings::default() };
+    let settings = RenderSettings::default().with_size(320, 240);
     let session = Session::builder().build()?;
     let view = session.prepare(&scene, &settings)?.view(&common::camera(&scene, 0.0))?;
     let expected = view.picture()?;

@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let source =
         SliceSource::new(&positions).radius(&smoothing_length)?.attribute("temperature", &temperature)?;
-    let options = BuildOptions { attributes: vec!["temperature".into()], ..BuildOptions::default() };
+    let options = BuildOptions::default().with_attributes(vec!["temperature".into()]);
     let (cloud, report) = in_memory(vec![Box::new(source)], &options, &BuildControl::default())?;
     assert_eq!(report.points, 40_000);
 
@@ -56,7 +56,7 @@ fn picture_of(cloud: Arc<Cloud>) -> Result<rayset::Picture, Box<dyn std::error::
     };
     let (view, up) = ([0.0, -1.0, -0.9].into(), [0.0, 1.0, 0.0].into());
     let camera = Camera::framing(&scene.root.bounds(), view, up, 0.7, 4.0 / 3.0, false);
-    let settings = RenderSettings { width: 320, height: 240, ..RenderSettings::default() };
+    let settings = RenderSettings::default().with_size(320, 240);
     let session = Session::builder().memory(64 << 20).build()?;
     let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
     let bright = picture.pixels.iter().filter(|pixel| pixel[0] > 0.2).count();

@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let output = std::env::args_os().nth(1).map_or_else(|| PathBuf::from("views.png"), PathBuf::from);
     let scene = common::knot_under_a_lamp()?;
     let shadows = Shadows::Cached { resolution: 128 };
-    let settings = RenderSettings { width: 96, height: 72, shadows, ..RenderSettings::default() };
+    let settings = RenderSettings::default().with_size(96, 72).with_shadows(shadows);
     let session = Session::builder().build()?;
     let prepared = session.prepare(&scene, &settings)?;
     let started = Instant::now();

@@ -63,12 +63,10 @@ impl PointSource for Hills {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let output = std::env::args_os().nth(1).map_or_else(|| PathBuf::from("hills.png"), PathBuf::from);
     let file = output.with_extension("rset");
-    let options = BuildOptions {
-        radius: Some(Rule::Number(0.01)),
-        attributes: vec!["height".into()],
-        memory_bytes: 32 << 20,
-        ..BuildOptions::default()
-    };
+    let options = BuildOptions::default()
+        .with_radius(Some(Rule::Number(0.01)))
+        .with_attributes(vec!["height".into()])
+        .with_memory_bytes(32 << 20);
     let report = to_file(vec![Box::new(Hills::new(600))], &file, &options, &BuildControl::default())?;
     assert_eq!(report.points, 360_000);
 
@@ -80,7 +78,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::of_cloud(object);
     let (view, up) = ([0.4, -0.8, -1.0].into(), [0.0, 1.0, 0.0].into());
     let camera = Camera::framing(&scene.root.bounds(), view, up, 0.6, 4.0 / 3.0, false);
-    let settings = RenderSettings { width: 320, height: 240, ..RenderSettings::default() };
+    let settings = RenderSettings::default().with_size(320, 240);
     let session = Session::builder().memory(32 << 20).build()?;
     let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
     let covered = picture.pixels.iter().filter(|pixel| pixel[3] > 0.9).count();

@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene =
         Scene { root, lighting: Lighting::Lit(lights), background: Some([0.02; 3]), unit_distance: 0.02 };
     let camera = Camera::look_at(DVec3::new(2.2, 1.7, 2.4), DVec3::ZERO, DVec3::Y, 0.6);
-    let settings = RenderSettings { width: 240, height: 240, samples: 2, ..RenderSettings::default() };
+    let settings = RenderSettings::default().with_size(240, 240).with_samples(2);
     let session = Session::builder().build()?;
     let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
     let warm = picture.pixels.iter().filter(|pixel| pixel[0] > 2.0 * pixel[2]).count();

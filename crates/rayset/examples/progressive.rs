@@ -13,7 +13,7 @@ mod common;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::args_os().nth(1).map_or_else(|| PathBuf::from("."), PathBuf::from);
     let scene = common::knot_under_a_lamp()?;
-    let settings = RenderSettings { width: 320, height: 240, samples: 4, ..RenderSettings::default() };
+    let settings = RenderSettings::default().with_size(320, 240).with_samples(4);
     let session = Session::builder().build()?;
     let view = session.prepare(&scene, &settings)?.view(&common::camera(&scene, 0.0))?;
 

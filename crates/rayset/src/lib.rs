@@ -15,7 +15,7 @@
 //! let scene = Scene::of_cloud(CloudObject::plain(Arc::new(cloud)));
 //! let camera = Camera::framing(&scene.root.bounds(), [0.0, -0.3, -1.0].into(), [0.0, 1.0, 0.0].into(), 0.8, 1.0, false);
 //! let session = Session::builder().memory(256 << 20).build()?;
-//! let settings = RenderSettings { width: 64, height: 64, ..RenderSettings::default() };
+//! let settings = RenderSettings::default().with_size(64, 64);
 //! let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
 //! picture.save_png("spring.png".as_ref())?;
 //! # assert!(picture.pixels.iter().any(|pixel| pixel[3] > 0.5));
@@ -98,6 +98,7 @@ mod parse;
 pub mod points;
 pub mod scene;
 pub mod scene_file;
+mod setters;
 mod spill;
 pub mod storage;
 mod sync;

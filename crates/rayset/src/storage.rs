@@ -33,6 +33,7 @@ pub trait Storage: Send + Sync {
 
 /// How reads of files are carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum BackendKind {
     /// io_uring where the system has it, else the pool.
     #[default]

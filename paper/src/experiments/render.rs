@@ -158,7 +158,7 @@ pub fn run(args: &RenderArgs) -> Result<String> {
                 ShipPredictor::Packet => Arc::new(PacketPredictor::default()),
             };
             let (picture, _, statistics) = subject.shipping_by(args.page_bytes, backend, predictor)?;
-            cost.0 = statistics.by_kind.iter().map(|kind| kind.stall_nanoseconds).sum();
+            cost.0 = statistics.total(|kind| kind.stall_nanoseconds);
             picture
         }
         Kept::Caches => {

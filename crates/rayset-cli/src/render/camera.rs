@@ -103,6 +103,7 @@ pub(super) fn warn_of_small_radii(header: &Header, camera: &Camera, settings: Re
     let pixel = match camera.projection {
         Projection::Perspective { fovy } => 2.0 * distance * (fovy * 0.5).tan() / f64::from(settings.height),
         Projection::Orthographic { height } => height / f64::from(settings.height),
+        _ => return,
     };
     if header.points > 0 && header.radius_mean < pixel * 0.5 {
         report::remark(format_args!(

@@ -8,7 +8,6 @@ use rayset::Cloud;
 use rayset::Region;
 use rayset::file::Header;
 use rayset::image::DisplayTransform;
-use rayset::image::linear_from_srgb;
 use rayset::scene::Kernel;
 use rayset::scene::{
     CloudObject, ColorMap, ColorRule, Colormap, Lighting, MapInput, RenderSettings, SampleOffset, Scene,
@@ -161,21 +160,18 @@ impl LookArgs {
                 Step::Fixed(values::length(number).map_err(|what| anyhow!("--step: {what}, or `auto`"))?)
             }
         };
+        let sample_offset = match self.phase {
+            None | Some(PhaseArg::Half) => SampleOffset::Half,
+            Some(PhaseArg::Hashed) => SampleOffset::Hashed,
+        };
         let plain = RenderSettings::default();
-        Ok(RenderSettings {
-            step,
-            sample_offset: match self.phase {
-                None | Some(PhaseArg::Half) => SampleOffset::Half,
-                Some(PhaseArg::Hashed) => SampleOffset::Hashed,
-            },
-            stop_transmittance: self.stop.unwrap_or(plain.stop_transmittance),
-            ..plain
-        })
+        let stop = self.stop.unwrap_or(plain.stop_transmittance);
+        Ok(plain.with_step(step).with_sample_offset(sample_offset).with_stop_transmittance(stop))
     }
 
     pub(super) fn scene(&self, cloud: &Arc<Cloud>) -> Result<Scene> {
         let header = cloud.header();
-        let linear = |c: [f64; 3]| c.map(|v| linear_from_srgb(v) as f32);
+        let linear = DisplayTransform::linear_from_srgb;
         let transfer = TransferFunction {
             opacity: values::opacity(self.opacity.as_deref().unwrap_or("clamp"))?,
             color: self.color_rule(header)?,
@@ -199,7 +195,7 @@ impl LookArgs {
 
     fn color_rule(&self, header: &Header) -> Result<ColorRule> {
         if let Some(color) = self.color {
-            return Ok(ColorRule::Uniform(color.map(|v| linear_from_srgb(v) as f32)));
+            return Ok(ColorRule::Uniform(DisplayTransform::linear_from_srgb(color)));
         }
         if self.colormap.is_none() && self.color_by.is_none() {
             /// Unpainted plaster.
@@ -207,7 +203,7 @@ impl LookArgs {
             return Ok(if header.has_color {
                 ColorRule::Points
             } else {
-                ColorRule::Uniform(PLAIN.map(|v| linear_from_srgb(v) as f32))
+                ColorRule::Uniform(DisplayTransform::linear_from_srgb(PLAIN))
             });
         }
         let map = match self.colormap {

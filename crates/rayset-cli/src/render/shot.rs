@@ -41,11 +41,18 @@ impl Shot {
         if args.camera.is_given() {
             bail!("the camera stands in {}; change it there", args.input.display());
         }
-        let SceneFile { scene, camera, path, mut settings, mut display_transform, mut files, loading_bytes } =
-            SceneFile::load(&args.input)?;
-        args.picture.apply(&mut settings, &mut display_transform);
-        files.push(args.input.clone());
-        Ok(Self { scene, camera, path, settings, display_transform, files, loading_bytes })
+        let mut file = SceneFile::load(&args.input)?;
+        args.picture.apply(&mut file.settings, &mut file.display_transform);
+        file.files.push(args.input.clone());
+        Ok(Self {
+            scene: file.scene,
+            camera: file.camera,
+            path: file.path,
+            settings: file.settings,
+            display_transform: file.display_transform,
+            files: file.files,
+            loading_bytes: file.loading_bytes,
+        })
     }
 
     fn of_cloud(args: &RenderArgs) -> Result<Self> {

@@ -29,6 +29,7 @@ const KNOWN_REQUIRED: u64 = 0;
 
 /// What a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum FileKind {
     /// Points and their octree.
     Cloud,

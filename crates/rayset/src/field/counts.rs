@@ -2,6 +2,7 @@
 
 /// How much work was done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct SplatCounts {
     /// Pairs of a ray and a point that were tested.
     pub pairs_tested: u64,

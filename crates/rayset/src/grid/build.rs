@@ -15,6 +15,7 @@ use crate::container::{
 };
 use crate::octree::build::{BuildControl, Stage};
 use crate::output::{Destination, OutputError, OutputFile, OutputWriter, remove_leftovers};
+use crate::setters::setters;
 use crate::spill::Spill;
 
 /// Why no grid was built.
@@ -69,12 +70,18 @@ const MOST_WINDOW_BYTES: u64 = 16 << 20;
 
 /// What may be used to build; none of it changes a byte of the file.
 #[derive(Clone, Debug)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct GridBuildOptions {
     /// Memory to work in, bytes.
     pub memory_bytes: u64,
     /// Folder of the temporary file, where slices do not fit in memory; that of the output by default.
     pub temp_dir: Option<PathBuf>,
 }
+
+setters!(GridBuildOptions {
+    with_memory_bytes => memory_bytes: u64,
+    with_temp_dir => temp_dir: Option<PathBuf>,
+});
 
 impl Default for GridBuildOptions {
     /// A quarter of a gibibyte.

@@ -54,6 +54,7 @@ impl Grid {
     }
 
     /// What its pages are read from, where that is no file on disk.
+    #[doc(hidden)]
     #[must_use]
     pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
         self.storage.as_ref()
@@ -82,6 +83,7 @@ impl Grid {
     ///
     /// # Errors
     /// [`PageError`] that says what is wrong.
+    #[doc(hidden)]
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
         let (bricks, kind) = (self.header.brick_pages(), self.header.kind);
         if u64::from(page) < bricks {

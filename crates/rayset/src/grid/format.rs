@@ -18,6 +18,7 @@ pub const RANGES_PER_PAGE: u64 = ((PAGE_BYTES - PAGE_HEAD_BYTES) / 8) as u64;
 
 /// How a voxel is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum VoxelKind {
     /// Unsigned, 8 bits.
     U8,
@@ -31,7 +32,7 @@ pub enum VoxelKind {
 
 impl VoxelKind {
     /// Every kind.
-    pub const ALL: [Self; 4] = [Self::U8, Self::I16, Self::U16, Self::F32];
+    pub const ALL: &[Self] = &[Self::U8, Self::I16, Self::U16, Self::F32];
 
     /// Bytes of a voxel.
     #[must_use]
@@ -79,6 +80,7 @@ impl VoxelKind {
 
 /// What a grid file says of itself.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct GridHeader {
     /// What tells the file from others. Zeros while it is built: it follows from all voxels.
     pub identity: Identity,

@@ -1,7 +1,10 @@
 //! From light to the numbers of a picture: exposure and tone mapping.
 
+use crate::field::linear_from_srgb;
+
 /// How bright light becomes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum ToneMapping {
     /// Up to 1 as it is; what is brighter is white.
     #[default]
@@ -10,7 +13,7 @@ pub enum ToneMapping {
     Filmic,
 }
 
-/// Exposure and tone mapping, for pictures that are to be looked at. Files of light (OpenEXR) are not developed.
+/// Exposure and tone mapping, for pictures that are to be looked at. Files of light (OpenEXR) are written without it.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct DisplayTransform {
     /// Stops: light is multiplied by two to this power.
@@ -20,6 +23,12 @@ pub struct DisplayTransform {
 }
 
 impl DisplayTransform {
+    /// Linear light of a colour as screens and painting programs say it: red, green and blue of sRGB, 0 to 1.
+    #[must_use]
+    pub fn linear_from_srgb(color: [f64; 3]) -> [f32; 3] {
+        color.map(|v| linear_from_srgb(v) as f32)
+    }
+
     /// A value of straight (not premultiplied) linear light as the picture shows it, still linear.
     #[must_use]
     pub fn apply(&self, light: f32) -> f32 {

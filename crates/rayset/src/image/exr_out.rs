@@ -32,12 +32,10 @@ pub enum ExrError {
     Band,
 }
 
-impl From<exr::error::Error> for ExrError {
-    fn from(error: exr::error::Error) -> Self {
-        match error {
-            exr::error::Error::Io(error) => Self::Io(error),
-            other => Self::Encode(other.to_string()),
-        }
+fn encode_error(error: exr::error::Error) -> ExrError {
+    match error {
+        exr::error::Error::Io(error) => ExrError::Io(error),
+        other => ExrError::Encode(other.to_string()),
     }
 }
 
@@ -182,7 +180,7 @@ impl ExrBands {
         self.blocks = None;
         let Some(writer) = self.writer.take() else { return Ok(()) };
         match writer.join() {
-            Ok(outcome) => Ok(outcome?),
+            Ok(outcome) => outcome.map_err(encode_error),
             Err(_) => Err(ExrError::Encode("the encoder gave up".into())),
         }
     }

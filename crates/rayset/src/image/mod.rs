@@ -15,8 +15,6 @@ pub use display::{DisplayTransform, ToneMapping};
 pub use exr_out::{ExrBands, ExrError};
 pub use png_out::{PngBands, PngError};
 
-pub use crate::field::linear_from_srgb;
-
 /// Rows of a picture: premultiplied colour and opacity in linear light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Band {
@@ -32,6 +30,7 @@ pub struct Band {
 
 /// What is known of a pixel besides its colour: of what its rays meet before they are reflected or bent.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct LayerPixel {
     /// What of the background is hidden, 0 to 1.
     pub opacity: f32,

@@ -20,12 +20,10 @@ pub enum PngError {
     Output(#[from] OutputError),
 }
 
-impl From<png::EncodingError> for PngError {
-    fn from(error: png::EncodingError) -> Self {
-        match error {
-            png::EncodingError::IoError(error) => Self::Io(error),
-            other => Self::Encode(other.to_string()),
-        }
+fn encode_error(error: png::EncodingError) -> PngError {
+    match error {
+        png::EncodingError::IoError(error) => PngError::Io(error),
+        other => PngError::Encode(other.to_string()),
     }
 }
 
@@ -56,7 +54,8 @@ impl<W: Write + 'static> PngBands<W> {
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
         encoder.set_compression(png::Compression::Fast);
-        let writer = encoder.write_header()?.into_stream_writer()?;
+        let writer = encoder.write_header().map_err(encode_error)?;
+        let writer = writer.into_stream_writer().map_err(encode_error)?;
         let byte = |i| (srgb_from_linear(i as f64 / (TABLE - 1) as f64) * 255.0).round() as u8;
         Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect(), display_transform })
     }
@@ -88,6 +87,6 @@ impl<W: Write + 'static> PngBands<W> {
     /// # Errors
     /// [`PngError`] where rows are missing or the system refuses.
     pub fn finish(self) -> Result<(), PngError> {
-        Ok(self.writer.finish()?)
+        self.writer.finish().map_err(encode_error)
     }
 }

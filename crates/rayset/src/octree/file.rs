@@ -57,6 +57,7 @@ impl Cloud {
     }
 
     /// What its pages are read from, where that is no file on disk.
+    #[doc(hidden)]
     #[must_use]
     pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
         self.storage.as_ref()
@@ -82,6 +83,7 @@ impl Cloud {
     }
 
     /// What kind of page stands at a number.
+    #[doc(hidden)]
     #[must_use]
     pub fn page_kind(&self, page: u32) -> PageKind {
         if page < self.header.point_pages { PageKind::Points } else { PageKind::Octree }
@@ -91,6 +93,7 @@ impl Cloud {
     ///
     /// # Errors
     /// [`PageError`] that says what is wrong.
+    #[doc(hidden)]
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
         if self.page_kind(page) == PageKind::Points {
             PointPage::check(bytes, page, &self.header).map(|_| ())
@@ -106,6 +109,7 @@ impl Cloud {
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
+    #[doc(hidden)]
     pub fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), ScanError> {
         let mut file = self.reopened()?;
         if file.header().identity != self.header.identity {
@@ -124,6 +128,7 @@ impl Cloud {
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
+    #[doc(hidden)]
     pub fn for_each_run(&self, mut visit: impl FnMut(u32, Run<'_>)) -> Result<(), ScanError> {
         self.for_each_page(|page, bytes| {
             if self.page_kind(page) == PageKind::Points {

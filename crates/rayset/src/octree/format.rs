@@ -63,6 +63,7 @@ impl Column {
 
 /// A stored attribute: a column with a name and a type.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct AttributeInfo {
     /// Name, at most 64 bytes.
     pub name: String,
@@ -80,6 +81,7 @@ pub struct AttributeInfo {
 
 /// What a cloud file says of itself.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct Header {
     /// What tells the file from others.
     pub identity: Identity,
@@ -98,6 +100,7 @@ pub struct Header {
     /// Nodes of the octree.
     pub nodes: u64,
     /// The root node, in the last node page. Meaningless where there are no points.
+    #[doc(hidden)]
     pub root: NodeRef,
     /// Smallest corner of the root cell, world space.
     pub root_min: DVec3,

@@ -10,6 +10,7 @@ use crate::geometry::{Aabb, DVec3};
 
 /// How much to check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
+#[non_exhaustive]
 pub enum Depth {
     /// Header, footer and length: what opening a file checks.
     Quick,
@@ -22,6 +23,7 @@ pub enum Depth {
 
 /// What was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct VerifyReport {
     /// Pages checked.
     pub pages: u32,

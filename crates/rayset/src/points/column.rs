@@ -2,6 +2,7 @@
 
 /// The type of the numbers of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum ColumnType {
     /// 8 bits, unsigned.
     U8,
@@ -27,7 +28,7 @@ pub enum ColumnType {
 
 impl ColumnType {
     /// All types, each at the place of its [`code`](Self::code).
-    pub const ALL: [Self; 10] = [
+    pub const ALL: &[Self] = &[
         Self::U8,
         Self::I8,
         Self::U16,
@@ -436,9 +437,9 @@ mod tests {
 
     #[test]
     fn the_common_type_holds_both_and_does_not_depend_on_their_order() {
-        for a in ColumnType::ALL {
+        for &a in ColumnType::ALL {
             assert_eq!(ColumnType::ALL[usize::from(a.code())], a);
-            for b in ColumnType::ALL {
+            for &b in ColumnType::ALL {
                 let common = a.common(b);
                 assert_eq!(common, b.common(a));
                 if let (Some(a), Some(b), Some(both)) = (ends(a), ends(b), ends(common)) {

@@ -49,13 +49,17 @@ pub use self::synthetic::{View, Workload};
 pub use self::text::TextSource;
 #[cfg(not(feature = "internals"))]
 use self::text::TextSource;
+use crate::setters::setters;
 
 /// What a reader needs to be told because some formats do not say it.
 #[derive(Clone, Debug, Default)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ReadOptions {
     /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
 }
+
+setters!(ReadOptions { with_text_columns => text_columns: Option<Vec<String>> });
 
 /// Opens a file by its extension.
 ///

@@ -55,6 +55,7 @@ column_slice!(U8: u8, I8: i8, U16: u16, I16: i16, U32: u32, I32: i32, U64: u64, 
 
 /// Positions in a slice, of single or double precision.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub enum PositionSlice<'a> {
     /// Single precision.
     F32(&'a [[f32; 3]]),
@@ -105,6 +106,7 @@ impl<'a> From<&'a Vec<[f64; 3]>> for PositionSlice<'a> {
 /// A column is not as long as the positions are.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("column `{name}` has {found} values, where there are {expected} positions")]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ColumnLengthError {
     /// The column.
     pub name: String,

@@ -8,6 +8,7 @@ use super::roles;
 
 /// How the numbers of the colour columns of a source are to be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ColorDepth {
     /// 0 to 1.
     Unit,

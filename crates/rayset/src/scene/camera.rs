@@ -4,6 +4,7 @@ use crate::geometry::{Aabb, DVec3, Ray};
 
 /// How points of the image plane become rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Projection {
     /// All rays start at the eye.
     Perspective {

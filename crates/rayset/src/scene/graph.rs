@@ -41,6 +41,7 @@ pub struct Node {
 
 /// An elemental volume object or an operator.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Shape {
     /// A point cloud.
     Cloud(CloudObject),
@@ -54,6 +55,7 @@ pub enum Shape {
 
 /// How children are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Operator {
     /// Everything.
     Union,
@@ -185,6 +187,7 @@ pub const MOST_PLACES: u64 = 1 << 16;
 
 /// What a transfer function of a node reads.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Channel {
     /// The opacity so far.
     Opacity,
@@ -201,6 +204,7 @@ pub enum Channel {
 
 /// A transfer function over what a node makes.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Transfer {
     /// A new opacity, where there was any.
     Opacity {

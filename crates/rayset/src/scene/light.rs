@@ -55,6 +55,7 @@ pub struct Light {
 
 /// Kinds of light.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum LightKind {
     /// The same from everywhere.
     Ambient,

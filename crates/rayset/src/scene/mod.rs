@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 pub use crate::field::Kernel;
 use crate::geometry::Aabb;
+use crate::setters::setters;
 
 pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
@@ -152,6 +153,7 @@ impl Scene {
 
 /// Distance between samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Step {
     /// The same on every ray, world space.
     Fixed(f64),
@@ -172,6 +174,7 @@ impl Default for Step {
 
 /// Where the lattice of samples of a ray begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum SampleOffset {
     /// Half a step from the origin, on every ray.
     #[default]
@@ -182,6 +185,7 @@ pub enum SampleOffset {
 
 /// Where in a pixel its rays go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Sampling {
     /// Through the middles of a lattice.
     #[default]
@@ -192,6 +196,7 @@ pub enum Sampling {
 
 /// How it is found what of a light reaches a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Shadows {
     /// By a ray from the sample to the light: the reference.
     Exact,
@@ -204,6 +209,7 @@ pub enum Shadows {
 
 /// What decides pixels besides the scene and the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct RenderSettings {
     /// Pixels across.
     pub width: u32,
@@ -244,8 +250,25 @@ impl Default for RenderSettings {
     }
 }
 
+setters!(RenderSettings {
+    with_step => step: Step,
+    with_sample_offset => sample_offset: SampleOffset,
+    with_stop_transmittance => stop_transmittance: f32,
+    with_samples => samples: u32,
+    with_sampling => sampling: Sampling,
+    with_shadows => shadows: Shadows,
+    with_max_depth => max_depth: u32,
+    with_layers => layers: bool,
+});
+
 impl RenderSettings {
-    /// ξ of the ray through a pixel, or through a cell of a pixel where there are several: then cells are counted.
+    /// Sets the size of the picture in pixels.
+    #[must_use]
+    pub fn with_size(self, width: u32, height: u32) -> Self {
+        Self { width, height, ..self }
+    }
+
+    /// The sample offset, in steps, of the ray through a pixel, or through a cell of a pixel where there are several: then cells are counted.
     #[must_use]
     pub fn sample_offset_of(&self, x: u32, y: u32) -> f64 {
         match self.sample_offset {

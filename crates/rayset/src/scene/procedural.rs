@@ -55,6 +55,7 @@ pub trait Procedural: fmt::Debug + Send + Sync {
 
 /// Colour over space.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Pattern {
     /// The same everywhere, linear light.
     Uniform([f64; 3]),

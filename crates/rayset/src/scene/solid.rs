@@ -5,6 +5,7 @@ use crate::geometry::{Aabb, DVec3};
 
 /// Shapes about the origin. Axes of revolution are y.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Form {
     /// A ball.
     Sphere {

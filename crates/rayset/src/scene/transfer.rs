@@ -15,6 +15,7 @@ pub const MAX_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
 
 /// From density to opacity.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum OpacityRule {
     /// O = min(1, D): the paper's.
     Clamp,
@@ -27,6 +28,7 @@ pub enum OpacityRule {
 
 /// What a colour map of a leaf is read with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MapInput {
     /// The density.
     Density,
@@ -36,6 +38,7 @@ pub enum MapInput {
 
 /// Colours over the numbers from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Palette {
     /// One that has a name.
     Named(Colormap),
@@ -121,6 +124,7 @@ impl ColorMap {
 
 /// Where a sample's colour comes from.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum ColorRule {
     /// The same everywhere, linear light.
     Uniform([f32; 3]),

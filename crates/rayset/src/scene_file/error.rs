@@ -5,6 +5,7 @@ use std::path::PathBuf;
 /// What is wrong with a scene file, and where.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{}:{line}:{column}: {}{what}", file.display(), if key.is_empty() { String::new() } else { format!("{key}: ") })]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct SceneFileError {
     /// The file.
     pub file: PathBuf,

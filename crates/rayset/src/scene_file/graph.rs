@@ -260,7 +260,8 @@ impl<'a> GraphReader<'a> {
         let at = object.require("file")?;
         let cloud = self.open(&at)?;
         let mut made = CloudObject::plain(cloud);
-        let kernels = Kernel::ALL.map(|kernel| (kernel.name(), kernel));
+        let kernels: Vec<(&str, Kernel)> =
+            Kernel::ALL.iter().map(|kernel| (kernel.name(), *kernel)).collect();
         made.kernel = object.read_or("kernel", made.kernel, |at| at.one_of(&kernels))?;
         made.normalised = object.read_or("normalised", false, Cursor::boolean)?;
         if let Some(at) = object.get("transferFunction") {

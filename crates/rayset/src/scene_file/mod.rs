@@ -36,6 +36,7 @@ const MOST_KEYS: usize = 16_384;
 
 /// What a scene file says.
 #[derive(Clone, Debug)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct SceneFile {
     /// The graph and its light.
     pub scene: Scene,

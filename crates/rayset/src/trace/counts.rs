@@ -4,6 +4,7 @@ use crate::field::SplatCounts;
 
 /// How much work a render was.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct RenderCounts {
     /// Work on pairs of rays and points.
     pub splats: SplatCounts,

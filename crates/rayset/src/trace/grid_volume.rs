@@ -378,7 +378,7 @@ mod tests {
 
     #[test]
     fn a_place_is_in_its_own_cell_and_in_one_that_its_brick_has() {
-        for kind in VoxelKind::ALL {
+        for &kind in VoxelKind::ALL {
             let cells = kind.brick_cells();
             for n in 2..=130_u64 {
                 let header = header([n, n, 2], kind);

@@ -246,6 +246,7 @@ fn given(node: &Node) -> u64 {
 
 /// How a budget is spent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct MemoryPlan {
     /// For pages.
     pub page_bytes: u64,

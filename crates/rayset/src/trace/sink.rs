@@ -12,6 +12,7 @@ pub type SinkError = Box<dyn std::error::Error + Send + Sync>;
 
 /// A tile of a picture, after one of its passes.
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct FinishedTile<'a> {
     /// Where it is.
     pub tile: Tile,

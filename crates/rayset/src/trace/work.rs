@@ -85,7 +85,7 @@ impl Work {
     }
 
     /// The same in passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`, and so on; the
-    /// last traces what is left of the square of [`RenderSettings::samples`]. After each pass every tile is handed out with
+    /// last traces what is left of the square of [`RenderSettings::samples`](crate::scene::RenderSettings::samples). After each pass every tile is handed out with
     /// the mean of what its rays have seen so far; after the last this is, bit for bit, what it is in one pass.
     #[must_use]
     pub fn in_passes(self, rays: &[u32]) -> Self {

@@ -41,7 +41,7 @@ pub(super) enum Obstacle {
 impl Obstacle {
     /// The kinds whose pages make room.
     pub(super) fn kinds(self) -> impl Iterator<Item = Kind> {
-        Kind::ALL.into_iter().filter(move |&kind| self == Self::Total || self == Self::Kind(kind))
+        Kind::EACH.into_iter().filter(move |&kind| self == Self::Total || self == Self::Kind(kind))
     }
 }
 
@@ -78,7 +78,7 @@ impl Budget {
 
     /// A limit that is exceeded now, because it has been lowered.
     pub(super) fn excess(&self) -> Option<Obstacle> {
-        Kind::ALL.into_iter().find_map(|kind| self.obstacle(kind, 0))
+        Kind::EACH.into_iter().find_map(|kind| self.obstacle(kind, 0))
     }
 
     pub(super) fn take(&mut self, kind: Kind, bytes: u64) {

@@ -250,7 +250,7 @@ impl EvictionQueue {
     /// Evicts every page of an object that is not retained.
     pub(super) fn evict_object(&mut self, object: &Object) -> Vec<Evicted> {
         let mut evicted = Vec::new();
-        for (kind, queue) in Kind::ALL.into_iter().zip(&mut self.queues) {
+        for (kind, queue) in Kind::EACH.into_iter().zip(&mut self.queues) {
             for entry in std::mem::take(&mut queue.by_age) {
                 if !std::ptr::eq(&raw const *entry.object, object) {
                     queue.by_age.push_back(entry);

@@ -49,7 +49,7 @@ pub use self::object::Object;
 use self::object::Slot;
 use self::read::ReadBackend;
 use self::shared::Shared;
-pub use self::source::{KINDS, Kind, PageFault, PageSource};
+pub use self::source::{Kind, PageFault, PageSource};
 use self::stats::Counters;
 pub use self::stats::{KindStatistics, Statistics};
 use crate::cancel::CancelToken;

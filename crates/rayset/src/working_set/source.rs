@@ -7,6 +7,7 @@ use super::read::Storage;
 
 /// What a page holds; budgets and statistics are kept by kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Kind {
     /// Nodes of an octree.
     Octree,
@@ -19,11 +20,14 @@ pub enum Kind {
 }
 
 /// Number of kinds.
-pub const KINDS: usize = 4;
+pub(super) const KINDS: usize = 4;
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; KINDS] = [Self::Octree, Self::Points, Self::Voxels, Self::Shadows];
+    pub const ALL: &[Self] = &Self::EACH;
+
+    /// The same, with their number in the type.
+    pub(super) const EACH: [Self; KINDS] = [Self::Octree, Self::Points, Self::Voxels, Self::Shadows];
 
     pub(super) fn index(self) -> usize {
         match self {

@@ -53,6 +53,7 @@ impl Counters {
 
 /// What happened to the pages of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct KindStatistics {
     /// Requests for a resident page.
     pub hits: u64,
@@ -86,9 +87,10 @@ pub struct KindStatistics {
 
 /// What a working set did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct Statistics {
     /// By kind, in the order of [`Kind::ALL`].
-    pub by_kind: [KindStatistics; KINDS],
+    by_kind: [KindStatistics; KINDS],
     /// Most bytes at any time, of all kinds together.
     pub peak_bytes: u64,
 }

@@ -26,6 +26,7 @@ fn random_grid(folder: &Path, size: [u64; 3], kind: VoxelKind) -> Arc<Grid> {
             VoxelKind::U8 => vec![value as u8],
             VoxelKind::I16 | VoxelKind::U16 => (value as u16).to_le_bytes().to_vec(),
             VoxelKind::F32 => (value as f32).to_le_bytes().to_vec(),
+            other => panic!("{other:?}"),
         }
     });
     std::fs::write(&raw, voxels.collect::<Vec<u8>>()).expect("a write");
@@ -120,7 +121,7 @@ fn the_last_cells_of_grids_of_every_size_are_those_of_the_reference_renderer() {
 #[test]
 fn cells_on_both_sides_of_where_bricks_meet_are_those_of_the_reference_renderer() {
     let folder = folder();
-    for kind in VoxelKind::ALL {
+    for &kind in VoxelKind::ALL {
         for axis in 0..3 {
             let cells = kind.brick_cells();
             let mut size = [3; 3];
@@ -137,7 +138,7 @@ fn cells_on_both_sides_of_where_bricks_meet_are_those_of_the_reference_renderer(
 #[test]
 fn the_smallest_grid_can_be_lit() {
     let folder = folder();
-    for kind in VoxelKind::ALL {
+    for &kind in VoxelKind::ALL {
         let grid = random_grid(folder.path(), [2; 3], kind);
         for axis in 0..3 {
             assert!(compare(&grid, &camera([2; 3], axis, 0.5), kind.name()) > 8);

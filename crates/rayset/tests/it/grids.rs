@@ -37,6 +37,7 @@ fn voxels(kind: VoxelKind, big_endian: bool) -> Vec<u8> {
                     VoxelKind::I16 => (v as i16 - 100).to_le_bytes().to_vec(),
                     VoxelKind::U16 => (v as u16).to_le_bytes().to_vec(),
                     VoxelKind::F32 => (v as f32).to_le_bytes().to_vec(),
+                    other => panic!("{other:?}"),
                 };
                 if big_endian {
                     one.reverse();
@@ -86,7 +87,7 @@ fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
         build(source, &path, &options, &rayset::build::BuildControl::default())
             .map(|_| std::fs::read(&path).expect("a read"))
     };
-    for kind in VoxelKind::ALL {
+    for &kind in VoxelKind::ALL {
         std::fs::write(&raw, voxels(kind, false)).expect("a write");
         let Err(GridBuildError::Memory { needed, budget: 1 }) = built(kind, 1) else {
             panic!("a grid was built in a byte");
@@ -105,7 +106,7 @@ fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
 fn grids_of_every_kind_of_voxel_agree_with_the_judge() {
     const SIDE: u32 = 40;
     let folder = folder();
-    for kind in VoxelKind::ALL {
+    for &kind in VoxelKind::ALL {
         let grid = grid(folder.path(), kind);
         let shift = if kind == VoxelKind::I16 { -100.0 } else { 0.0 };
         let ball = Solid::new(Form::Sphere { radius: 0.35 }).colored([0.8, 0.3, 0.2]);

@@ -97,7 +97,7 @@ fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
         Box::new(mixed_points(3000, 4.0, 1)),
         &BuildOptions::default(),
     );
-    for kernel in Kernel::ALL {
+    for &kernel in Kernel::ALL {
         for simd in SimdLevel::available() {
             check_field(&cloud, 1.0, kernel, simd);
         }
@@ -173,7 +173,7 @@ fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
         OpacityRule::Extinction(1.5),
         OpacityRule::Curve(vec![(0.1, 0.0), (0.5, 0.3), (2.0, 0.9), (5.0, 0.2)]),
     ];
-    for (i, kernel) in Kernel::ALL.into_iter().enumerate() {
+    for (i, &kernel) in Kernel::ALL.iter().enumerate() {
         let mut object = look(&cloud, kernel);
         object.normalised = i % 2 == 1;
         object.transfer.opacity = rules[i % 3].clone();
@@ -270,6 +270,7 @@ fn stored_positions_are_within_the_stated_error() {
             rayset::octree::build::Precision::Relative(p) => {
                 assert!(cloud.header().position_error_radii <= p);
             }
+            other => panic!("{other:?}"),
         }
     }
 }

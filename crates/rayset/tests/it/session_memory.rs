@@ -60,8 +60,6 @@ fn measured(cloud: &Path, times: f64) {
         let work = Work::tiles(view.tiles(&view.region()));
         view.render(&work, &CancelToken::new(), &mut |_: &FinishedTile<'_>| Ok(())).expect("a picture");
         let took = status("VmHWM").expect("a peak").saturating_sub(before);
-        let read = session.statistics().total(|kind| kind.bytes_read);
-        println!("scene {place}, {times} times the least: {took} of {memory} bytes, {read} read");
         assert!(took <= memory, "scene {place}: {took} of {memory} bytes");
         // Or the budget was not asked for anything.
         assert!(times > 2.0 || took > memory / 4, "scene {place}: {took} of {memory} bytes");
@@ -97,6 +95,5 @@ fn a_session_allocates_no_more_than_it_was_given() {
             .expect("it runs");
         let words = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{words}{}", String::from_utf8_lossy(&output.stderr));
-        println!("{words}");
     }
 }

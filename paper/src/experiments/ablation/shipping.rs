@@ -52,7 +52,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
             for _ in 0..repeats {
                 let (picture, seconds, statistics) =
                     subject.shipping_by(memory, read::backend(backend)?, predictor.clone())?;
-                let stalled: u64 = statistics.by_kind.iter().map(|kind| kind.stall_nanoseconds).sum();
+                let stalled: u64 = statistics.total(|kind| kind.stall_nanoseconds);
                 let first = first_picture.get_or_insert_with(|| picture.clone());
                 ensure!(*first == picture, "{what} {value}: another picture");
                 times.push(seconds);
@@ -60,7 +60,7 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
                 last = Some(statistics);
             }
             let sum = |of: fn(&rayset::working_set::KindStatistics) -> u64| {
-                last.iter().flat_map(|s| &s.by_kind).map(of).sum::<u64>()
+                last.iter().map(|s| s.total(of)).sum::<u64>()
             };
             let seconds = median(&mut times);
             table.row([

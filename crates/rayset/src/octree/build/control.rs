@@ -4,6 +4,7 @@ use crate::cancel::CancelToken;
 
 /// The parts of a build, for progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Stage {
     /// Reading and checking the input.
     Read,
@@ -29,6 +30,7 @@ impl Progress for NoProgress {
 
 /// Who hears how a build gets on, and who may stop it.
 #[derive(Clone)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildControl<'a> {
     /// Hears how it gets on.
     pub progress: &'a dyn Progress,
@@ -46,5 +48,13 @@ impl Default for BuildControl<'_> {
 impl<'a> From<&'a dyn Progress> for BuildControl<'a> {
     fn from(progress: &'a dyn Progress) -> Self {
         Self { progress, ..Self::default() }
+    }
+}
+
+impl BuildControl<'_> {
+    /// Sets the token that stops the build.
+    #[must_use]
+    pub fn with_cancel(self, cancel: &CancelToken) -> Self {
+        Self { cancel: cancel.clone(), ..self }
     }
 }

@@ -9,6 +9,7 @@ use crate::points::ReadError;
 
 /// A number that is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Quantity {
     /// A coordinate beyond 1e18.
     Position,
@@ -54,6 +55,7 @@ impl std::fmt::Display for Quantity {
 
 /// Invalid records that were counted and skipped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct Skipped {
     /// Position not finite, or too large.
     pub position: u64,

@@ -38,6 +38,7 @@ use crate::points::PointSource;
 
 /// What a build did.
 #[derive(Clone, Debug)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildReport {
     /// Points stored.
     pub points: u64,

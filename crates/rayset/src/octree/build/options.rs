@@ -6,9 +6,11 @@ use super::error::BuildError;
 use crate::container::MAX_PAGE_BYTES;
 use crate::octree::format::{MAX_ATTRIBUTES, NAME_BYTES};
 use crate::points::PointSource;
+use crate::setters::setters;
 
 /// Where a number of each point comes from.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Rule {
     /// The same for every point.
     Number(f64),
@@ -23,6 +25,7 @@ pub enum Rule {
 /// A record is invalid where a coordinate is not finite, a radius is not a positive number, or a weight is not finite.
 /// Coordinates, radii and weights beyond 1e18 in size, and radii below 1e-18, are out of range: they cannot be stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum InvalidPolicy {
     /// Count invalid records and go on; stop where any is out of range, with the factor that would bring them into it.
     #[default]
@@ -35,6 +38,7 @@ pub enum InvalidPolicy {
 
 /// How exactly positions are stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Precision {
     /// Within this fraction of the smallest radius of the 128 points of a run.
     Relative(f64),
@@ -51,6 +55,7 @@ impl Default for Precision {
 
 /// How to build a cloud.
 #[derive(Clone, Debug)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildOptions {
     /// Radius of influence. `None`: the column `radius` where every input has one, else [`Rule::Auto`].
     pub radius: Option<Rule>,
@@ -82,6 +87,23 @@ pub struct BuildOptions {
     /// Where temporary files go; beside the output by default. Changes nothing in the file.
     pub temp_dir: Option<PathBuf>,
 }
+
+setters!(BuildOptions {
+    with_radius => radius: Option<Rule>,
+    with_radius_scale => radius_scale: f64,
+    with_length_scale => length_scale: f64,
+    with_weight => weight: Option<Rule>,
+    with_weight_scale => weight_scale: f64,
+    with_attributes => attributes: Vec<String>,
+    with_keep_color => keep_color: bool,
+    with_invalid => invalid: InvalidPolicy,
+    with_precision => precision: Precision,
+    with_page_bytes => page_bytes: Option<u32>,
+    with_render_memory => render_memory: Option<u64>,
+    with_memory_bytes => memory_bytes: u64,
+    with_threads => threads: usize,
+    with_temp_dir => temp_dir: Option<PathBuf>,
+});
 
 impl Default for BuildOptions {
     fn default() -> Self {

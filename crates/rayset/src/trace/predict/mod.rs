@@ -28,6 +28,7 @@ pub trait Predictor: Send + Sync {
 
 /// What brings pages in before rays need them. It changes no picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Prediction {
     /// Nothing: every page is read when it is needed.
     None,
