@@ -169,6 +169,7 @@ impl GridHeader {
     ///
     /// # Errors
     /// [`OpenError`] where a section is missing, damaged, or out of range.
+    #[doc(hidden)]
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let bytes = file.section(SectionKind::GRID)?;
         let sources = file.metadata()?.sources;

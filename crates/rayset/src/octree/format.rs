@@ -152,6 +152,7 @@ const CLASSES: u8 = 2;
 
 impl Header {
     /// The root cell.
+    #[doc(hidden)]
     #[must_use]
     pub fn root_cell(&self) -> RootCell {
         RootCell { min: self.root_min, size: self.root_size }
@@ -170,6 +171,7 @@ impl Header {
     }
 
     /// Where the columns of a run stand, the first `attributes` attributes counted.
+    #[doc(hidden)]
     #[must_use]
     pub fn column_layout(&self, attributes: usize) -> ColumnLayout {
         let four = [self.radius.is_stored(), self.weight.is_stored(), self.has_color];
@@ -234,6 +236,7 @@ impl Header {
     ///
     /// # Errors
     /// [`OpenError`] where a section is missing, damaged, or out of range.
+    #[doc(hidden)]
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let numbers = file.section(SectionKind::CLOUD)?;
         let columns = file.section(SectionKind::COLUMNS)?;
