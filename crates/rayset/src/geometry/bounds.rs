@@ -94,6 +94,7 @@ impl Aabb {
     }
 
     /// The interval of `t` (clipped to `t ≥ 0`) in which the ray is inside the box, or `None` when it misses.
+    #[doc(hidden)]
     #[must_use]
     pub fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {
         let (mut t_enter, mut t_exit) = (0.0_f64, f64::INFINITY);

@@ -202,10 +202,7 @@ impl GridVolume {
                 }
                 last = Some(number);
                 let page = number as u32;
-                if self.shows(access, number)?
-                    && !access.pages.is_resident(&self.pages, page)
-                    && !absent.contains(&page)
-                {
+                if self.shows(access, number)? && !self.pages.is_resident(page) && !absent.contains(&page) {
                     absent.push(page);
                 }
             }

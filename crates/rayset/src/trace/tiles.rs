@@ -35,6 +35,11 @@ impl Deferred {
     pub(super) fn fresh(place: TilePlace) -> Self {
         Self { place, attempts: 0, lacking: None }
     }
+
+    /// Whether the page that it lacked has come.
+    fn is_ready(&self) -> bool {
+        self.lacking.as_ref().is_none_or(|lacking| lacking.object.is_resident(lacking.page))
+    }
 }
 
 /// The tiles that one thread works on: those that it takes, and those that it deferred.
@@ -62,7 +67,7 @@ impl<'a> TileQueue<'a> {
         most_deferred: usize,
         take: impl FnOnce() -> Option<Deferred>,
     ) -> Option<Attempt<'a>> {
-        let ready = self.deferred.iter().position(|deferred| self.is_ready(deferred));
+        let ready = self.deferred.iter().position(Deferred::is_ready);
         if let Some(deferred) = ready.and_then(|at| self.deferred.remove(at)) {
             let waits = deferred.attempts >= IMPATIENT_ATTEMPTS;
             return Some(self.attempt(&deferred, waits));
@@ -98,9 +103,5 @@ impl<'a> TileQueue<'a> {
             asked_bytes: self.asked_bytes,
         };
         Attempt { place: deferred.place, access, number: deferred.attempts + 1 }
-    }
-
-    fn is_ready(&self, deferred: &Deferred) -> bool {
-        deferred.lacking.as_ref().is_none_or(|lacking| self.pages.is_resident(&lacking.object, lacking.page))
     }
 }

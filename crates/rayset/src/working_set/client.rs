@@ -40,12 +40,6 @@ impl PageClient {
         self.shared.pool.limits().all_kinds() / clients as u64
     }
 
-    /// Whether a page can be had without waiting.
-    #[must_use]
-    pub fn is_resident(&self, object: &Object, page: u32) -> bool {
-        object.is_in_place() || matches!(&*object.slot(page), Slot::Resident(_))
-    }
-
     /// A page, if it is in memory now. Looking at it so does not count as its use.
     #[must_use]
     pub fn peek(&self, object: &Object, page: u32) -> Option<PageGuard> {

@@ -270,6 +270,12 @@ impl EvictionQueue {
         evicted
     }
 
+    /// Entries in all queues, those of pages that have gone included.
+    #[cfg(test)]
+    pub(super) fn entries(&self) -> usize {
+        self.queues.iter().map(|queue| queue.by_age.len() + queue.retired.len()).sum()
+    }
+
     /// Bytes of the pages that are retained: looks at them all.
     pub(super) fn retained_bytes(&self) -> u64 {
         let entries = self.queues.iter().flat_map(|queue| &queue.by_age);

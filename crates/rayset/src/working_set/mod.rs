@@ -46,7 +46,6 @@ pub use self::files::PagedFiles;
 pub use self::grid::GridPages;
 pub use self::guard::PageGuard;
 pub use self::object::Object;
-use self::object::Slot;
 use self::read::ReadBackend;
 use self::shared::Shared;
 pub use self::source::{Kind, PageFault, PageSource};
@@ -112,12 +111,6 @@ impl WorkingSet {
     pub fn forget(&self, object: &Object) {
         let evicted = self.shared.pool.evict_object(object);
         self.shared.count_evictions(&evicted);
-    }
-
-    /// Whether a page is resident now.
-    #[must_use]
-    pub fn is_resident(&self, object: &Object, page: u32) -> bool {
-        object.is_in_place() || matches!(&*object.slot(page), Slot::Resident(_))
     }
 
     /// What has happened since the set was made, or since [`reset_statistics`](Self::reset_statistics).

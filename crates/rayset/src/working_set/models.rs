@@ -156,7 +156,7 @@ fn check_end(set: &WorkingSet, object: &Arc<Object>) {
     look(&client, object, 0);
     look(&client, object, 1);
     set.clear();
-    assert!((0..16).all(|page| !set.is_resident(object, page)));
+    assert!((0..16).all(|page| !object.is_resident(page)));
     set.reset_statistics();
     assert_eq!(set.statistics().peak_bytes, 0, "room that nobody has any more");
 }

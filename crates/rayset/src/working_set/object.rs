@@ -151,6 +151,12 @@ impl Object {
         lock(&self.slots[page as usize])
     }
 
+    /// Whether a page can be had now without waiting.
+    #[must_use]
+    pub fn is_resident(&self, page: u32) -> bool {
+        self.is_in_place() || matches!(&*self.slot(page), Slot::Resident(_))
+    }
+
     pub(super) fn kind(&self, page: u32) -> Kind {
         self.source.kind(page)
     }

@@ -295,6 +295,11 @@ impl PagePool {
         lock(&self.state).queue.retained_bytes()
     }
 
+    #[cfg(test)]
+    pub(super) fn entries(&self) -> usize {
+        lock(&self.state).queue.entries()
+    }
+
     pub(super) fn peaks(&self) -> (u64, [u64; KINDS]) {
         lock(&self.state).budget.peaks()
     }

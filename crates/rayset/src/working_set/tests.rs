@@ -15,6 +15,7 @@ const PAGE: u64 = 4096;
 /// Pages of zeros; reads take a while.
 struct Zeros {
     pages: u32,
+    page_bytes: u64,
     delay_milliseconds: AtomicU64,
 }
 
@@ -22,7 +23,7 @@ struct Source(Arc<Zeros>);
 
 impl Storage for Zeros {
     fn length(&self) -> io::Result<u64> {
-        Ok(u64::from(self.pages) * PAGE)
+        Ok(u64::from(self.pages) * self.page_bytes)
     }
 
     fn read_exact_at(&self, buffer: &mut [u8], _offset: u64) -> io::Result<()> {
@@ -37,13 +38,13 @@ impl PageSource for Source {
         self.0.pages
     }
     fn page_bytes(&self) -> usize {
-        PAGE as usize
+        self.0.page_bytes as usize
     }
     fn kind(&self, _page: u32) -> Kind {
         Kind::Points
     }
     fn offset(&self, page: u32) -> u64 {
-        u64::from(page) * PAGE
+        u64::from(page) * self.0.page_bytes
     }
     fn storage(&self) -> Arc<dyn Storage> {
         self.0.clone()
@@ -56,6 +57,10 @@ impl PageSource for Source {
     }
 }
 
+fn zeros(pages: u32, page_bytes: u64, delay_milliseconds: u64) -> Arc<Zeros> {
+    Arc::new(Zeros { pages, page_bytes, delay_milliseconds: delay_milliseconds.into() })
+}
+
 /// A set with room for so many pages, whose threads wait so long, and an object whose reads take so long.
 fn set(
     room: u64,
@@ -64,7 +69,7 @@ fn set(
 ) -> (WorkingSet, Arc<PageClient>, Arc<Object>, Arc<Zeros>) {
     let patience = Duration::from_millis(patience_milliseconds);
     let set = WorkingSet::with_patience(Limits::total(room * PAGE), Arc::new(Pool::new(2)), patience);
-    let zeros = Arc::new(Zeros { pages: 64, delay_milliseconds: delay_milliseconds.into() });
+    let zeros = zeros(64, PAGE, delay_milliseconds);
     let object = set.add(Arc::new(Source(zeros.clone())));
     let client = Arc::new(set.client(&CancelToken::new()));
     (set, client, object, zeros)
@@ -210,9 +215,9 @@ fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {
     client.hint(object, &(20..60).collect::<Vec<_>>(), 8 * PAGE)
 }
 
-fn until_resident(set: &WorkingSet, object: &Object, pages: std::ops::Range<u32>) {
+fn until_resident(object: &Object, pages: std::ops::Range<u32>) {
     let started = Instant::now();
-    while !pages.clone().all(|page| set.is_resident(object, page)) {
+    while !pages.clone().all(|page| object.is_resident(page)) {
         assert!(started.elapsed() < Duration::from_secs(20), "reads that do not end");
         std::thread::yield_now();
     }
@@ -231,7 +236,7 @@ fn hints_that_are_forgotten_retired_or_evicted_no_longer_count_as_unused() {
     for (name, settle, expected) in ways {
         let (set, client, object, _) = set(64, 10_000, 0);
         assert_eq!(client.hint(&object, &[0, 1, 2, 3, 4], 8 * PAGE), 5);
-        until_resident(&set, &object, 0..5);
+        until_resident(&object, 0..5);
         settle(&set, &client, &object);
         assert_eq!(hints_taken(&client, &object), expected, "{name}");
     }
@@ -239,11 +244,11 @@ fn hints_that_are_forgotten_retired_or_evicted_no_longer_count_as_unused() {
 
 #[test]
 fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
-    let (set, client, object, zeros) = set(64, 10_000, 150);
+    let (_set, client, object, zeros) = set(64, 10_000, 150);
     assert_eq!(client.hint(&object, &[0, 1, 2, 3, 4], 8 * PAGE), 5);
     client.forget_hints();
     zeros.delay_milliseconds.store(0, Ordering::SeqCst);
-    until_resident(&set, &object, 0..5);
+    until_resident(&object, 0..5);
     assert_eq!(hints_taken(&client, &object), 8);
 }
 
@@ -252,6 +257,47 @@ fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
 fn a_page_takes_at_most_32_bytes_outside_the_budget() {
     assert!(WorkingSet::overhead_bytes(1) <= 32, "{} bytes", WorkingSet::overhead_bytes(1));
     assert_eq!(WorkingSet::overhead_bytes(200_000), 200_000 * WorkingSet::overhead_bytes(1));
-    let object = Object::new(Arc::new(Source(Arc::new(Zeros { pages: 1000, delay_milliseconds: 0.into() }))));
+    let object = Object::new(Arc::new(Source(zeros(1000, PAGE, 0))));
     assert!(object.bytes_kept() <= WorkingSet::overhead_bytes(1000) as usize + 64, "{}", object.bytes_kept());
+}
+
+#[test]
+fn pages_of_every_size_have_memory_of_their_own_size() {
+    let (set, client, small, _) = set(4, 10_000, 0);
+    let large = set.add(Arc::new(Source(zeros(64, 2 * PAGE, 0))));
+    for page in 0..32 {
+        assert_eq!(client.retain(&small, page).expect("a page").len() as u64, PAGE);
+        assert_eq!(client.retain(&large, page).expect("a page").len() as u64, 2 * PAGE);
+        assert_eq!(client.retain(&small, 63 - page).expect("a page").len() as u64, PAGE);
+    }
+    assert!(set.statistics().peak_bytes <= 4 * PAGE);
+}
+
+/// Pages that are retired go by another way than the queue that they stand in by age.
+#[test]
+fn what_is_kept_of_pages_that_have_gone_does_not_grow_with_their_number() {
+    let (_set, client, object, _) = set(4, 10_000, 0);
+    for round in 0..40 {
+        for page in 0..64 {
+            drop(client.retain(&object, page).expect("a page"));
+            if (page + round) % 5 > 0 {
+                client.retire(&object, &[page]);
+            }
+        }
+    }
+    let entries = client.shared.pool.entries();
+    assert!(entries <= 2 * (2 * 4 + 65), "{entries} entries of 4 pages");
+}
+
+/// All have been used since they came, the first of them last.
+#[test]
+fn of_many_pages_that_are_all_younger_than_they_seem_an_old_one_goes() {
+    let pages = 300;
+    let (set, client, _, _) = set(u64::from(pages), 10_000, 0);
+    let object = set.add(Arc::new(Source(zeros(pages + 1, PAGE, 0))));
+    (0..pages).for_each(|page| drop(client.retain(&object, page).expect("a page")));
+    (0..pages).rev().for_each(|page| drop(client.retain(&object, page).expect("a page")));
+    drop(client.retain(&object, pages).expect("a page"));
+    let gone: Vec<u32> = (0..pages).filter(|&page| !object.is_resident(page)).collect();
+    assert!(gone.len() == 1 && gone[0] >= 32, "{gone:?}, which was used as one of the last");
 }

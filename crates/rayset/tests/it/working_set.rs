@@ -110,8 +110,8 @@ fn set(numbers: Numbers, limits: Limits) -> (WorkingSet, PageClient, Arc<Object>
 }
 
 /// Those of the first pages that are in memory.
-fn resident(set: &WorkingSet, object: &Object, pages: u32) -> Vec<u32> {
-    (0..pages).filter(|&page| set.is_resident(object, page)).collect()
+fn resident(object: &Object, pages: u32) -> Vec<u32> {
+    (0..pages).filter(|&page| object.is_resident(page)).collect()
 }
 
 fn pages(n: u64) -> Limits {
@@ -120,30 +120,30 @@ fn pages(n: u64) -> Limits {
 
 #[test]
 fn what_is_retired_goes_first_and_then_the_least_recently_used() {
-    let (set, client, object, _) = set(Numbers::new(20), pages(4));
+    let (_set, client, object, _) = set(Numbers::new(20), pages(4));
     let touch = |page| drop(client.retain(&object, page).expect("a page"));
     [1, 2, 3, 5, 1].into_iter().for_each(touch);
-    assert_eq!(resident(&set, &object, 20), [1, 2, 3, 5]);
+    assert_eq!(resident(&object, 20), [1, 2, 3, 5]);
     touch(6);
-    assert_eq!(resident(&set, &object, 20), [1, 3, 5, 6], "the least recently used went");
+    assert_eq!(resident(&object, 20), [1, 3, 5, 6], "the least recently used went");
     touch(7);
-    assert_eq!(resident(&set, &object, 20), [1, 5, 6, 7], "the least recently used went");
+    assert_eq!(resident(&object, 20), [1, 5, 6, 7], "the least recently used went");
     let held = client.retain(&object, 5).expect("a page");
     client.retire(&object, &[6, 5]);
     touch(9);
-    assert_eq!(resident(&set, &object, 20), [1, 5, 7, 9], "the retired page went, the retained one stayed");
+    assert_eq!(resident(&object, 20), [1, 5, 7, 9], "the retired page went, the retained one stayed");
     assert!(held.iter().all(|&b| b == 5));
     drop(held);
     client.retire(&object, &[7]);
     touch(7);
     touch(10);
-    assert_eq!(resident(&set, &object, 20), [5, 7, 9, 10], "a page that is used again is retired no more");
+    assert_eq!(resident(&object, 20), [5, 7, 9, 10], "a page that is used again is retired no more");
 }
 
 /// Which page goes is what a list in the order of uses says, whatever was asked for in whatever order.
 #[test]
 fn eviction_follows_the_order_of_uses_exactly_where_pages_are_few() {
-    let (set, client, object, _) = set(Numbers::new(40), pages(12));
+    let (_set, client, object, _) = set(Numbers::new(40), pages(12));
     let mut random = Random(5);
     let mut by_use: Vec<u32> = Vec::new();
     for _ in 0..2000 {
@@ -157,18 +157,18 @@ fn eviction_follows_the_order_of_uses_exactly_where_pages_are_few() {
         }
         let mut expected = by_use.clone();
         expected.sort_unstable();
-        assert_eq!(resident(&set, &object, 40), expected);
+        assert_eq!(resident(&object, 40), expected);
     }
 }
 
 #[test]
 fn of_many_pages_used_since_the_last_eviction_an_old_one_goes() {
-    let (set, client, object, _) = set(Numbers::new(1200), pages(1000));
+    let (_set, client, object, _) = set(Numbers::new(1200), pages(1000));
     (0..1000).for_each(|page| drop(client.retain(&object, page).expect("a page")));
     // All are younger than when they came, and in another order.
     (0..1000).for_each(|k| drop(client.retain(&object, k * 7 % 1000).expect("a page")));
     drop(client.retain(&object, 1100).expect("a page"));
-    let gone: Vec<u32> = (0..1000).filter(|&page| !set.is_resident(&object, page)).collect();
+    let gone: Vec<u32> = (0..1000).filter(|&page| !object.is_resident(page)).collect();
     let [gone] = gone[..] else { panic!("{gone:?}") };
     let age = (0..1000).position(|k| k * 7 % 1000 == gone).expect("one of them");
     assert!(age < 900, "of all uses, the one of the page that went is number {age}");
@@ -182,7 +182,7 @@ fn clients_hints_and_retirements_do_not_touch_each_others_pages() {
     drop(first.retain(&object, 1).expect("a page"));
     drop(second.retain(&object, 2).expect("a page"));
     let wait_for = |page| {
-        while !set.is_resident(&object, page) {
+        while !object.is_resident(page) {
             std::thread::yield_now();
         }
     };
@@ -198,7 +198,7 @@ fn clients_hints_and_retirements_do_not_touch_each_others_pages() {
     assert_eq!(first.share_bytes(), 8 * PAGE as u64);
     // The hint of the one that is gone is the first to go; what it used is not.
     (10..15).for_each(|page| drop(first.retain(&object, page).expect("a page")));
-    assert_eq!(resident(&set, &object, 64), [1, 2, 3, 10, 11, 12, 13, 14]);
+    assert_eq!(resident(&object, 64), [1, 2, 3, 10, 11, 12, 13, 14]);
 }
 
 #[test]
@@ -321,7 +321,7 @@ fn a_page_that_many_threads_want_is_read_once() {
 fn a_hint_brings_a_page_in_before_it_is_asked_for() {
     let (set, client, object, numbers) = set(Numbers::new(64), pages(64));
     assert_eq!(client.hint(&object, &[5, 6, 7], 9 * PAGE as u64), 3);
-    while !(5..8).all(|p| set.is_resident(&object, p)) {
+    while !(5..8).all(|p| object.is_resident(p)) {
         std::thread::yield_now();
     }
     drop(client.retain(&object, 6).expect("a page"));
@@ -344,13 +344,13 @@ fn hints_never_evict_a_page_that_is_retained() {
 
 #[test]
 fn what_a_hint_brought_in_and_nobody_uses_goes_before_what_was_used_since() {
-    let (set, client, object, _) = set(Numbers::new(64), pages(4));
+    let (_set, client, object, _) = set(Numbers::new(64), pages(4));
     assert_eq!(client.hint(&object, &[20], u64::MAX), 1);
-    while !set.is_resident(&object, 20) {
+    while !object.is_resident(20) {
         std::thread::yield_now();
     }
     (0..4).for_each(|page| drop(client.retain(&object, page).expect("a page")));
-    assert_eq!(resident(&set, &object, 64), [0, 1, 2, 3]);
+    assert_eq!(resident(&object, 64), [0, 1, 2, 3]);
 }
 
 #[test]
@@ -378,7 +378,7 @@ fn a_smaller_budget_takes_effect_at_once() {
     (0..32).for_each(|p| drop(client.retain(&object, p).expect("a page")));
     let held = client.retain(&object, 9).expect("a page");
     set.set_limits(pages(5));
-    let resident = resident(&set, &object, 32);
+    let resident = resident(&object, 32);
     assert_eq!(resident.len(), 5);
     assert!(resident.contains(&9));
     drop(held);
