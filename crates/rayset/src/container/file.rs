@@ -135,9 +135,10 @@ impl OpenFile {
             .map_err(|source| OpenError::Header { path: self.path.clone(), source })
     }
 
-    /// An error of this file.
-    pub(crate) fn wrong(&self, source: HeaderError) -> OpenError {
-        OpenError::Header { path: self.path.clone(), source }
+    /// What is wrong with the contents of a section, as an error of this file.
+    pub(crate) fn wrong_section(&self, kind: SectionKind, what: &'static str) -> OpenError {
+        let at = self.header.section(kind).map_or(0, |section| section.offset);
+        OpenError::Header { path: self.path.clone(), source: HeaderError::Field { at, what } }
     }
 
     /// The checked header.
@@ -174,12 +175,8 @@ impl OpenFile {
     /// [`OpenError`] where the section is damaged or no JSON.
     pub(crate) fn metadata(&mut self) -> Result<Metadata, OpenError> {
         let bytes = self.section(SectionKind::META)?;
-        serde_json::from_slice(&bytes).map_err(|_| OpenError::Header {
-            path: self.path.clone(),
-            source: HeaderError::Field {
-                at: self.header.section(SectionKind::META).map_or(0, |s| s.offset),
-                what: "the description is not JSON of the expected form",
-            },
+        serde_json::from_slice(&bytes).map_err(|_| {
+            self.wrong_section(SectionKind::META, "the description is not JSON of the expected form")
         })
     }
 

@@ -4,8 +4,8 @@
 //! reads one page. Numbers are little-endian. The frame around all this is [`crate::container`].
 
 use crate::container::{
-    BLOCK_BYTES, FileHeader, HeaderError, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
-    SectionKind, Writer,
+    BLOCK_BYTES, FileHeader, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SectionKind,
+    Writer,
 };
 use crate::geometry::{DAffine3, DVec3};
 
@@ -173,8 +173,7 @@ impl GridHeader {
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let bytes = file.section(SectionKind::GRID)?;
         let sources = file.metadata()?.sources;
-        let at = file.header().section(SectionKind::GRID).map_or(0, |s| s.offset);
-        let wrong = |what| file.wrong(HeaderError::Field { at, what });
+        let wrong = |what| file.wrong_section(SectionKind::GRID, what);
         let header = Self::decode(&bytes, file.header())
             .ok_or_else(|| wrong("the numbers of the grid end early, or its kind of voxels is unknown"))?;
         header.check_ranges(file.header()).map_err(wrong)?;

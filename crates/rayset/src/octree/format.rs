@@ -4,8 +4,8 @@
 
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::container::{
-    BLOCK_BYTES, FileHeader, FileKind, HeaderError, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
-    Section, SectionKind, Writer,
+    BLOCK_BYTES, FileHeader, FileKind, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SectionKind,
+    Writer,
 };
 use crate::geometry::{Aabb, DVec3};
 use crate::points::ColumnType;
@@ -241,15 +241,14 @@ impl Header {
         let numbers = file.section(SectionKind::CLOUD)?;
         let columns = file.section(SectionKind::COLUMNS)?;
         let words = file.metadata()?;
-        let at = |kind| file.header().section(kind).map_or(0, |s: &Section| s.offset);
-        let (numbers_at, columns_at) = (at(SectionKind::CLOUD), at(SectionKind::COLUMNS));
-        let wrong = |at, what| file.wrong(HeaderError::Field { at, what });
+        let wrong = |what| file.wrong_section(SectionKind::CLOUD, what);
         let mut header = Self::decode_numbers(&numbers, file.header())
-            .ok_or_else(|| wrong(numbers_at, "the numbers of the cloud end early"))?;
-        header.decode_columns(&columns).map_err(|what| wrong(columns_at, what))?;
+            .ok_or_else(|| wrong("the numbers of the cloud end early"))?;
+        let in_columns = |what| file.wrong_section(SectionKind::COLUMNS, what);
+        header.decode_columns(&columns).map_err(in_columns)?;
         header.columns = header.column_layout(header.attributes.len());
         (header.crs, header.sources) = (words.crs, words.sources);
-        header.check_ranges(file.header()).map_err(|what| wrong(numbers_at, what))?;
+        header.check_ranges(file.header()).map_err(wrong)?;
         Ok(header)
     }
 

@@ -7,7 +7,10 @@ use rayset::cancel::CancelToken;
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, Progress, Stage};
-use rayset::points::{PointSource, SliceSource, Workload};
+use rayset::points::{
+    ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, SliceSource, Values,
+    Workload,
+};
 use rayset::scene::{GridObject, Node, Scene, Shape};
 use rayset::storage::{FileStorage, Storage};
 use rayset::trace::{ExecSettings, render_once};
@@ -210,4 +213,41 @@ fn a_build_is_cancelled_at_once_in_every_stage_and_leaves_nothing() {
     late.sort_unstable();
     // Other tests keep the processors and the disk busy meanwhile; docs/benchmarks.md says what a quiet machine does.
     assert!(late[20] < Duration::from_millis(150) && late[39] < Duration::from_secs(3), "{late:?}");
+}
+
+/// Hands out what was not asked for: another number of columns, or one that is shorter than the positions.
+struct Careless {
+    schema: Schema,
+    columns: Vec<Values>,
+}
+
+impl PointSource for Careless {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+    fn count_hint(&self) -> Option<u64> {
+        None
+    }
+    fn select(&mut self, _columns: &[usize]) {}
+    fn fill(&mut self, batch: &mut PointBatch, _limit: usize) -> Result<(), ReadError> {
+        batch.position = vec![[0.0; 3], [1.0; 3]];
+        batch.columns.clone_from(&self.columns);
+        Ok(())
+    }
+}
+
+#[test]
+fn a_source_that_hands_out_other_columns_than_were_selected_is_an_error() {
+    let schema = Schema::new(vec![ColumnInfo::new("radius", ColumnType::F32)], ColorDepth::Unit);
+    let column = |length: usize| Values::from(vec![0.1_f32; length]);
+    for columns in [vec![], vec![column(1)], vec![column(3)], vec![column(2), column(2)]] {
+        let count = columns.len();
+        let source = Careless { schema: schema.clone(), columns };
+        let outcome =
+            build::run_in_memory(vec![Box::new(source)], &BuildOptions::default(), &BuildControl::default());
+        let Err(BuildError::Source { input: 1, columns, selected: 1 }) = outcome else {
+            panic!("{count} columns: {:?}", outcome.map(|(_, report)| report))
+        };
+        assert_eq!(columns, count);
+    }
 }
