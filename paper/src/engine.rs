@@ -219,7 +219,7 @@ impl<R: Records> PointField for IndexField<R> {
     }
 }
 
-/// Adds a point to the field at a place; false where it does not reach that far.
+/// Adds a point to the field at a place; false if it does not reach that far.
 pub(crate) fn add(
     sum: &mut ReferenceSample,
     point: &Point,

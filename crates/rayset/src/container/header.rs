@@ -132,7 +132,7 @@ pub struct FileHeader {
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum HeaderError {
-    /// The magic number is none that is known.
+    /// The magic number is unknown.
     #[error(
         "byte 0: neither a cloud nor a grid of rayset; `rayset build` makes these from points and volumes"
     )]

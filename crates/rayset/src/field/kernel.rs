@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn lanes_agree_with_the_judge_and_vanish_outside() {
+    fn lanes_agree_with_f64_and_vanish_outside() {
         for &kernel in Kernel::ALL {
             for start in 0..40 {
                 let s: [f32; 16] = std::array::from_fn(|i| (start * 16 + i) as f32 / 512.0);

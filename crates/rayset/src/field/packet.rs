@@ -1,6 +1,6 @@
 //! A packet of rays and the samples on them.
 //!
-//! Samples of a ray sit on its own lattice t = (j + ξ)·δ, j = 0, 1, …; all rays of a packet share δ. What is computed
+//! Samples of a ray sit on its own lattice t = (j + offset)·δ, j = 0, 1, …; all rays of a packet share δ. What is computed
 //! for a sample depends on its ray and its number alone.
 //!
 //! A packet is in world space, or in the local space of an object that is transformed: there a step has another length
@@ -28,7 +28,7 @@ pub struct Packet {
     pub(super) step: [f64; LANES],
     pub(super) step_f32: [f32; LANES],
     pub(super) per_step: [f64; LANES],
-    /// Offset of the lattice, ξ in [0, 1).
+    /// Offset of the lattice, in steps, in [0, 1).
     pub(super) sample_offset: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
     /// 1 / direction, large and of the right sign where the direction has no extent along an axis.
@@ -39,7 +39,7 @@ pub struct Packet {
 }
 
 impl Packet {
-    /// A packet of at most 64 rays, each with the phase ξ of its lattice, that share the step `step_world`.
+    /// A packet of at most 64 rays, each with the offset of its samples in steps, that share the step `step_world`.
     ///
     /// Panics where there are no rays or more than 64.
     #[must_use]
@@ -123,7 +123,7 @@ impl Packet {
         std::array::from_fn(|axis| self.direction_f32[axis][lane])
     }
 
-    /// ξ of a ray.
+    /// The sample offset of a ray, in steps.
     #[must_use]
     pub fn sample_offset(&self, lane: usize) -> f64 {
         self.sample_offset[lane]
@@ -183,7 +183,7 @@ impl Packet {
     }
 
     /// The numbers of the samples that may lie in a box on any ray of a beam of this packet's: an inclusive range, never
-    /// too small, or `None` where no ray meets the box.
+    /// too small, or `None` if no ray meets the box.
     #[must_use]
     pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
         let (enter, exit) = beam.span(bounds)?;

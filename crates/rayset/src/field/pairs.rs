@@ -32,7 +32,7 @@ impl Default for Pairs {
 }
 
 impl Pairs {
-    /// Finds the points that reach samples of the slab; false where there are none.
+    /// Finds the points that reach samples of the slab; false if there are none.
     #[inline(always)]
     pub(super) fn test<S: Simd, const GRADIENT: bool>(
         &mut self,

@@ -35,7 +35,7 @@ impl Beam {
         (self.direction_max - self.direction_min).max_element()
     }
 
-    /// The distances t ≥ 0 between which some ray may be in a box, or `None` where none meets it. Never too short.
+    /// The distances t ≥ 0 between which some ray may be in a box, or `None` if none meets it. Never too short.
     #[must_use]
     pub fn span(&self, bounds: &Aabb) -> Option<(f64, f64)> {
         // Each face of the bound that must not pass the opposite face of the box is one inequality a + b·t ≥ 0.

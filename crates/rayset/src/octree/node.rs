@@ -176,7 +176,7 @@ impl<'a> NodePage<'a> {
         self.nodes == 0
     }
 
-    /// A record, or `None` where `index` is beyond the page.
+    /// A record, or `None` if `index` is beyond the page.
     #[must_use]
     pub fn get(&self, index: usize) -> Option<Node> {
         (index < self.nodes).then(|| self.node(index))

@@ -204,7 +204,7 @@ fn is_same_path(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Whether two descriptions are of one file; `None` where the system gives files no numbers.
+/// Whether two descriptions are of one file; `None` if the system gives files no numbers.
 pub(super) fn is_same(a: &Metadata, b: &Metadata) -> Option<bool> {
     #[cfg(unix)]
     {

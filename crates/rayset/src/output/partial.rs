@@ -149,7 +149,7 @@ impl Destination {
     }
 }
 
-/// Whether this process has a file open; `None` where the system does not say.
+/// Whether this process has a file open; `None` if the system does not say.
 fn is_open_here(path: &Path) -> Option<bool> {
     let named = std::fs::symlink_metadata(path).ok()?;
     let mut files = std::fs::read_dir("/proc/self/fd").ok()?.filter_map(|entry| {

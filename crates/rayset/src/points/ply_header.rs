@@ -136,7 +136,7 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Bytes of one record, or `None` where a list makes them vary.
+    /// Bytes of one record, or `None` if a list makes them vary.
     pub(super) fn stride(&self) -> Option<usize> {
         self.properties.iter().try_fold(0, |sum, p| match p {
             Property::Scalar { kind, .. } => Some(sum + kind.size()),

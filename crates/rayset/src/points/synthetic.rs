@@ -51,7 +51,7 @@ impl Workload {
         self.points
     }
 
-    /// The radius that all points share, or `None` where each has its own (column `radius`).
+    /// The radius that all points share, or `None` if each has its own (column `radius`).
     #[must_use]
     pub fn radius(&self) -> Option<f64> {
         let n = self.points.max(1) as f64;

@@ -162,7 +162,7 @@ impl RayMaker {
         }
     }
 
-    /// Where a position appears, in pixels from the upper left corner; `None` where it is not in front of the eye.
+    /// Where a position appears, in pixels from the upper left corner; `None` if it is not in front of the eye.
     pub(crate) fn project(&self, p: DVec3) -> Option<(f64, f64)> {
         let [width, height] = self.size;
         let offset = p - self.camera.position;

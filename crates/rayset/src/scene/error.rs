@@ -9,7 +9,7 @@ pub const MOST_ATTRIBUTES: usize = 32;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
-    /// A transfer function is none.
+    /// A transfer function is invalid.
     #[error(transparent)]
     Transfer(#[from] TransferError),
     /// A transform has no inverse.

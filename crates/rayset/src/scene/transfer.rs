@@ -148,7 +148,7 @@ pub struct TransferFunction {
     pub color: ColorRule,
 }
 
-/// Why a transfer function is none.
+/// Why a transfer function is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TransferError {

@@ -130,7 +130,7 @@ impl Scanner<'_> {
         }
     }
 
-    /// Goes to a value inside the one that begins here; false where there is none.
+    /// Goes to a value inside the one that begins here; false if there is none.
     fn enter(&mut self, step: &Step<'_>) -> bool {
         self.skip_space();
         match (step, self.bytes.get(self.at)) {

@@ -56,7 +56,7 @@ pub(super) struct Bounces {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TreeRay {
     pub(super) ray: Ray,
-    /// Where its samples lie, ξ.
+    /// Where its samples lie: the sample offset, in steps.
     pub(super) sample_offset: f64,
     /// Place of its pixel in the tile.
     pub(super) pixel: usize,
@@ -303,7 +303,7 @@ impl RefractionStates {
         };
         let direction = mirrored(state.from.ray.direction, normal);
         let place = mirror.place / mirror.weight;
-        // As of a shadow ray, its first sample is (½ + ξ) steps from where it starts.
+        // As of a shadow ray, its first sample is (½ + offset) steps from where it starts.
         let ray = Ray { origin: place + direction * (0.5 * packet.step_world()), direction };
         let depth = state.from.depth + 1;
         self.next
@@ -367,7 +367,7 @@ fn mirrored(direction: DVec3, normal: DVec3) -> DVec3 {
     (direction - 2.0 * direction.dot(normal) * normal).normalize()
 }
 
-/// Snell's law, the normal being of either side; `ratio` is of the refractive indices before and behind. Nothing where all
+/// Snell's law, the normal being of either side; `ratio` is of the refractive indices before and behind. `None` if all
 /// light is reflected.
 fn refracted(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
     let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };

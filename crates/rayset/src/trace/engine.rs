@@ -50,7 +50,7 @@ pub(super) struct Engine {
     files: Mutex<PagedFiles>,
     pub(super) pages: WorkingSet,
     pub(super) exec: ExecSettings,
-    /// `None` where the budget is for pages alone, and fixed.
+    /// `None` if the budget is for pages alone, and fixed.
     memory: Option<Mutex<Memory>>,
     pub(super) name_of_io: String,
     // Last: its threads end when it goes.
@@ -83,7 +83,7 @@ impl Drop for Reservation {
 }
 
 impl Engine {
-    /// Over a working set, and files that are open already. Divides `memory_bytes` between scenes and pages; `None` where
+    /// Over a working set, and files that are open already. Divides `memory_bytes` between scenes and pages; `None` if
     /// the budget is for pages alone.
     ///
     /// # Errors

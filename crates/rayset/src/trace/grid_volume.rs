@@ -42,7 +42,7 @@ pub(super) struct GridVolume {
 /// A brick that samples are taken from, and where its first voxel is.
 struct Held {
     number: u64,
-    /// `None` where no value in it shows.
+    /// `None` if no value in it shows.
     brick: Option<PageGuard>,
     first: [i64; 3],
 }
@@ -52,7 +52,7 @@ struct Held {
 const SAMPLE_BITS: u32 = (LANES * SLAB_SAMPLES).trailing_zeros();
 
 impl GridVolume {
-    /// `None` where the grid's pages are in no working set.
+    /// `None` if the grid's pages are in no working set.
     pub(super) fn new(
         object: &GridObject,
         world_from_local: &DAffine3,

@@ -93,7 +93,7 @@ impl<'a> PacketTracer<'a> {
         self.layers.as_mut()
     }
 
-    /// Traces rays from the eye, at most 64, each with ξ of its samples, and what they become. Returns what they see,
+    /// Traces rays from the eye, at most 64, each with its sample offset, and what they become. Returns what they see,
     /// place by place.
     pub(super) fn trace(
         &mut self,

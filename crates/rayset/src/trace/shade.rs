@@ -10,7 +10,7 @@ use crate::scene::{Light, LightKind, Lighting};
 
 /// The lights of a scene, and what of samples is the same everywhere.
 pub(super) struct Shader {
-    /// `None` where samples have the colours of their transfer functions.
+    /// `None` if samples have the colours of their transfer functions.
     lights: Option<Vec<Light>>,
     constants: Constants,
 }

@@ -46,7 +46,7 @@ pub(super) struct StepGroup {
 #[derive(Clone)]
 pub(super) struct StepRule {
     coarsest: f64,
-    /// The length of which the coarsest step is the fraction asked for; `None` where steps are fixed.
+    /// The length of which the coarsest step is the fraction asked for; `None` if steps are fixed.
     longest: Option<f64>,
     /// The least k.
     finest: i32,

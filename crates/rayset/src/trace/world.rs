@@ -14,12 +14,12 @@ use crate::working_set::PagedFiles;
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World {
     pub(super) program: Program,
-    /// `None` where no light throws shadows.
+    /// `None` if no light throws shadows.
     pub(super) shadows: Option<ShadowWorld>,
     pub(super) shader: Shader,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
-    /// `None` where all rays go straight on.
+    /// `None` if all rays go straight on.
     pub(super) bounces: Option<Bounces>,
     /// Whether more is asked of pixels than their colour.
     pub(super) layers: bool,

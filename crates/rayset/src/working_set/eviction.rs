@@ -77,7 +77,7 @@ impl Entry {
         }
     }
 
-    /// When the page was last used, and whether it is retained; `None` where the entry is of an earlier stay in memory.
+    /// When the page was last used, and whether it is retained; `None` if the entry is of an earlier stay in memory.
     fn last_use_if_current(&self) -> Option<(u64, bool)> {
         match &*self.object.slot(self.page) {
             Slot::Resident(resident) if resident.serial == self.serial => {
@@ -145,7 +145,7 @@ impl EvictionQueue {
         queue.drop_stale();
     }
 
-    /// Evicts one page that stands in the way; `None` where all of them are retained.
+    /// Evicts one page that stands in the way; `None` if all of them are retained.
     pub(super) fn evict(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
         self.evict_retired(obstacle).or_else(|| self.evict_oldest(obstacle, now))
     }

@@ -175,7 +175,7 @@ impl Object {
         self.in_place.is_some()
     }
 
-    /// A page where it lies in memory, checked the first time; `None` where pages have to be brought in.
+    /// A page where it lies in memory, checked the first time; `None` if pages have to be brought in.
     pub(super) fn in_place(&self, page: u32) -> Option<Result<PageInPlace, PageFault>> {
         let InPlace { memory, checked } = self.in_place.as_ref()?;
         let start = self.source.offset(page);

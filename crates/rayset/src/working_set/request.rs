@@ -54,7 +54,7 @@ impl PageClient {
         }
     }
 
-    /// Retains a page if it is resident now; `None` where it is absent or on its way.
+    /// Retains a page if it is resident now; `None` if it is absent or on its way.
     ///
     /// # Errors
     /// [`PageFault`] where the page could not be read, or is damaged.

@@ -49,7 +49,7 @@ fn sun() -> rayset::scene::Light {
 }
 
 #[test]
-fn mirrors_of_solids_and_clouds_agree_with_the_judge() {
+fn mirrors_of_solids_and_clouds_agree_with_the_reference_renderer() {
     let Parts { cloud, _folder, .. } = parts();
     let ball = solid(Form::Sphere { radius: 0.6 }, [0.8, 0.3, 0.2]).of(mirror(0.6));
     let lights = || vec![light(LightKind::Ambient, [0.4; 3], false), sun()];
@@ -77,7 +77,7 @@ fn mirrors_of_solids_and_clouds_agree_with_the_judge() {
 }
 
 #[test]
-fn bent_rays_agree_with_the_judge() {
+fn bent_rays_agree_with_the_reference_renderer() {
     let lights = || vec![light(LightKind::Ambient, [0.8; 3], false), sun()];
     let with_wall = |node: Node| scene(Node::operator(Operator::Union, [node, wall()]), lights());
     check("a ball of glass", &with_wall(clear_ball(0.6, glass(1.5))), WRONG);

@@ -90,7 +90,7 @@ pub(crate) fn parts() -> Parts {
 }
 
 #[test]
-fn every_operator_over_clouds_and_solids_agrees_with_the_judge() {
+fn every_operator_over_clouds_and_solids_agrees_with_the_reference_renderer() {
     let Parts { cloud, other, _folder } = parts();
     let ball = || solid(Form::Sphere { radius: 0.7 }, [0.8, 0.3, 0.2]);
     let block = || soft(Form::Box { size: DVec3::new(0.8, 0.9, 1.0) }, [0.2, 0.5, 0.9], 0.2);
@@ -123,7 +123,7 @@ fn every_operator_over_clouds_and_solids_agrees_with_the_judge() {
 }
 
 #[test]
-fn nested_graphs_with_shared_nodes_agree_with_the_judge() {
+fn nested_graphs_with_shared_nodes_agree_with_the_reference_renderer() {
     let Parts { cloud, other, _folder } = parts();
     let shared = Arc::new(cloud);
     let hole = solid(Form::Cylinder { radius: 0.4, height: 3.0 }, [0.3, 0.9, 0.4]);
@@ -140,7 +140,7 @@ fn nested_graphs_with_shared_nodes_agree_with_the_judge() {
 }
 
 #[test]
-fn every_transform_of_a_cloud_agrees_with_the_judge() {
+fn every_transform_of_a_cloud_agrees_with_the_reference_renderer() {
     let Parts { cloud, _folder, .. } = parts();
     for (name, transform) in [
         ("moved", DAffine3::from_translation(DVec3::new(0.4, 0.2, -0.6))),
@@ -153,7 +153,7 @@ fn every_transform_of_a_cloud_agrees_with_the_judge() {
 }
 
 #[test]
-fn every_procedural_field_agrees_with_the_judge() {
+fn every_procedural_field_agrees_with_the_reference_renderer() {
     let checker = Pattern::Checker { colors: [[0.9, 0.9, 0.9], [0.1, 0.2, 0.5]], size: 0.3 };
     let gradient = Pattern::Gradient {
         from: DVec3::new(-0.5, -0.5, 0.0),
@@ -191,7 +191,7 @@ fn every_procedural_field_agrees_with_the_judge() {
 }
 
 #[test]
-fn transfer_functions_and_materials_at_any_node_agree_with_the_judge() {
+fn transfer_functions_and_materials_at_any_node_agree_with_the_reference_renderer() {
     let Parts { cloud, other, _folder } = parts();
     let shiny = Material { specular: 0.6, shininess: 12.5, diffuse: 0.5, ..Material::default() };
     let faded =
@@ -232,7 +232,7 @@ fn by_attribute(name: &str) -> [Transfer; 2] {
 }
 
 #[test]
-fn attributes_travel_through_operators_as_the_judge_says() {
+fn attributes_travel_through_operators_as_the_reference_renderer_says() {
     let folder = folder();
     let cloud = |name: &str, seed, columns: [&str; 2]| {
         let source = with_columns(600, seed, columns);
@@ -305,7 +305,7 @@ fn nothing_shows_where_weights_add_up_to_less_than_nothing_whatever_its_attribut
 }
 
 #[test]
-fn every_light_and_exact_shadow_agrees_with_the_judge() {
+fn every_light_and_exact_shadow_agrees_with_the_reference_renderer() {
     let Parts { cloud, _folder, .. } = parts();
     let small = cloud.moved(DAffine3::from_scale_rotation_translation(
         DVec3::splat(0.4),

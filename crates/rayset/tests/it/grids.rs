@@ -103,7 +103,7 @@ fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
 }
 
 #[test]
-fn grids_of_every_kind_of_voxel_agree_with_the_judge() {
+fn grids_of_every_kind_of_voxel_agree_with_the_reference_renderer() {
     const SIDE: u32 = 40;
     let folder = folder();
     for &kind in VoxelKind::ALL {

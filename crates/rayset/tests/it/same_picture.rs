@@ -91,7 +91,7 @@ fn tiles_that_are_put_off_become_the_same_pixels() {
         let paged = paged_with(&scene, 1 << 30, slow, false);
         let rendered = render_once(&scene, &camera(), &settings, &exec(2), &paged);
         let (found, counts) = rendered.expect("a picture");
-        assert!(counts.deferred > 0, "nothing was put off");
+        assert!(counts.deferred > 0, "nothing was deferred");
         assert!(bits(&found.pixels) == expected);
     }
 }

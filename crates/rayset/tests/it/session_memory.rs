@@ -16,7 +16,7 @@ use crate::common::{camera, folder, scene, settings, workload_cloud};
 /// Says which cloud and what multiple of the least memory the child is to render with.
 const JOB: &str = "RAYSET_SESSION_MEMORY";
 
-/// A number of kibibytes that the system says of this process, in bytes; `None` where it says none.
+/// A number of kibibytes that the system says of this process, in bytes; `None` if it says none.
 fn status(name: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with(name))?;

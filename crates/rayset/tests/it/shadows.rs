@@ -249,7 +249,7 @@ fn with_twice_the_rays_grainy_clouds_have_what_other_kinds_have_with_512() {
 }
 
 #[test]
-fn exact_shadows_of_rods_agree_with_the_judge() {
+fn exact_shadows_of_rods_agree_with_the_reference_renderer() {
     let rods = rods();
     let side = 24;
     let settings = RenderSettings { step: Step::Fixed(rods.step), ..settings(side, side) };

@@ -33,7 +33,7 @@ impl Quantity {
         }
     }
 
-    /// What the option should be instead of `present`: a power of ten that brings `farthest` well into range. `None` where
+    /// What the option should be instead of `present`: a power of ten that brings `farthest` well into range. `None` if
     /// no number does.
     pub(super) fn factor(self, farthest: f64, present: f64) -> Option<f64> {
         let exponent = (farthest / present).log10();
@@ -151,7 +151,7 @@ pub enum BuildError {
         records: u64,
         /// The farthest out of range.
         farthest: f64,
-        /// What [`Quantity::option`] should be to bring them into range; `None` where no number does.
+        /// What [`Quantity::option`] should be to bring them into range; `None` if no number does.
         factor: Option<f64>,
     },
     /// Not one record can be used.

@@ -29,7 +29,7 @@ pub(super) struct Ingested {
     pub(super) skipped: Skipped,
     pub(super) bounds: Aabb,
     pub(super) root: RootCell,
-    /// The radius that all points share; `None` where records have their own, or are to get one.
+    /// The radius that all points share; `None` if records have their own, or are to get one.
     pub(super) radius: Option<f32>,
     pub(super) radius_range: (f32, f32),
     /// Factor on radii that are still to be measured.

@@ -102,7 +102,7 @@ impl Key {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KeyMaker {
     pub(super) root: RootCell,
-    /// The radius of all points, or `None` where the first column holds it.
+    /// The radius of all points, or `None` if the first column holds it.
     pub(super) radius: Option<f32>,
 }
 

@@ -66,7 +66,7 @@ impl Measure {
     }
 }
 
-/// Median, over some of the points, of the distance to the eighth nearest; `None` where it is zero.
+/// Median, over some of the points, of the distance to the eighth nearest; `None` if it is zero.
 fn median_distance(records: Sorted<'_>) -> Option<f64> {
     let n = records.len();
     // Cells at the deepest level may hold any number of coinciding points: a sample of them will do.

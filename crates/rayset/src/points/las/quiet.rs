@@ -13,7 +13,7 @@ thread_local! {
     static SILENT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// What `call` returns, or `None` where it panics. The caller gives up what `call` was changing.
+/// What `call` returns, or `None` if it panics. The caller gives up what `call` was changing.
 pub(super) fn catch<T>(call: impl FnOnce() -> T) -> Option<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

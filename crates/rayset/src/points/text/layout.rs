@@ -29,7 +29,7 @@ struct Header {
     is_comment: bool,
 }
 
-/// The text of a comment; `None` where the line is none.
+/// The text of a comment; `None` if the line is none.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii_start();
     if line.starts_with(b"#") || line.starts_with(b"//") {

@@ -59,7 +59,7 @@ impl Splitter {
         Self { parser, text: Vec::new(), fields: Vec::new(), written: 0, known: 0, ends: Vec::new() }
     }
 
-    /// A whole record at once, to try a separator; `None` where a quote stays open.
+    /// A whole record at once, to try a separator; `None` if a quote stays open.
     pub(super) fn whole(separator: Separator, record: &[u8]) -> Option<Self> {
         let mut splitter = Self::new(separator);
         (splitter.start(record) == Progress::Complete).then_some(splitter)

@@ -33,7 +33,7 @@ impl RaySet {
         Self { each, steps: packet.step_range(self.lanes), ..*self }
     }
 
-    /// The samples that may lie in a box, or `None` where none does.
+    /// The samples that may lie in a box, or `None` if none does.
     pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         let (first, last) = packet.samples_in(&self.beam, bounds)?;
         let Some(each) = &self.each else { return Some((first, last)) };
@@ -125,7 +125,7 @@ pub(super) struct LiveRays {
 }
 
 impl LiveRays {
-    /// The samples of rays that go on that may lie in a box, or `None` where none does.
+    /// The samples of rays that go on that may lie in a box, or `None` if none does.
     pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         self.going.samples_in(packet, bounds)
     }

@@ -22,7 +22,7 @@ pub(in crate::trace) struct CloudPlacement {
     pub(in crate::trace) file: u32,
     pub(in crate::trace) root_cell: RootCell,
     pub(in crate::trace) first_node_page: u32,
-    /// `None` where local space is the world's.
+    /// `None` if local space is the world's.
     local_from_world: Option<DAffine3>,
     world_from_local: DAffine3,
     /// The least that a unit of the world becomes here, along any direction.
@@ -30,7 +30,7 @@ pub(in crate::trace) struct CloudPlacement {
 }
 
 impl CloudPlacement {
-    /// `None` where the cloud's pages are in no working set.
+    /// `None` if the cloud's pages are in no working set.
     pub(in crate::trace) fn new(
         cloud: &Arc<Cloud>,
         world_from_local: &DAffine3,
@@ -134,7 +134,7 @@ impl Access<'_> {
         self.retain_page(&cloud.pages, page)
     }
 
-    /// The root node of a cloud, or `None` where it is empty.
+    /// The root node of a cloud, or `None` if it is empty.
     pub(in crate::trace) fn root(&self, cloud: &CloudPlacement) -> Result<Option<Node>, Halt> {
         let header = cloud.header();
         if header.points == 0 {

@@ -14,7 +14,7 @@ pub(in crate::trace) struct CloudVolume {
 }
 
 impl CloudVolume {
-    /// `None` where the cloud's pages are in no working set.
+    /// `None` if the cloud's pages are in no working set.
     pub(in crate::trace) fn new(
         object: &CloudObject,
         world_from_local: &DAffine3,

@@ -180,7 +180,7 @@ impl<'a> Lookahead<'a> {
         (spare / (PAGES_EACH * self.state.threads as u64)).min(MOST) as usize
     }
 
-    /// Hints at the pages that wait; false where there was no room for some.
+    /// Hints at the pages that wait; false if there was no room for some.
     fn hint(&self, queue: &mut Queue, here: u32) -> bool {
         /// More than this part of the budget would leave too little for pages to be met again by later look-ahead tiles.
         const MOST_OF_BUDGET: u64 = 4;
@@ -288,7 +288,7 @@ impl<'a> Lookahead<'a> {
             .unwrap_or(0)
     }
 
-    /// Lists the pages that a look-ahead tile wants; false where node pages were absent, which are then on their way.
+    /// Lists the pages that a look-ahead tile wants; false if node pages were absent, which are then on their way.
     fn look(&self, at: u32, queue: &mut Queue) -> bool {
         let (i, j) = self.state.order[at as usize];
         let rays = self.rays_of(i, j);

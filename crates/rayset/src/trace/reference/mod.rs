@@ -1,5 +1,5 @@
 //! The reference renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
-//! brute-force fields in `f64`. Slow by design; it shares no code with what it judges beyond the description of the
+//! brute-force fields in `f64`. Slow by design; it shares no code with what it is compared with beyond the description of the
 //! scene and the closed forms of procedural fields. Its steps are given to it. Fields of clouds may come from elsewhere: then
 //! it is the discrete ray tracer that another engine's samples are compared in.
 

@@ -157,7 +157,7 @@ impl ReferenceRenderer<'_> {
     }
 }
 
-/// The direction behind a boundary; `None` where all light is reflected.
+/// The direction behind a boundary; `None` if all light is reflected.
 fn bent(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
     let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
     Some(direction.refract(normal, ratio)).filter(|bent| *bent != DVec3::ZERO)

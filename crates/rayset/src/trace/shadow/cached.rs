@@ -102,7 +102,7 @@ struct Lookup {
 }
 
 impl Lookup {
-    /// As an exact shadow ray does, the look-up leaves out what lies within ξ steps. Of a boundary each ray is looked up
+    /// As an exact shadow ray does, the look-up leaves out what lies within the sample offset. Of a boundary each ray is looked up
     /// where it meets the tangent plane: all are as far before the boundary as the sample, and none sees it as its own
     /// shadow. Half a cell is what a boundary may be nearer than its tangent plane.
     fn new(

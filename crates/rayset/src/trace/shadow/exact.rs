@@ -25,7 +25,7 @@ pub(super) struct ShadowRays<'a> {
 #[derive(Clone, Copy)]
 struct ToLight {
     ray: Ray,
-    /// Where its samples lie, ξ.
+    /// Where its samples lie: the sample offset, in steps.
     sample_offset: f64,
     /// Distance of the light; infinite where it is nowhere.
     light: f64,
@@ -116,7 +116,7 @@ impl<'a> ShadowRays<'a> {
         Ok(())
     }
 
-    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + ξ) steps from where it starts, so
+    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset) steps from where it starts, so
     /// that no sample shadows itself.
     fn trace(
         &mut self,
@@ -192,7 +192,7 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) 
     }
 }
 
-/// The ray from a sample to a light; `None` where the sample lies at the light.
+/// The ray from a sample to a light; `None` if the sample lies at the light.
 fn to_light(
     light: &Light,
     packet: &Packet,

@@ -90,7 +90,7 @@ impl LightMap {
         (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
     }
 
-    /// Where a place is; `None` where no ray of the light comes by.
+    /// Where a place is; `None` if no ray of the light comes by.
     pub(super) fn texel(&self, place: DVec3) -> Option<Texel> {
         let (number, (u, v, distance)) =
             self.faces.iter().enumerate().find_map(|(i, face)| face.project(place).map(|p| (i as u32, p)))?;

@@ -15,7 +15,7 @@ pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample
     place + node.normal_at(lane, j) * depth
 }
 
-/// The direction from a place to a light and its distance, infinite where it is nowhere; `None` where no ray goes there.
+/// The direction from a place to a light and its distance, infinite where it is nowhere; `None` if no ray goes there.
 pub(super) fn toward(light: &Light, place: DVec3) -> Option<(DVec3, f64)> {
     match light.kind {
         LightKind::Directional { direction } => Some((-direction.normalize(), f64::INFINITY)),

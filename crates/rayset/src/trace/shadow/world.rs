@@ -13,7 +13,7 @@ use crate::working_set::PagedFiles;
 /// A light that throws shadows.
 pub(super) struct LightWithShadows {
     pub(super) light: Light,
-    /// Where they are looked up; `None` where they are exact.
+    /// Where they are looked up; `None` if they are exact.
     pub(super) table: Option<DeepShadowMap>,
 }
 
@@ -28,7 +28,7 @@ pub(in crate::trace) struct ShadowWorld {
 }
 
 impl ShadowWorld {
-    /// `None` where no light throws shadows. Steps and absorption are those of the rays from the eye.
+    /// `None` if no light throws shadows. Steps and absorption are those of the rays from the eye.
     pub(in crate::trace) fn compile(
         scene: &Scene,
         settings: &RenderSettings,
