@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 22] = [
+const ORDER: [&str; 23] = [
     "parse",
+    "setters",
     "sync",
     "cancel",
     "geometry",
