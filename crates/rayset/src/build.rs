@@ -1,7 +1,7 @@
-//! Making clouds of points and grids of voxels, in bounded memory.
+//! Building clouds of points and grids of voxels in bounded memory.
 //!
-//! [`to_file`] and [`in_memory`] make the same bytes, which depend on the points and on those [`BuildOptions`] that say so,
-//! and on nothing else: not on memory, threads, or the order of the inputs.
+//! [`to_file`] and [`in_memory`] produce the same bytes. They depend only on the points and on those [`BuildOptions`] that
+//! say so, not on the memory, the number of threads or the order of the inputs.
 
 pub use crate::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
 pub use crate::octree::build::{

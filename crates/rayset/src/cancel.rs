@@ -5,10 +5,10 @@ use std::sync::Arc;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use crate::sync::{Mutex, lock};
 
-/// Stops a render or a build, from any thread. Clones share one state, which never goes back.
+/// Stops a render or a build, from any thread. Clones share one state; once cancelled, it stays cancelled.
 ///
-/// Work looks at its token in its inner loops, and waits end when it is cancelled: a call returns within milliseconds,
-/// leaves no page retained and no temporary file, and everything that others do goes on.
+/// Work checks its token in its inner loops, and cancelling it ends all waits: a call returns within milliseconds and leaves
+/// no page retained and no temporary file behind. Work that has other tokens continues.
 #[derive(Clone, Default)]
 pub struct CancelToken {
     inner: Arc<Inner>,
@@ -20,7 +20,7 @@ type Waker = Arc<dyn Fn() + Send + Sync>;
 struct Inner {
     cancelled: AtomicBool,
     last_number: AtomicU64,
-    /// Ends the waits of those who wait now.
+    /// Callbacks that wake the threads that are waiting now.
     wakers: Mutex<Vec<(u64, Waker)>>,
 }
 
@@ -40,7 +40,7 @@ impl CancelToken {
     /// Cancels all work that has this token. Returns at once; the calls that do the work return shortly after.
     pub fn cancel(&self) {
         self.inner.cancelled.store(true, Ordering::SeqCst);
-        // Called without the lock, for they take locks of their own.
+        // Called without holding the lock, because they take locks of their own.
         let wakers: Vec<Waker> = lock(&self.inner.wakers).iter().map(|(_, waker)| waker.clone()).collect();
         wakers.iter().for_each(|waker| waker());
     }
@@ -51,8 +51,8 @@ impl CancelToken {
         self.inner.cancelled.load(Ordering::Relaxed)
     }
 
-    /// Has `waker` called when this is cancelled, until the registration is dropped. Whoever waits registers first, then
-    /// looks at the token under the lock that `waker` takes, then waits: so no cancellation is missed.
+    /// Calls `waker` when this token is cancelled, until the registration is dropped. A waiting thread registers first, then
+    /// checks the token under the lock that `waker` takes, then waits, so that no cancellation is missed.
     pub(crate) fn register(&self, waker: Waker) -> Registration<'_> {
         let number = self.inner.last_number.fetch_add(1, Ordering::Relaxed);
         lock(&self.inner.wakers).push((number, waker));
@@ -60,7 +60,7 @@ impl CancelToken {
     }
 }
 
-/// Keeps a waker with its token.
+/// Keeps a waker registered with its token until it is dropped.
 pub(crate) struct Registration<'a> {
     token: &'a CancelToken,
     number: u64,

@@ -1,4 +1,4 @@
-//! What the files of clouds and grids say of themselves, and whether they are whole.
+//! Headers of cloud and grid files, and checks that the files are complete and undamaged.
 
 pub use crate::container::{FileKind, HeaderError, Identity, LEAST_FILE_BYTES, PageError, ScanError};
 pub use crate::grid::format::{GridHeader, VoxelKind};

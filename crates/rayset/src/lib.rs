@@ -1,8 +1,9 @@
-//! Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
+//! Ray-traces point clouds larger than memory as volumes, within a fixed memory budget.
 //!
-//! Points become a [`Cloud`] ([`build`]): a file, or bytes in memory. A [`Session`] has a budget, threads, and the pages of
-//! clouds that are in memory; a [`scene::Scene`] combines clouds, grids and solids by constructive operators, lit;
-//! [`Session::prepare`] compiles it, and [`PreparedScene::view`] looks at it, as often as you like.
+//! Points become a [`Cloud`] ([`build`]): a file, or bytes in memory. A [`Session`] owns a memory budget, threads, and the
+//! pages of clouds that are in memory; a [`scene::Scene`] combines clouds, grids and solids by constructive operators and
+//! has lights; [`Session::prepare`] compiles it, and [`PreparedScene::view`] looks at it through a camera, as often as you
+//! like.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -24,17 +25,17 @@
 //! # }
 //! ```
 //!
-//! The same picture comes out, bit for bit, of every budget, number of threads, way of reading and order of tiles.
+//! The picture is the same, bit for bit, for every budget, number of threads, way of reading and order of tiles.
 //!
 //! | to | see |
 //! | --- | --- |
-//! | read points of files, or bring your own | [`points`] |
-//! | make a cloud or a grid of them | [`build`], [`volumes`] |
-//! | open it, say what is in it, check it | [`Cloud`], [`Grid`], [`mod@file`] |
-//! | say what is to be seen | [`scene`], [`scene_file`] |
+//! | read points from files, or supply your own | [`points`] |
+//! | build a cloud or a grid | [`build`], [`volumes`] |
+//! | open it, list what is in it, verify it | [`Cloud`], [`Grid`], [`mod@file`] |
+//! | describe a scene | [`scene`], [`scene_file`] |
 //! | render it: whole, in tiles, in passes; cancel it | [`Session`], [`View`], [`CancelToken`] |
-//! | write it | [`image`], [`output`] |
-//! | keep to a budget, and see what became of it | [`memory`] |
+//! | write the picture | [`image`], [`output`] |
+//! | set a memory budget, and see how it was used | [`memory`] |
 //! | read from somewhere else | [`storage`] |
 #![deny(unsafe_code)]
 #![cfg_attr(

@@ -1,4 +1,4 @@
-//! Budgets, what a scene needs of them, and what became of them.
+//! Memory budgets, how much of one a scene needs, and how it was used.
 
 pub use crate::trace::memory::{MemoryPlan, SceneNeeds, plan};
 pub use crate::working_set::{Kind, KindStatistics, Limits, PageFault, Statistics};

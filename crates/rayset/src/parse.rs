@@ -1,6 +1,6 @@
-//! Names and short texts that stand for something: kernels, colour maps, workloads, layouts.
+//! Errors of parsing names and short texts: of kernels, colour maps, workloads and layouts.
 
-/// A text that stands for nothing of the kind that was expected.
+/// A text that is not a valid value of the expected kind.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct ParseError {
@@ -9,12 +9,12 @@ pub struct ParseError {
 }
 
 impl ParseError {
-    /// What was given, and a sentence that says what was expected.
+    /// From the text that was given, and a function that makes the message from it.
     pub(crate) fn new(given: &str, message: impl FnOnce(&str) -> String) -> Self {
         Self { given: given.to_owned(), message: message(given) }
     }
 
-    /// The text.
+    /// The text that was given.
     #[must_use]
     pub fn given(&self) -> &str {
         &self.given

@@ -1,5 +1,5 @@
-//! Opening files that other people name: whatever is no regular file is an error, before anything is read of it. A pipe
-//! would wait for somebody to write into it, and a device may never end.
+//! Opening files whose paths come from users: anything that is not a regular file is an error before any of it is read.
+//! Reading a pipe would wait for a writer, and a device may never end.
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io;
@@ -8,12 +8,12 @@ use std::path::Path;
 /// Opens a regular file, or a link to one, for reading.
 ///
 /// # Errors
-/// As [`File::open`], and where the path is a folder, a pipe, a socket or a device.
+/// As [`File::open`], and if the path is a folder, a pipe, a socket or a device.
 pub fn open(path: &Path) -> io::Result<File> {
     check(std::fs::metadata(path)?.file_type())?;
     let mut options = OpenOptions::new();
     options.read(true);
-    // Between the look and the opening another file may have taken the name.
+    // Another file may take the name between the check and the opening.
     #[cfg(unix)]
     {
         use std::os::unix::fs::OpenOptionsExt;

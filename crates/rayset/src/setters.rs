@@ -1,6 +1,6 @@
-//! Setters of options, so that options can grow without breaking those who set some of them.
+//! Setters of options, so that options can be added without breaking callers.
 
-/// For each field a method `with_…` that takes its value: `setters!(Options { with_size => size: u32, … })`.
+/// Defines a method `with_…` for each field, which takes its value: `setters!(Options { with_size => size: u32, … })`.
 macro_rules! setters {
     ($options:ident { $($setter:ident => $field:ident: $value:ty),* $(,)? }) => {
         impl $options {$(

@@ -1,8 +1,8 @@
-//! Where records wait: temporary files, few, large, beside the output, and gone after any exit; or memory.
+//! Temporary storage for records: a few large temporary files beside the output, removed on any exit; or memory.
 //!
-//! On Linux a temporary file never has a name, where the file system knows such files; on other Unix systems it loses its
-//! name as soon as it is open. So nothing of it survives the process, not even one that is killed. Elsewhere it is removed when
-//! dropped, and a later build of the same output removes what a killed one left.
+//! On Linux a temporary file never has a name if the file system supports unnamed files; on other Unix systems it is
+//! unlinked as soon as it is open. So it never outlives the process, even if that is killed. On other systems it is removed
+//! when dropped, and a later build of the same output removes what a killed one left.
 
 use std::fs::File;
 use std::io;
@@ -13,7 +13,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::output::{Destination, Purpose, create_unique};
 
-/// Records put aside: in an unnamed file, or in memory where there is to be no file.
+/// Temporarily stored records: in an unnamed file, or in memory if no file is to be created.
 #[derive(Debug)]
 pub(crate) enum Spill {
     File(TemporaryFile),
@@ -28,7 +28,7 @@ pub(crate) struct TemporaryFile {
     path: PathBuf,
 }
 
-/// A file in a folder that never has a name; an error where the file system knows no such files.
+/// A file in a folder that never has a name; an error if the file system does not support such files.
 #[cfg(target_os = "linux")]
 fn without_name(folder: &Path) -> io::Result<File> {
     use std::os::unix::fs::OpenOptionsExt;
@@ -45,7 +45,7 @@ impl Spill {
         let (file, path) = create_unique(temp_dir, output.file_name(), Purpose::Temporary)?;
         #[cfg(unix)]
         if let Err(error) = std::fs::remove_file(&path) {
-            // Once more: a file that keeps its name would stay.
+            // Try again: a file that keeps its name would be left behind.
             let _ = std::fs::remove_file(&path);
             return Err(error);
         }

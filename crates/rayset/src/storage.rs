@@ -1,4 +1,4 @@
-//! Bytes that files are read from: a file on disk, bytes in memory, or whatever a user has.
+//! Sources of the bytes of cloud and grid files: a file on disk, bytes in memory, or a user's implementation.
 
 use std::fs::File;
 use std::io;
@@ -7,25 +7,25 @@ use std::sync::Arc;
 
 /// Bytes that can be read at a position, by several threads at once: a file, bytes in memory, an object store.
 pub trait Storage: Send + Sync {
-    /// How many bytes there are.
+    /// The number of bytes.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     fn length(&self) -> io::Result<u64>;
 
-    /// Fills `buffer` from `offset` on.
+    /// Fills `buffer` with the bytes that start at `offset`.
     ///
     /// # Errors
-    /// What the system says, or `UnexpectedEof`.
+    /// The system's error, or `UnexpectedEof`.
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()>;
 
-    /// The file behind it, where there is one that the kernel may read from by itself.
+    /// The underlying file, if there is one that the kernel may read from directly.
     fn file(&self) -> Option<&File> {
         None
     }
 
-    /// All of its bytes, where they lie in memory already: pages are then used where they are, without a copy, and count
-    /// in no budget.
+    /// All of its bytes, if they are already in memory: pages are then used in place, without a copy, and do not count
+    /// towards any budget.
     fn memory(&self) -> Option<Arc<dyn AsRef<[u8]> + Send + Sync>> {
         None
     }
@@ -35,21 +35,21 @@ pub trait Storage: Send + Sync {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum BackendKind {
-    /// io_uring where the system has it, else the pool.
+    /// io_uring if the system supports it, otherwise the pool.
     #[default]
     Auto,
     /// io_uring or an error.
     Uring,
-    /// Threads that read at positions.
+    /// A pool of threads that use positioned reads.
     Pool,
 }
 
-/// Bytes in memory: a vector, a shared slice, a map of a file.
+/// Bytes in memory: a vector, a shared slice, a memory-mapped file.
 #[derive(Clone)]
 pub struct MemoryStorage(Arc<dyn AsRef<[u8]> + Send + Sync>);
 
 impl MemoryStorage {
-    /// Bytes that must not change as long as this lives.
+    /// Wraps bytes, which must not change during the lifetime of this storage.
     #[must_use]
     pub fn new(bytes: Arc<dyn AsRef<[u8]> + Send + Sync>) -> Self {
         Self(bytes)
@@ -82,17 +82,17 @@ impl Storage for MemoryStorage {
     }
 }
 
-/// A file, through the page cache or past it.
+/// A file, read through the page cache or bypassing it.
 #[derive(Debug)]
 pub struct FileStorage {
     file: File,
 }
 
 impl FileStorage {
-    /// Opens a file. With `direct`, reads bypass the page cache where the system and the file system can.
+    /// Opens a file. With `direct`, reads bypass the page cache if the system and the file system support it.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn open(path: &Path, direct: bool) -> io::Result<Self> {
         let mut options = File::options();
         options.read(true);
@@ -150,7 +150,7 @@ fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
     std::os::windows::fs::FileExt::seek_read(file, buffer, offset)
 }
 
-/// What a file that is shorter than it was or should be comes to.
+/// The error for a file that is shorter than it was or should be.
 fn ends_early(end: u64, wanted: u64) -> io::Error {
     let what = format!("the file ends at byte {end}, before byte {wanted}, up to which it is needed");
     io::Error::new(io::ErrorKind::UnexpectedEof, what)

@@ -1,5 +1,5 @@
-//! The primitives that the page pool is built of: the standard library's, or those of a model checker that runs every
-//! interleaving (feature `model`, for this project's own tests).
+//! The synchronization primitives of the page pool: the standard library's, or those of a model checker that runs many
+//! interleavings (feature `model`, for this project's own tests).
 
 #[cfg(not(feature = "model"))]
 pub(crate) use std::sync::{Condvar, Mutex, MutexGuard, atomic};
@@ -14,13 +14,14 @@ pub(crate) use shuttle::thread;
 use std::sync::PoisonError;
 use std::time::Duration;
 
-/// Locks a mutex. Whatever a thread that panicked has left is whole: nothing panics while it holds one of these locks
-/// half-way through a change.
+/// Locks a mutex, poisoned or not. The data are consistent even after a panic: no thread panics in the middle of a change
+/// while it holds one of these locks.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Waits for a notification, at most for `limit`. The model checker knows no time: there, only a notification ends a wait.
+/// Waits for a notification, for at most `limit`. The model checker does not model time: there, only a notification ends a
+/// wait.
 pub(crate) fn wait_timeout<'a, T>(
     condvar: &Condvar,
     guard: MutexGuard<'a, T>,

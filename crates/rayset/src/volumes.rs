@@ -1,3 +1,3 @@
-//! Voxels in: readers for the files that people have (NRRD, MetaImage, NIfTI, VTI) and for nothing but voxels.
+//! Readers of volumes: NRRD, MetaImage, NIfTI, VTI, and raw files that contain nothing but voxels.
 
 pub use crate::grid::read::{RawLayout, ReadError, VolumeSource};

@@ -24,13 +24,13 @@ impl Writer {
     pub(crate) fn vec(&mut self, v: DVec3) {
         v.to_array().into_iter().for_each(|x| self.f64(x));
     }
-    /// Zeros up to the next multiple of `bytes`.
+    /// Appends zeros up to the next multiple of `bytes`.
     pub(crate) fn pad(&mut self, bytes: usize) {
         self.bytes.resize(self.bytes.len().next_multiple_of(bytes), 0);
     }
 }
 
-/// Reads fields; `None` beyond the end.
+/// Reads fields; its methods return `None` if the field extends beyond the end.
 pub(crate) struct Reader<'a> {
     pub(crate) bytes: &'a [u8],
     pub(crate) at: usize,

@@ -1,4 +1,5 @@
-//! Opening a file: header, footer, length and the sections that are not pages are checked here, pages when they are read.
+//! Opening a file: header, footer, length and the sections without pages are checked here; pages are checked when they are
+//! read.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,7 +11,7 @@ use super::write::Metadata;
 use crate::regular_file;
 use crate::storage::{FileStorage, Storage};
 
-/// Longest section that is read at once: columns, descriptions.
+/// Longest section that is read into memory as a whole: columns, descriptions.
 const MAX_SECTION_BYTES: u64 = 512 << 10;
 
 /// Why a file does not open.
@@ -25,7 +26,7 @@ pub enum OpenError {
         /// The system's reason.
         r#source: io::Error,
     },
-    /// The header, the footer or a section is not what it should be.
+    /// The header, the footer or a section is invalid.
     #[error("{}, {source}", path.display())]
     Header {
         /// The file.
@@ -50,10 +51,10 @@ pub enum OpenError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScanError {
-    /// The file cannot be read, or is not the one that was opened.
+    /// The file cannot be read, or is invalid.
     #[error(transparent)]
     File(#[from] OpenError),
-    /// Another file has taken the name of the one that was opened.
+    /// Another file has replaced the one that was opened.
     #[error("{}: another file stands here now than the one that was opened", path.display())]
     Replaced {
         /// The file.
@@ -66,16 +67,16 @@ pub enum ScanError {
         path: PathBuf,
         /// The page.
         page: u32,
-        /// Its place.
+        /// The page's offset in the file.
         offset: u64,
         /// What is wrong.
         r#source: PageError,
     },
 }
 
-/// A file whose header, length and footer are those of a whole file.
+/// A file whose header, length and footer have been checked.
 pub struct OpenFile {
-    /// Its name in messages, where it is no file on disk.
+    /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
     storage: Arc<dyn Storage>,
     header: FileHeader,
@@ -85,14 +86,14 @@ impl OpenFile {
     /// Opens a file of a kind and checks its header, its features, its length and its footer.
     ///
     /// # Errors
-    /// [`OpenError`] where the file cannot be read or is no whole file of the kind and version.
+    /// [`OpenError`] if the file cannot be read, or is not a complete file of this kind and version.
     pub fn open(path: &Path, kind: FileKind) -> Result<Self, OpenError> {
         let file =
             regular_file::open(path).map_err(|source| OpenError::Io { path: path.to_owned(), source })?;
         Self::over(path, Arc::new(FileStorage::from(file)), kind)
     }
 
-    /// The same over bytes that may lie anywhere, with a name for messages.
+    /// As [`open`](Self::open), but reads from any storage; `path` is only a name for messages.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -135,7 +136,7 @@ impl OpenFile {
             .map_err(|source| OpenError::Header { path: self.path.clone(), source })
     }
 
-    /// What is wrong with the contents of a section, as an error of this file.
+    /// An error about the contents of a section of this file.
     pub(crate) fn wrong_section(&self, kind: SectionKind, what: &'static str) -> OpenError {
         let at = self.header.section(kind).map_or(0, |section| section.offset);
         OpenError::Header { path: self.path.clone(), source: HeaderError::Field { at, what } }
@@ -150,7 +151,7 @@ impl OpenFile {
     /// The bytes of a section that does not consist of pages, checked.
     ///
     /// # Errors
-    /// [`OpenError`] where the file has no such section, or it is damaged or too long.
+    /// [`OpenError`] if the file has no such section, or it is damaged or too long.
     pub fn section(&mut self, kind: SectionKind) -> Result<Vec<u8>, OpenError> {
         let wrong =
             |at, what| OpenError::Header { path: self.path.clone(), source: HeaderError::Field { at, what } };
@@ -169,10 +170,10 @@ impl OpenFile {
         Ok(bytes)
     }
 
-    /// What the file says in words.
+    /// The textual descriptions in the file.
     ///
     /// # Errors
-    /// [`OpenError`] where the section is damaged or no JSON.
+    /// [`OpenError`] if the section is damaged, or is not JSON of the expected form.
     pub(crate) fn metadata(&mut self) -> Result<Metadata, OpenError> {
         let bytes = self.section(SectionKind::META)?;
         serde_json::from_slice(&bytes).map_err(|_| {
@@ -180,7 +181,7 @@ impl OpenFile {
         })
     }
 
-    /// Checks the sections that are not pages, unknown ones included.
+    /// Checks the sections that do not consist of pages, including unknown ones.
     ///
     /// # Errors
     /// [`OpenError`] at the first that is damaged.
@@ -189,11 +190,12 @@ impl OpenFile {
         sections.iter().filter(|s| s.pages == 0).try_for_each(|s| self.read_section(s, |_| {}))
     }
 
-    /// Reads pages in order and checks the digest of every section of pages; `check` sees each page of sections of these
-    /// kinds first, with its number, counted over all sections, and its offset. Holds one page at a time.
+    /// Reads all pages in order, one at a time, and checks the digest of every section of pages. Calls `check` first for
+    /// each page of the sections of these `kinds`, with its number (counted over all sections), its offset in the file and
+    /// its bytes.
     ///
     /// # Errors
-    /// What `check` says, or [`OpenError`] for a page that cannot be read or a digest that differs.
+    /// The error of `check`, or [`OpenError`] if a page cannot be read or a digest differs.
     pub fn for_each_page<E: From<OpenError>>(
         &mut self,
         kinds: [SectionKind; 2],
@@ -230,7 +232,7 @@ impl OpenFile {
         OpenError::Io { path: self.path.clone(), source }
     }
 
-    /// Reads a section piece by piece, and checks its checksum and the zeros behind it.
+    /// Reads a section in blocks, and verifies its checksum and the zero padding behind it.
     fn read_section(&mut self, section: &Section, mut take: impl FnMut(&[u8])) -> Result<(), OpenError> {
         let wrong = |source| OpenError::Header { path: self.path.clone(), source };
         let mut block = [0; BLOCK_BYTES];

@@ -1,4 +1,4 @@
-//! The first and the last block of a file: what kind it is, its identity, its features, and where its sections are.
+//! The first and the last block of a file: its kind, its identity, its features, and where its sections are.
 
 use super::bytes::{Reader, Writer};
 use super::checksum_around;
@@ -6,11 +6,11 @@ use super::identity::Identity;
 
 /// Version of the layout that this code writes, and the only one it reads.
 pub const VERSION: u32 = 2;
-/// Bytes of the header and of the footer; also the alignment of sections and pages.
+/// Size of the header and of the footer in bytes; also the alignment of sections and pages.
 pub const BLOCK_BYTES: usize = 4096;
-/// Largest page, so that run offsets fit their field.
+/// Largest page size in bytes, so that run offsets fit their field.
 pub const MAX_PAGE_BYTES: usize = 256 << 10;
-/// Most sections that a directory holds.
+/// Largest number of sections that the directory can hold.
 pub const MAX_SECTIONS: usize = (BLOCK_BYTES - DIRECTORY_AT) / SECTION_BYTES;
 
 const VERSION_AT: usize = 8;
@@ -38,7 +38,7 @@ pub enum FileKind {
 }
 
 impl FileKind {
-    /// First eight bytes of every file of the kind.
+    /// The first eight bytes of every file of this kind.
     #[must_use]
     pub fn magic(self) -> [u8; 8] {
         match self {
@@ -47,7 +47,7 @@ impl FileKind {
         }
     }
 
-    /// The kind that the first bytes of a file say, if any.
+    /// The kind whose magic number a file starts with, if any.
     #[must_use]
     pub fn of(start: &[u8]) -> Option<Self> {
         [Self::Cloud, Self::Grid].into_iter().find(|kind| start.starts_with(&kind.magic()))
@@ -63,18 +63,18 @@ impl FileKind {
     }
 }
 
-/// What a section holds, as four letters.
+/// What a section holds, as a four-letter code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SectionKind(pub [u8; 4]);
 
 impl SectionKind {
-    /// Numbers of a cloud.
+    /// The numeric header of a cloud.
     pub const CLOUD: Self = Self(*b"CLOU");
     /// Columns of a cloud.
     pub const COLUMNS: Self = Self(*b"COLS");
-    /// Numbers of a grid.
+    /// The numeric header of a grid.
     pub const GRID: Self = Self(*b"GRID");
-    /// Descriptions in words, as JSON.
+    /// Textual descriptions, as JSON.
     pub const META: Self = Self(*b"META");
     /// Pages of points.
     pub const POINTS: Self = Self(*b"PNTS");
@@ -82,7 +82,7 @@ impl SectionKind {
     pub const NODES: Self = Self(*b"NODE");
     /// Pages of bricks.
     pub const VOXELS: Self = Self(*b"VOXL");
-    /// Pages of ranges of bricks.
+    /// Pages of the value ranges of bricks.
     pub const RANGES: Self = Self(*b"RNGE");
 }
 
@@ -93,42 +93,42 @@ pub struct Section {
     pub kind: SectionKind,
     /// Number of pages; 0 for a section that does not consist of pages.
     pub pages: u32,
-    /// Where it starts, a multiple of [`BLOCK_BYTES`].
+    /// Its offset in the file in bytes, a multiple of [`BLOCK_BYTES`].
     pub offset: u64,
-    /// Its bytes; zeros follow up to the next block.
+    /// Its length in bytes; zeros follow up to the next block.
     pub bytes: u64,
-    /// CRC-32C of its bytes; of pages, over their checksums in order.
+    /// CRC-32C of its bytes; for a section of pages, of the checksums of the pages in order.
     pub checksum: u32,
 }
 
 impl Section {
-    /// Where the zeros behind it end.
+    /// The end of the zero padding behind it; `None` on overflow.
     #[must_use]
     pub fn padded_end(&self) -> Option<u64> {
         self.offset.checked_add(self.bytes)?.checked_next_multiple_of(BLOCK_BYTES as u64)
     }
 }
 
-/// What the first block of a file says.
+/// The contents of the first block of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileHeader {
     /// What the file holds.
     pub kind: FileKind,
-    /// What tells it from other files.
+    /// Distinguishes the file from others.
     pub identity: Identity,
-    /// Features without which the file cannot be understood, one a bit.
+    /// Features that a reader must know to understand the file, one per bit.
     pub required_features: u64,
-    /// Features that a reader may ignore, one a bit.
+    /// Features that a reader may ignore, one per bit.
     pub optional_features: u64,
-    /// Bytes of the whole file.
+    /// Size of the whole file in bytes.
     pub file_bytes: u64,
-    /// Bytes of every page, a multiple of [`BLOCK_BYTES`] up to [`MAX_PAGE_BYTES`].
+    /// Size of every page in bytes, a multiple of [`BLOCK_BYTES`] up to [`MAX_PAGE_BYTES`].
     pub page_bytes: u32,
     /// Sections, in the order of their offsets.
     pub sections: Vec<Section>,
 }
 
-/// Why bytes are no header.
+/// Why a header, a footer or a section is invalid.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum HeaderError {
@@ -153,25 +153,25 @@ pub enum HeaderError {
         /// The version found.
         found: u32,
     },
-    /// A feature without which the file cannot be understood.
+    /// A required feature that this version does not know.
     #[error(
         "byte {REQUIRED_AT}: the file needs the feature {name}, which this program does not know; use a newer one"
     )]
     Feature {
-        /// What the file calls the feature, or its bit.
+        /// The name that the file gives the feature, or its bit.
         name: String,
     },
-    /// The checksum over a block or section differs.
+    /// The checksum of a block or section differs.
     #[error("byte {at}: checksum {found:08x} where {expected:08x} was expected; the file is damaged")]
     Checksum {
         /// Offset of what was checked.
         at: u64,
-        /// Stored.
+        /// The stored checksum.
         found: u32,
-        /// Computed.
+        /// The computed checksum.
         expected: u32,
     },
-    /// A field out of its range, in a block whose checksum is right.
+    /// A field is out of range although the checksum of its block is right.
     #[error("byte {at}: {what}")]
     Field {
         /// Offset of the field.
@@ -182,9 +182,9 @@ pub enum HeaderError {
 }
 
 impl FileHeader {
-    /// The header as a block.
+    /// Encodes the header as a block.
     ///
-    /// Panics where there are more than [`MAX_SECTIONS`] sections.
+    /// Panics if there are more than [`MAX_SECTIONS`] sections.
     #[must_use]
     pub fn encode(&self) -> [u8; BLOCK_BYTES] {
         let mut w = Writer::default();
@@ -212,11 +212,12 @@ impl FileHeader {
         block
     }
 
-    /// Reads and checks the header of a file of a kind. Required features are checked by
-    /// [`check_features`](Self::check_features), once their names can be read.
+    /// Decodes and checks the header of a file of the given kind. Required features are checked by
+    /// [`check_features`](Self::check_features), once the section with their names can be read.
     ///
     /// # Errors
-    /// [`HeaderError`] where the block is no header of the kind, of another version, damaged, or out of range.
+    /// [`HeaderError`] if the block is not a header of this kind, is of another version, is damaged, or has a field out of
+    /// range.
     pub fn decode(block: &[u8; BLOCK_BYTES], kind: FileKind) -> Result<Self, HeaderError> {
         match FileKind::of(block) {
             None => return Err(HeaderError::Magic),
@@ -259,8 +260,8 @@ impl FileHeader {
         fields().unwrap_or(Err(short))
     }
 
-    /// Sections follow each other without a gap, from the header to the footer, so that every byte of the file is one
-    /// of theirs.
+    /// Checks that the sections follow each other without gaps from the header to the footer, so that every byte between the
+    /// two belongs to a section.
     fn check_ranges(&self) -> Result<(), HeaderError> {
         let field = |at: usize, what| Err(HeaderError::Field { at: at as u64, what });
         let page_bytes = self.page_bytes as usize;
@@ -290,10 +291,10 @@ impl FileHeader {
         Ok(())
     }
 
-    /// Checks that every required feature is known. `name` says what the file calls the feature of a bit.
+    /// Checks that every required feature is known. `name` returns the name that the file gives to the feature of a bit.
     ///
     /// # Errors
-    /// [`HeaderError::Feature`] for the first that is not known.
+    /// [`HeaderError::Feature`] for the first unknown feature.
     pub fn check_features(&self, name: impl Fn(u32) -> Option<String>) -> Result<(), HeaderError> {
         let unknown = self.required_features & !KNOWN_REQUIRED;
         if unknown == 0 {
@@ -305,17 +306,17 @@ impl FileHeader {
         Err(HeaderError::Feature { name })
     }
 
-    /// The section of a kind.
+    /// The section of the given kind, if the file has one.
     #[must_use]
     pub fn section(&self, kind: SectionKind) -> Option<&Section> {
         self.sections.iter().find(|s| s.kind == kind)
     }
 }
 
-/// The last block of a file: that it is whole.
+/// The last block of a file, which shows that the file is complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Footer {
-    /// The header's checksum, which ties the two together.
+    /// The header's checksum, which ties the footer to the header.
     pub header_checksum: u32,
 }
 
@@ -329,7 +330,7 @@ impl Footer {
         Self { header_checksum: u32::from_le_bytes([b[0], b[1], b[2], b[3]]) }
     }
 
-    /// The footer as a block.
+    /// Encodes the footer as a block.
     #[must_use]
     pub fn encode(&self) -> [u8; BLOCK_BYTES] {
         let mut w = Writer::default();
@@ -344,10 +345,10 @@ impl Footer {
         block
     }
 
-    /// Checks that a block is the footer of a header; `at` is its offset in the file, for messages.
+    /// Checks that a block is the footer that belongs to `header`; `at` is its offset in the file, for messages.
     ///
     /// # Errors
-    /// [`HeaderError`] where the block is damaged or belongs to another header.
+    /// [`HeaderError`] if the block is damaged or belongs to another header.
     pub fn check(block: &[u8; BLOCK_BYTES], header: &[u8; BLOCK_BYTES], at: u64) -> Result<(), HeaderError> {
         if *block == Self::of(header).encode() {
             return Ok(());

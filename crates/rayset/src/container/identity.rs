@@ -1,19 +1,20 @@
-//! What tells one file's pages from another's: a hash of what went into the file, the same for the same input and options.
+//! Distinguishes the pages of one file from those of another: a hash of the input and the options from which the file was
+//! built.
 
 use std::fmt;
 
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
-/// Enters every identity, so that a later builder, which lays pages out in another way, makes other identities of the
-/// same input.
+/// Part of every identity, so that a later builder with another page layout gives the same input another identity.
 const LAYOUT_REVISION: u32 = 1;
 
-/// The identity of a file: equal for equal content, whatever the order of inputs, the threads or the memory of the build.
+/// The identity of a file: equal for equal content, regardless of the order of the inputs and of the threads and memory of
+/// the build.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Identity(pub [u8; 16]);
 
 impl Identity {
-    /// What the checksum of a page begins with.
+    /// The CRC-32C of the identity, with which the checksum of every page starts.
     #[must_use]
     pub fn seed(&self) -> u32 {
         crc32c::crc32c(&self.0)
@@ -26,7 +27,7 @@ impl fmt::Display for Identity {
     }
 }
 
-/// A sum of hashes of records, which does not depend on their order.
+/// The sum of the hashes of records, which does not depend on their order.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct RecordSum {
     sum: u128,
@@ -39,7 +40,8 @@ impl RecordSum {
         self.count += 1;
     }
 
-    /// The identity of a file made of these records and of `options`, which say all else that its pages depend on.
+    /// The identity of a file made from these records and from `options`, which state everything else that its pages depend
+    /// on.
     pub(crate) fn identity(self, options: &str) -> Identity {
         let mut hash = StreamHash::new(options);
         hash.update(&self.sum.to_le_bytes());
@@ -48,7 +50,7 @@ impl RecordSum {
     }
 }
 
-/// A hash of bytes whose order is given.
+/// A hash of a sequence of bytes.
 #[derive(Clone)]
 pub(crate) struct StreamHash(Xxh3);
 

@@ -1,9 +1,9 @@
-//! The frame that cloud and grid files share: a header block with a directory of sections, pages, and a footer.
+//! The container format that cloud and grid files share: a header block with a directory of sections, pages, and a footer.
 //!
-//! Every byte of a file lies under a CRC-32C. A file has an [`Identity`], which enters the checksum of each of its pages: a
-//! page of another file, read after somebody wrote over a file that is open, does not pass for one of this. Unknown
-//! sections and optional features are ignored, unknown required features are an error that names them, so that later
-//! writers can add to a file without a new version. `docs/format.md` shows the same tables in prose.
+//! Every byte of a file is covered by a CRC-32C. The [`Identity`] of a file is part of the checksum of each of its pages: if
+//! an open file is overwritten by another one, the pages of the new file are not mistaken for its own. Unknown sections and
+//! optional features are ignored, and unknown required features are an error that names them, so that later writers can
+//! extend the format without a new version. `docs/format.md` describes the same tables in prose.
 
 mod bytes;
 mod file;
@@ -30,10 +30,10 @@ pub(crate) use self::identity::{RecordSum, StreamHash};
 pub(crate) use self::page::PAGE_CHECKSUM_AT;
 pub(crate) use self::write::{Metadata, seal_file};
 
-/// Bytes of the shortest cloud or grid file: a header and a footer.
+/// Size in bytes of the shortest cloud or grid file: a header and a footer.
 pub const LEAST_FILE_BYTES: u64 = 2 * BLOCK_BYTES as u64;
 
-/// CRC-32C of a block with the four bytes of its checksum left out, going on from `seed`.
+/// CRC-32C of a block without the four bytes of its own checksum, continued from the CRC `seed`.
 fn checksum_around(seed: u32, bytes: &[u8], checksum_at: usize) -> u32 {
     let head = crc32c::crc32c_append(seed, &bytes[..checksum_at]);
     crc32c::crc32c_append(head, &bytes[checksum_at + 4..])

@@ -3,11 +3,11 @@
 use super::checksum_around;
 use super::identity::Identity;
 
-/// Bytes of the head of a page.
+/// Size of the head of a page in bytes.
 pub const PAGE_HEAD_BYTES: usize = 32;
 pub(crate) const PAGE_CHECKSUM_AT: usize = 4;
 
-/// What kind of page it is.
+/// The kind of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PageKind {
     /// Node records.
@@ -21,7 +21,7 @@ pub enum PageKind {
 }
 
 impl PageKind {
-    /// The number that stands for the kind in a page head.
+    /// The number that denotes the kind in a page head.
     #[must_use]
     pub fn code(self) -> u32 {
         match self {
@@ -38,18 +38,18 @@ impl PageKind {
 pub struct PageHead {
     /// Kind of page.
     pub kind: PageKind,
-    /// Number of the page, so that a page in the wrong place is noticed.
+    /// Number of the page, so that a page in the wrong place is detected.
     pub page: u32,
-    /// Records (nodes, runs, bricks) in the page.
+    /// Number of records (nodes, runs, bricks, ranges) in the page.
     pub records: u32,
-    /// Bytes in use, the head included; the rest is zero.
+    /// Bytes in use, including the head; the rest is zero.
     pub used_bytes: u32,
 }
 
 impl PageHead {
-    /// Writes the head and, over the identity of the file and the whole page, its checksum.
+    /// Writes the head, with the checksum over the identity of the file and the whole page.
     ///
-    /// Panics where the page has less than [`PAGE_HEAD_BYTES`].
+    /// Panics if the page is shorter than [`PAGE_HEAD_BYTES`].
     pub fn seal(&self, page: &mut [u8], identity: Identity) {
         let fields = [self.kind.code(), 0, self.page, self.records, self.used_bytes, 0, 0, 0];
         for (place, field) in page.chunks_exact_mut(4).zip(fields) {
@@ -59,12 +59,12 @@ impl PageHead {
         page[PAGE_CHECKSUM_AT..PAGE_CHECKSUM_AT + 4].copy_from_slice(&checksum.to_le_bytes());
     }
 
-    /// Checks a page's checksum, kind and number and returns its head.
+    /// Checks a page's checksum, kind, number and bytes in use, and returns its head.
     ///
-    /// Panics where the page has less than [`PAGE_HEAD_BYTES`].
+    /// Panics if the page is shorter than [`PAGE_HEAD_BYTES`].
     ///
     /// # Errors
-    /// [`PageError`] that says which of them is wrong.
+    /// [`PageError`], which says which of them is wrong.
     pub fn check(
         page_bytes: &[u8],
         kind: PageKind,
@@ -91,7 +91,7 @@ impl PageHead {
     }
 }
 
-/// The checksum that a sealed page carries.
+/// The checksum stored in a sealed page.
 #[must_use]
 pub fn stored_page_checksum(page: &[u8]) -> u32 {
     let b = &page[PAGE_CHECKSUM_AT..PAGE_CHECKSUM_AT + 4];
@@ -108,18 +108,18 @@ pub enum PageError {
          was written over this one"
     )]
     Checksum {
-        /// Stored.
+        /// The stored checksum.
         found: u32,
-        /// Computed.
+        /// The computed checksum.
         expected: u32,
     },
-    /// A whole page of this file, in the wrong place.
+    /// An undamaged page of this file, but of another kind or from another place.
     #[error("page {number} of another kind or place stands here")]
     Misplaced {
-        /// The number that the page gives itself.
+        /// The page number in its head.
         number: u32,
     },
-    /// Records that contradict themselves, under a right checksum.
+    /// Inconsistent contents, although the checksum is right.
     #[error("{what}")]
     Content {
         /// What is wrong.

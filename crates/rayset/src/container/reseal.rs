@@ -1,11 +1,11 @@
-//! Makes the checksums of a mutated file right, so that tests and fuzzers reach what lies behind them.
+//! Corrects the checksums of a mutated file, so that tests and fuzzers reach the code behind the checks.
 
 use super::checksum_around;
 use super::header::{BLOCK_BYTES, CHECKSUM_AT, DIRECTORY_AT, FileHeader, FileKind, Footer, SECTION_BYTES};
 use super::page::PAGE_CHECKSUM_AT;
 
-/// Makes every checksum of a file right that its own header leads to: of pages, sections, header and footer. Whatever the
-/// header says that cannot be is left as it is.
+/// Recomputes every checksum that can be reached from the file's header: of pages, sections, header and footer. If the
+/// header is invalid, only its own checksum is corrected.
 pub fn reseal(bytes: &mut [u8]) {
     if bytes.len() < 2 * BLOCK_BYTES {
         return;

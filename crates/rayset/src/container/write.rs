@@ -1,4 +1,4 @@
-//! The end of a file in the making: the sections behind its pages, the footer, and last of all the header.
+//! Completing a file: the sections after its pages, the footer, and finally the header.
 
 use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -6,29 +6,29 @@ use std::io::{self, Seek, SeekFrom, Write};
 use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, Section, SectionKind};
 use super::identity::Identity;
 
-/// Most bytes of descriptions of sources that are kept: those of the first in the order of their texts.
+/// Limit on the bytes of source descriptions that are kept: the first ones in sorted order.
 const MAX_SOURCES_BYTES: usize = 128 << 10;
 
-/// Longest name of a reference system that is kept.
+/// Longest description of a reference system that is kept, in bytes.
 const MAX_CRS_BYTES: usize = 64 << 10;
 
-/// What a file says in words, besides its numbers. Whatever else is in the section is ignored.
+/// The textual descriptions in a file. Anything else in the section is ignored.
 #[derive(Clone, Debug, Default, serde::Deserialize, serde::Serialize)]
 #[serde(default)]
 pub(crate) struct Metadata {
-    /// The coordinate reference system; empty where none is known.
+    /// The coordinate reference system; empty if unknown.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub(crate) crs: String,
-    /// Descriptions of the sources, in the order of their texts.
+    /// Descriptions of the sources, sorted.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(crate) sources: Vec<String>,
-    /// Names of feature bits, by their numbers.
+    /// Names of feature bits, by bit number.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) features: BTreeMap<String, String>,
 }
 
 impl Metadata {
-    /// What is kept of what sources say: neither their order nor their number shows.
+    /// Sorts, deduplicates and limits the descriptions of the sources, so that their order and number do not show.
     pub(crate) fn new(crs: &str, mut sources: Vec<String>) -> Self {
         sources.sort();
         sources.dedup();
@@ -46,10 +46,11 @@ impl Metadata {
     }
 }
 
-/// Writes what stands behind the pages, and last of all the header, without which nothing opens; returns it.
+/// Writes the sections after the pages, the footer, and finally the header, without which the file does not open. Returns
+/// the header.
 ///
-/// `pages` are the sections of pages: kind, number, digest; they follow each other from the first block on, and are
-/// written already. `sections` are written here.
+/// `pages` are the sections of pages (kind, number of pages, digest), which are already written one after another behind the
+/// header block. `sections` are written here.
 pub(crate) fn seal_file(
     output: &mut (impl Write + Seek),
     kind: FileKind,

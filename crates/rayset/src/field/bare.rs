@@ -1,5 +1,5 @@
-//! The inner loop with nothing around it: 64 samples against points in cache. What a processor can do at most, for
-//! comparison with what a render makes of it.
+//! The inner loop in isolation: 64 samples against points in cache. It measures the peak throughput of a processor, for
+//! comparison with that of a render.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{dispatch, f32x16};
@@ -7,11 +7,11 @@ use fearless_simd::{dispatch, f32x16};
 use super::SimdLevel;
 use super::kernel::{LaneKernel, Triweight};
 
-/// Samples evaluated side by side.
+/// Number of samples evaluated together.
 pub const BARE_SAMPLES: usize = 64;
 
-/// Adds every point (x, y, z, 1/r², weight) to 64 samples and returns the densities. One evaluation of the kernel for
-/// each pair.
+/// Adds the contribution of every point (x, y, z, 1/r², weight) to 64 samples and returns their densities; one kernel
+/// evaluation per pair of point and sample.
 #[must_use]
 pub fn bare_loop(
     simd: SimdLevel,

@@ -1,14 +1,15 @@
-//! How much work splatting is.
+//! Counts of the work done by splatting.
 
-/// How much work was done.
+/// Counts of the work done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct SplatCounts {
     /// Pairs of a ray and a point that were tested.
     pub pairs_tested: u64,
-    /// Pairs that were added to samples.
+    /// Pairs that were added to samples, counted once for each block of 16 samples (once per slab for runs evaluated in
+    /// `f64`).
     pub pairs_added: u64,
-    /// Evaluations of a kernel: pairs added times samples worked on.
+    /// Kernel evaluations, including those at samples that the point does not reach.
     pub kernel_evaluations: u64,
 }
 

@@ -1,8 +1,8 @@
-//! The seven radial basis functions, once, for the reference renderer in `f64` and for sixteen samples at a time.
+//! The seven radial basis functions, in `f64` for the reference renderer and in `f32` for sixteen samples at a time.
 //!
-//! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. All but two are polynomials in s = x², so that is
-//! the argument here; no square root is taken where none is needed. For gradients the useful form is
-//! ω'(x)/x = 2·dω/ds, which is finite at the centre for every kernel of the list.
+//! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. The functions here take s = x², because all kernels but
+//! two can be evaluated from s without a square root. For gradients the useful form is ω'(x)/x = 2·dω/ds, which is
+//! finite at the centre for every kernel here.
 
 use std::f64::consts::PI;
 use std::fmt;
@@ -13,20 +13,21 @@ use fearless_simd::prelude::*;
 
 use crate::parse::ParseError;
 
-/// A radial basis function ω(x), x = d/r: 1 at the centre, 0 from x = 1 on.
+/// A radial basis function ω(x) with x = d/r: 1 at the centre, 0 for x ≥ 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Kernel {
-    /// 1 − 22/9 x² + 17/9 x⁴ − 4/9 x⁶ (Wyvill, McPheeters, Wyvill 1986). The paper's own.
+    /// 1 − 22/9 x² + 17/9 x⁴ − 4/9 x⁶ (Wyvill, McPheeters, Wyvill 1986). The paper's kernel.
     #[default]
     Wyvill,
-    /// (1 − x²)². The formula of Chen 2005 (*Combining Point Clouds and Volume Objects in Volume Scene Graphs*)
-    /// could not be established from any source at hand; this biweight, the customary quartic of implicit
-    /// modelling, stands in for it until it can.
+    /// (1 − x²)². The formula of Chen 2005 (*Combining Point Clouds and Volume Objects in Volume Scene Graphs*) could
+    /// not be found in any available source. This biweight, the usual quartic of implicit modelling, takes its place
+    /// until it is.
     Chen,
-    /// (exp(−x²/2σ²) − c) / (1 − c), σ = 1/3, c the value at the cut: continuous at x = 1.
+    /// (exp(−x²/2σ²) − c) / (1 − c) with σ = 1/3 and c the Gaussian's value at the cut-off, so that it is continuous at
+    /// x = 1.
     Gaussian,
-    /// The M4 spline of smoothed-particle hydrodynamics, support r = 2h, scaled to peak 1.
+    /// The M4 cubic spline of smoothed-particle hydrodynamics with support r = 2h, scaled to a peak of 1.
     CubicSpline,
     /// (1 − x)⁴ (4x + 1) (Wendland 1995).
     WendlandC2,
@@ -37,7 +38,7 @@ pub enum Kernel {
 }
 
 impl Kernel {
-    /// Every kernel, in the order of the documentation.
+    /// All kernels, in the order of the documentation.
     pub const ALL: &[Self] = &[
         Self::Wyvill,
         Self::Chen,
@@ -48,7 +49,7 @@ impl Kernel {
         Self::Triweight,
     ];
 
-    /// The name used on the command line and in files.
+    /// The name used on the command line and in scene files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -85,7 +86,7 @@ impl Kernel {
         }
     }
 
-    /// ω'(x)/x as a function of s = x², in `f64`; never positive.
+    /// ω'(x)/x as a function of s = x² ≥ 0, in `f64`; never positive.
     #[must_use]
     pub fn slope_over_x(self, s: f64) -> f64 {
         if s >= 1.0 {
@@ -109,7 +110,7 @@ impl Kernel {
     #[must_use]
     pub fn integral(self) -> f64 {
         match self {
-            // 4π ∫ x² ω dx with the polynomial written out.
+            // 4π ∫ x² ω dx, term by term.
             Self::Wyvill => 4.0 * PI * (1.0 / 3.0 - 22.0 / 45.0 + 17.0 / 63.0 - 4.0 / 81.0),
             Self::Chen => 4.0 * PI * (1.0 / 3.0 - 2.0 / 5.0 + 1.0 / 7.0),
             Self::Gaussian => {
@@ -147,11 +148,12 @@ impl FromStr for Kernel {
     }
 }
 
-/// exp(−4.5): the Gaussian's value at the cut.
+/// exp(−4.5), the Gaussian's value at the cut-off.
 const GAUSSIAN_CUT: f64 = 0.011_108_996_538_242_306;
 
-/// A kernel as a type, so that the inner loop is compiled once for each. The argument is q = 1 − x², which the loop has
-/// at hand; results are exactly zero for q ≤ 0, which is what lets culling leave out any pair without changing a bit.
+/// A kernel as a type, so that the inner loop is compiled separately for each. The argument is q = 1 − x², which the
+/// loop has computed already. Results are exactly zero for q ≤ 0, so that culling a pair that does not contribute never
+/// changes a bit.
 pub(crate) trait LaneKernel: Copy {
     /// ω for sixteen samples.
     fn value<S: Simd>(q: f32x16<S>) -> f32x16<S>;
@@ -159,16 +161,16 @@ pub(crate) trait LaneKernel: Copy {
     fn slope_over_x<S: Simd>(q: f32x16<S>) -> f32x16<S>;
 }
 
-/// `value` where q > 0, else zero.
+/// `value` if q > 0, otherwise zero.
 #[inline(always)]
 fn within<S: Simd>(q: f32x16<S>, value: f32x16<S>) -> f32x16<S> {
     q.simd_gt(0.0).select(value, f32x16::splat(q.simd, 0.0))
 }
 
-/// x for q = 1 − x², 1 beyond the support.
+/// x from q = 1 − x², limited to 1 outside the support.
 #[inline(always)]
 fn x_of<S: Simd>(q: f32x16<S>) -> f32x16<S> {
-    // Rounding may take q beyond 1 at the very centre.
+    // Rounding may make q slightly greater than 1 at the centre.
     (1.0 - q.max(0.0)).max(0.0).sqrt()
 }
 
@@ -201,7 +203,7 @@ lane_kernels! {
     }
     CubicSpline { q:
         value {
-            // ¼[(2−p)³₊ − 4(1−p)³₊], p = 2x: both halves of the spline without a branch.
+            // ¼[(2−p)³₊ − 4(1−p)³₊] with p = 2x: both pieces of the spline without a branch.
             let p = x_of(q) * 2.0;
             let (outer, inner) = ((2.0 - p).max(0.0), (1.0 - p).max(0.0));
             (outer * outer * outer - inner * inner * inner * 4.0) * 0.25
@@ -236,7 +238,8 @@ lane_kernels! {
     }
 }
 
-/// exp(−4.5 s) for 0 ≤ s ≤ 1 as the eighth power of a Taylor polynomial, relative error below 2e-6; clamped beyond.
+/// exp(−4.5 s) for 0 ≤ s ≤ 1, as the eighth power of a Taylor polynomial; relative error below 2e-6. `s` is clamped to
+/// this range.
 #[inline(always)]
 fn exp_minus_4_5<S: Simd>(s: f32x16<S>) -> f32x16<S> {
     let y = s.max(0.0).min(1.0) * -0.5625;

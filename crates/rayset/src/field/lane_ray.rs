@@ -1,7 +1,8 @@
-//! Rays as a run of points sees them: where each is nearest the run's centre, and its samples counted from there.
+//! Rays relative to a run of points: their positions nearest to the run's centre, and their samples counted from there.
 //!
-//! The vector from a ray to a point is formed from coordinates about the centre of the run, with the ray's origin moved
-//! (in `f64`) to its foot nearest that centre: |c|² − t_c² from the eye would lose all digits.
+//! The vector from a ray to a point is computed in coordinates relative to the centre of the run, with the ray's origin
+//! moved (in `f64`) to its foot, the position nearest to that centre: |c|² − t_c² with distances from the eye would
+//! lose all digits.
 
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
@@ -9,17 +10,18 @@ use fearless_simd::prelude::*;
 use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 use super::run::DecodedRun;
 
-/// Vectors of sixteen in a slab.
+/// Vectors of sixteen samples in a slab.
 pub(super) const BLOCKS: usize = SLAB_SAMPLES / 16;
 
 const COUNT: [f32; 16] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
-/// Where a ray is, seen from a run: its foot nearest the run's centre, and its samples counted from there.
+/// The rays of a packet relative to a run: the foot of each ray, nearest to the run's centre, and its samples counted
+/// from there.
 pub(super) struct Frames {
     foot: [[f32; LANES]; 3],
-    /// Offset of the slab's first sample from the sample nearest the foot.
+    /// Number of the slab's first sample, counted from sample zero, which lies within one step of the foot.
     first_sample: [f32; LANES],
-    /// Distance along the ray from the foot to the sample nearest it.
+    /// Signed distance along the ray from the foot to sample zero.
     sample_zero: [f32; LANES],
 }
 
@@ -31,8 +33,8 @@ impl Frames {
         let (o, d) = (&packet.origin, &packet.direction);
         let center = run.center.to_array();
         let first = slab.first as f64;
-        // Plain multiplications and additions: `f64` has digits to spare, and a fused form is slow where there is
-        // no instruction for it.
+        // Separate multiplications and additions: `f64` has enough precision, and fused operations are slow on
+        // processors that have no instruction for them.
         for lane in 0..LANES {
             let (x, y, z) = (o[0][lane] - center[0], o[1][lane] - center[1], o[2][lane] - center[2]);
             let t_foot = -(x * d[0][lane] + y * d[1][lane] + z * d[2][lane]);
@@ -47,7 +49,7 @@ impl Frames {
         frames
     }
 
-    /// Lanes whose stretch of samples may meet the run's bounds of influence.
+    /// Lanes whose samples in the slab may lie within the run's bounds of influence.
     #[inline(always)]
     pub(super) fn lanes_that_meet<S: Simd>(
         &self,
@@ -62,14 +64,14 @@ impl Frames {
             let step = lanes_of(simd, &packet.step_f32, chunk);
             let start =
                 lanes_of(simd, &self.first_sample, chunk) * step + lanes_of(simd, &self.sample_zero, chunk);
-            // Half a step of slack on either side covers the rounding of this test.
+            // Half a step of slack on either side covers the rounding error of this test.
             let (mut enter, mut exit) = (start - step * 0.5, start + step * (last + 0.5));
             for axis in 0..3 {
                 let foot = lanes_of(simd, &self.foot[axis], chunk);
                 let inverse = lanes_of(simd, &packet.inverse_direction[axis], chunk);
                 let reach = run.reach[axis];
-                // A direction without extent along this axis neither enters nor leaves: the products are huge and
-                // of opposite sign inside, of the same sign outside.
+                // A ray parallel to this axis never crosses its planes: the products are huge, of opposite signs inside
+                // and of the same sign outside.
                 let (a, b) = ((-reach - foot) * inverse, (reach - foot) * inverse);
                 enter = enter.max(a.min(b));
                 exit = exit.min(a.max(b));
@@ -81,20 +83,20 @@ impl Frames {
     }
 }
 
-/// Sixteen lanes of a column. A closure would do, but closures are not always inlined where vectors must be.
+/// Sixteen lanes of a column. A function, because closures are not always inlined where vector code requires it.
 #[inline(always)]
 fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x16<S> {
     f32x16::from_slice(simd, &column[16 * chunk..16 * chunk + 16])
 }
 
-/// One ray as a run sees it.
+/// One ray relative to a run.
 pub(super) struct LaneRay<S: Simd> {
     foot: [f32; 3],
     pub(super) direction: [f32; 3],
-    /// Distances along the ray, from its foot, of the samples of the slab.
+    /// Distances of the slab's samples along the ray, measured from its foot.
     pub(super) t: [f32x16<S>; BLOCKS],
-    /// The same for the first and the last sample of each block, with a little to spare, so that culling is never
-    /// stricter than the evaluation.
+    /// The same for the first and the last sample of each block, slightly widened, so that culling is never stricter
+    /// than the evaluation.
     pub(super) block_start: [f32; BLOCKS],
     pub(super) block_end: [f32; BLOCKS],
 }
@@ -121,7 +123,7 @@ impl<S: Simd> LaneRay<S> {
         ray
     }
 
-    /// Distance along the ray to where points are nearest, and the vectors from the ray to them.
+    /// Distances along the ray at which it is nearest to the points, and the vectors from the ray to the points there.
     #[inline(always)]
     pub(super) fn project(&self, simd: S, position: [f32x16<S>; 3]) -> (f32x16<S>, [f32x16<S>; 3]) {
         let (x, y, z) = (position[0] - self.foot[0], position[1] - self.foot[1], position[2] - self.foot[2]);
@@ -133,7 +135,7 @@ impl<S: Simd> LaneRay<S> {
         (nearest, [back.mul_add(dx, x), back.mul_add(dy, y), back.mul_add(dz, z)])
     }
 
-    /// Chunks of sixteen points whose sphere of influence the ray meets within the slab.
+    /// Chunks of sixteen points whose sphere of influence the ray meets within the slab; a bit for each.
     #[inline(always)]
     pub(super) fn chunks_in_reach(&self, simd: S, run: &DecodedRun) -> u64 {
         let center = [

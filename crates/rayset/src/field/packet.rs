@@ -1,37 +1,37 @@
-//! A packet of rays and the samples on them.
+//! Packets of rays and the samples on them.
 //!
-//! Samples of a ray sit on its own lattice t = (j + offset)·δ, j = 0, 1, …; all rays of a packet share δ. What is computed
-//! for a sample depends on its ray and its number alone.
+//! The samples of a ray lie on a lattice t = (j + offset)·δ, j = 0, 1, …. The offset is the ray's own; δ is the same
+//! for all rays of a packet. The result at a sample depends only on its ray and its sample number.
 //!
-//! A packet is in world space, or in the local space of an object that is transformed: there a step has another length
-//! on every ray, and sample numbers mean the same places.
+//! A packet is in world space, or in the local space of a transformed object. There the step has a different length on
+//! every ray, but a sample number denotes the same position.
 
 use crate::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
 
-/// Rays in a packet.
+/// Number of rays in a packet.
 pub const LANES: usize = 64;
-/// Samples of a ray that are worked on at a time.
+/// Number of samples of a ray that are processed together.
 pub const SLAB_SAMPLES: usize = 32;
 
-/// No ray has more samples: beyond, their distances could not be told apart.
+/// Upper bound of sample numbers: beyond it, the distances of samples would not be distinct numbers.
 const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
 
-/// Up to 64 rays in columns.
+/// Up to 64 rays, stored by columns.
 #[derive(Clone, Debug)]
 pub struct Packet {
     pub(super) origin: [[f64; LANES]; 3],
-    /// Unit directions.
+    /// Unit directions in the packet's space.
     pub(super) direction: [[f64; LANES]; 3],
-    /// What a unit of world-space length along a ray is in the packet's space.
+    /// Length in the packet's space of a unit of world-space length along each ray.
     pub(super) scale: [f64; LANES],
     /// Distance between samples in the packet's space.
     pub(super) step: [f64; LANES],
     pub(super) step_f32: [f32; LANES],
     pub(super) per_step: [f64; LANES],
-    /// Offset of the lattice, in steps, in [0, 1).
+    /// Sample offset in steps, in [0, 1).
     pub(super) sample_offset: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
-    /// 1 / direction, large and of the right sign where the direction has no extent along an axis.
+    /// 1 / direction; large and with the right sign if the component is zero.
     pub(super) inverse_direction: [[f32; LANES]; 3],
     rays: usize,
     step_world: f64,
@@ -39,9 +39,9 @@ pub struct Packet {
 }
 
 impl Packet {
-    /// A packet of at most 64 rays, each with the offset of its samples in steps, that share the step `step_world`.
+    /// A packet of up to 64 rays, each with its sample offset in steps, that share the step `step_world`.
     ///
-    /// Panics where there are no rays or more than 64.
+    /// Panics if there are no rays or more than 64.
     #[must_use]
     pub fn new(rays: &[(Ray, f64)], step_world: f64) -> Self {
         assert!(!rays.is_empty() && rays.len() <= LANES, "a packet of {} rays", rays.len());
@@ -60,7 +60,7 @@ impl Packet {
             least_step: step_world,
         };
         for lane in 0..LANES {
-            // Lanes that are left over repeat the last ray; their results are never looked at.
+            // Unused lanes repeat the last ray; their results are ignored.
             let (ray, sample_offset) = rays[lane.min(rays.len() - 1)];
             packet.set_ray(lane, &ray);
             packet.sample_offset[lane] = sample_offset;
@@ -78,8 +78,8 @@ impl Packet {
         }
     }
 
-    /// The same rays and samples in the local space of an object. The map must not be singular; `least_stretch` is the
-    /// least length that it makes of a vector of length one.
+    /// The same rays and samples in the local space of an object. The map must be invertible; `least_stretch` is the
+    /// smallest length to which it takes a vector of length one.
     #[must_use]
     pub fn in_local_space(&self, local_from_world: &DAffine3, least_stretch: f64) -> Self {
         let mut local = self.clone();
@@ -98,20 +98,20 @@ impl Packet {
         local
     }
 
-    /// A ray, in the packet's space.
+    /// A ray in the packet's space.
     #[must_use]
     pub fn ray(&self, lane: usize) -> Ray {
         let column = |c: &[[f64; LANES]; 3]| DVec3::new(c[0][lane], c[1][lane], c[2][lane]);
         Ray { origin: column(&self.origin), direction: column(&self.direction) }
     }
 
-    /// Distance of sample `sample` of a ray from its origin, in the packet's space.
+    /// Distance of a sample from the origin of its ray, in the packet's space.
     #[must_use]
     pub fn sample_t(&self, lane: usize, sample: u64) -> f64 {
         (sample as f64 + self.sample_offset[lane]) * self.step[lane]
     }
 
-    /// Distance of sample `sample` of a ray from its origin, world space.
+    /// Distance of a sample from the origin of its ray, world space.
     #[must_use]
     pub fn sample_t_world(&self, lane: usize, sample: u64) -> f64 {
         (sample as f64 + self.sample_offset[lane]) * self.step_world
@@ -129,7 +129,7 @@ impl Packet {
         self.sample_offset[lane]
     }
 
-    /// A lower bound of the distance between samples in the packet's space, that does not depend on its rays.
+    /// A lower bound of the distance between samples in the packet's space, independent of the rays.
     #[must_use]
     pub fn least_step(&self) -> f64 {
         self.least_step
@@ -141,13 +141,13 @@ impl Packet {
         self.rays
     }
 
-    /// Never: a packet holds at least one ray.
+    /// Always false: a packet has at least one ray.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         false
     }
 
-    /// A mask with the bit of every ray set.
+    /// A mask with one bit set for every ray.
     #[must_use]
     pub fn all(&self) -> u64 {
         if self.rays == LANES { u64::MAX } else { (1 << self.rays) - 1 }
@@ -159,12 +159,12 @@ impl Packet {
         self.step_world
     }
 
-    /// The rays in `lanes`.
+    /// The rays of a mask, in the packet's space.
     pub fn rays(&self, lanes: u64) -> impl Iterator<Item = Ray> {
         (0..LANES).filter(move |lane| lanes >> lane & 1 == 1).map(|lane| self.ray(lane))
     }
 
-    /// The bound of the rays in `lanes`, by distance in world space.
+    /// Bound of the rays of a mask, parametrised by distance in world space.
     #[must_use]
     pub fn beam(&self, lanes: u64) -> Beam {
         let mut beam = Beam::EMPTY;
@@ -175,31 +175,31 @@ impl Packet {
         beam
     }
 
-    /// The least and the greatest distance between samples of some rays, in the packet's space.
+    /// The smallest and the largest distance between samples of the rays of a mask, in the packet's space.
     #[must_use]
     pub fn step_range(&self, lanes: u64) -> (f64, f64) {
         let steps = (0..LANES).filter(|lane| lanes >> lane & 1 == 1).map(|lane| self.step[lane]);
         steps.fold((f64::INFINITY, 0.0), |(least, most), step| (least.min(step), most.max(step)))
     }
 
-    /// The numbers of the samples that may lie in a box on any ray of a beam of this packet's: an inclusive range, never
-    /// too small, or `None` if no ray meets the box.
+    /// The sample numbers that may lie in a box on any ray of a beam of this packet: an inclusive, conservative range,
+    /// or `None` if no ray meets the box.
     #[must_use]
     pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
         let (enter, exit) = beam.span(bounds)?;
-        // Rounding in the quotients is far below the two samples of slack.
+        // Two samples of slack are far more than the rounding error of the quotients.
         let first = (enter / self.step_world - 2.0).max(0.0);
         let last = (exit / self.step_world + 2.0).min(MOST_SAMPLES);
         (first < MOST_SAMPLES).then_some((first as u64, last as u64))
     }
 }
 
-/// The stretch of 32 samples of every ray that begins at `first`.
+/// A range of sample numbers, the same on every ray of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slab {
-    /// Number of the first sample, a multiple of [`SLAB_SAMPLES`] or of a part of it.
+    /// Number of the first sample: a multiple of [`SLAB_SAMPLES`] or of a fraction of it.
     pub first: u64,
-    /// Samples worked on, at most [`SLAB_SAMPLES`].
+    /// Number of samples, at most [`SLAB_SAMPLES`].
     pub samples: usize,
 }
 

@@ -1,4 +1,4 @@
-//! One ray against the points of a run, sixteen at a time: which of them reach its samples.
+//! Tests one ray against the points of a run, sixteen at a time: which of them reach its samples.
 
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
@@ -7,16 +7,16 @@ use super::lane_ray::{BLOCKS, LaneRay};
 use super::run::DecodedRun;
 use crate::octree::layout::RUN_POINTS;
 
-/// One ray against points of a run, in units of their radii.
+/// One ray and the points of a run, with distances in units of each point's radius.
 #[derive(Clone, Debug)]
 pub(super) struct Pairs {
-    /// Distance along the ray from the foot to where the point is nearest, over the radius.
+    /// Distance along the ray from its foot to the position nearest to the point, divided by the radius.
     pub(super) nearest: [f32; RUN_POINTS],
-    /// 1 − d⊥²/r².
+    /// 1 − d⊥²/r², with d⊥ the distance of the point from the ray.
     pub(super) inside: [f32; RUN_POINTS],
-    /// The vector from the ray to the point, world units, where gradients are wanted.
+    /// The vector from the ray to the point in the packet's space, if gradients are computed.
     pub(super) across: [[f32; RUN_POINTS]; 3],
-    /// For each block of samples, the points that reach it.
+    /// For each block of samples, the points that reach it; a bit for each.
     pub(super) hits: [[u64; 2]; BLOCKS],
 }
 
@@ -56,7 +56,7 @@ impl Pairs {
             let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
             let nearest = nearest * inverse;
             let inside = (-distance_squared).mul_add(inverse * inverse, f32x16::splat(simd, 1.0));
-            // What rounding may take from a pair that just contributes is far below this.
+            // Far larger than the rounding error of a pair that barely contributes.
             let reach = inside + 1e-5;
             for b in 0..BLOCKS {
                 let before = inverse * ray.block_start[b] - nearest;

@@ -1,4 +1,4 @@
-//! Sixty-four rays in columns, tested against boxes together.
+//! Up to sixty-four rays, tested against boxes together.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{dispatch, f32x16};
@@ -7,39 +7,39 @@ use super::packet::LANES;
 use super::simd::SimdLevel;
 use crate::geometry::{Aabb, DVec3, Ray};
 
-/// Rays in columns, prepared for tests against boxes.
+/// Rays stored by columns, prepared for tests against boxes.
 #[derive(Clone, Debug)]
 pub struct RayColumns {
     simd: SimdLevel,
-    /// What the origins below are counted from, so that single precision will do wherever the scene is.
+    /// The position that origins are relative to, so that single precision suffices wherever the scene is.
     base: DVec3,
     origin: [[f32; LANES]; 3],
     inverse_direction: [[f32; LANES]; 3],
-    /// Greatest distance of an origin from the base, along an axis.
+    /// Largest coordinate of an origin relative to the base.
     spread: f64,
 }
 
-/// What rays make of a box.
+/// Which rays meet a box, and where.
 #[derive(Clone, Copy, Debug)]
 pub struct Crossing {
-    /// Rays that come within a margin of the box.
+    /// Rays that come within a margin of the box; a bit for each.
     pub near: u64,
-    /// Rays that pass through the box itself.
+    /// Rays that pass through the box itself; a bit for each.
     pub through: u64,
-    /// Distance at which each ray comes within the margin, if it does.
+    /// Distance at which each ray of `near` comes within the margin.
     pub enter_near: [f32; LANES],
-    /// Distance at which each ray that comes within the margin leaves it.
+    /// Distance at which each ray of `near` leaves the margin.
     pub exit_near: [f32; LANES],
-    /// Distance at which each ray that passes through the box leaves it.
+    /// Distance at which each ray of `through` leaves the box.
     pub exit: [f32; LANES],
-    /// And how long it is in it.
+    /// Length of each ray of `through` inside the box.
     pub length: [f32; LANES],
 }
 
 impl RayColumns {
-    /// Of at most 64 rays, the last of which fills the columns up.
+    /// Columns of at most 64 rays; unused columns repeat the last ray.
     ///
-    /// Panics where there are none.
+    /// Panics if there are no rays.
     #[must_use]
     pub fn new(simd: SimdLevel, rays: impl IntoIterator<Item = Ray>) -> Self {
         let mut rays = rays.into_iter().take(LANES);
@@ -56,7 +56,7 @@ impl RayColumns {
             columns.spread = columns.spread.max(offset.abs().max_element());
             for axis in 0..3 {
                 columns.origin[axis][lane] = offset[axis] as f32;
-                // Large and of the right sign where the direction has no extent along an axis.
+                // Large and with the right sign if the component is zero.
                 let direction = ray.direction[axis] as f32;
                 columns.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
             }
@@ -65,12 +65,12 @@ impl RayColumns {
         columns
     }
 
-    /// What the rays make of a box; `margin_world` is how far beside it is near. No ray that meets the box is left out
-    /// of those near, even where the margin is 0.
+    /// Tests the rays against a box and against the box enlarged by `margin_world`. Every ray that meets the box is
+    /// among those near it, even with a margin of 0.
     #[must_use]
     pub fn cross(&self, bounds: &Aabb, margin_world: f64) -> Crossing {
         let (low, high) = (bounds.min - self.base, bounds.max - self.base);
-        // Far above the rounding of coordinates and of the test to single precision.
+        // Far larger than the rounding error of coordinates and of the test in single precision.
         let farthest = low.abs().max(high.abs()).max_element() + self.spread;
         let margin = margin_world + 1e-6 * farthest;
         let narrow = |v: DVec3| v.to_array().map(|v| v as f32);

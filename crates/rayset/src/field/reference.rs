@@ -1,4 +1,4 @@
-//! The reference renderer: every point against every sample, in `f64`, from the points as the file stores them.
+//! The reference field: every point against every sample, in `f64`, from the points as stored in the file.
 
 use super::kernel::Kernel;
 use super::run::{AttributeColumns, linear_from_srgb};
@@ -6,10 +6,10 @@ use crate::container::ScanError;
 use crate::geometry::{DVec3, Ray};
 use crate::octree::Cloud;
 
-/// A point in full precision.
+/// A point in double precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JudgePoint {
-    /// World position.
+    /// Position in the cloud's space.
     pub position: DVec3,
     /// Radius.
     pub radius: f64,
@@ -22,22 +22,22 @@ pub struct JudgePoint {
 /// The field at one sample.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReferenceSample {
-    /// Σ v·ω.
+    /// The density, Σ v·ω.
     pub density: f64,
-    /// Σ v·∇ω.
+    /// Its gradient, Σ v·∇ω.
     pub gradient: DVec3,
-    /// Σ v·ω·a of each channel; empty where no point reaches.
+    /// Σ v·ω·a for each channel; empty if no point reaches the sample.
     pub attributes: Vec<f64>,
 }
 
-/// A cloud without any structure.
+/// The points of a cloud without any acceleration structure.
 #[derive(Clone, Debug)]
 pub struct ReferenceField {
     /// The points.
     pub points: Vec<JudgePoint>,
     /// The kernel.
     pub kernel: Kernel,
-    /// Whether kernels integrate to one.
+    /// Whether kernels are normalised to integrate to one.
     pub normalised: bool,
 }
 
@@ -45,7 +45,7 @@ impl ReferenceField {
     /// Reads all points of a cloud.
     ///
     /// # Errors
-    /// [`ScanError`] where the file cannot be read or is damaged.
+    /// [`ScanError`] if the file cannot be read or is damaged.
     pub fn load(
         cloud: &Cloud,
         kernel: Kernel,
@@ -80,7 +80,7 @@ impl ReferenceField {
         Ok(Self { points, kernel, normalised })
     }
 
-    /// The points that reach a ray anywhere: all that any sample on it can need.
+    /// The points that reach a ray anywhere, and so any of its samples.
     #[must_use]
     pub fn near(&self, ray: &Ray) -> Self {
         let reaches = |p: &&JudgePoint| {
@@ -91,7 +91,7 @@ impl ReferenceField {
         Self { points: self.points.iter().filter(reaches).cloned().collect(), ..*self }
     }
 
-    /// The field at `q`.
+    /// The field at the position `q`, in the cloud's space.
     #[must_use]
     pub fn sample(&self, q: DVec3) -> ReferenceSample {
         let mut sum = ReferenceSample::default();

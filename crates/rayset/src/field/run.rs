@@ -10,32 +10,32 @@ use crate::octree::format::Header;
 use crate::octree::layout::{RUN_POINTS, RootCell};
 use crate::octree::page::Run;
 
-/// Above this ratio of a run's extent to its smallest radius, single precision about the run's centre would cost more
-/// than a few 1e-5 of a radius, and the run is evaluated in double precision instead.
+/// Largest ratio of a run's extent to its smallest radius for single precision. Beyond it, coordinates relative to the
+/// run's centre would have errors of more than a few 1e-5 of a radius, and the run is evaluated in double precision.
 const WIDEST_IN_F32: f64 = 128.0;
-/// More samples than this across a run could not be counted exactly in single precision.
+/// Most samples across a run that can be counted exactly in single precision.
 const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
-/// Places for the spheres of a run's chunks: eight chunks of sixteen points, padded to a whole vector.
+/// Entries for the bounding spheres of a run's chunks: eight chunks of sixteen points, padded to a whole vector.
 pub(super) const CHUNKS: usize = 16;
 
-/// Up to 128 points in columns, about the centre of their bounds.
+/// Up to 128 points stored by columns, relative to the centre of their bounds.
 #[derive(Clone, Debug)]
 pub struct DecodedRun {
     pub(super) len: usize,
-    /// Centre of the position bounds, world space.
+    /// Centre of the bounds of the positions, in the cloud's space.
     pub(super) center: DVec3,
-    /// Half edges of the bounds of influence about the centre, rounded up.
+    /// Half the edge lengths of the bounds of influence about the centre, rounded up.
     pub(super) reach: [f32; 3],
     pub(super) position: [[f32; RUN_POINTS]; 3],
     pub(super) inverse_radius: [f32; RUN_POINTS],
-    /// Spheres of influence of sixteen points each, which cull them together.
+    /// Spheres of influence of chunks of sixteen points, by which a chunk is culled as a whole.
     pub(super) chunk_center: [[f32; CHUNKS]; 3],
     pub(super) chunk_reach_squared: [f32; CHUNKS],
-    /// Weight, with the kernel's normalisation where that is asked for.
+    /// Weights, multiplied by the kernel's normalisation if it is requested.
     pub(super) weight: [f32; RUN_POINTS],
     /// One column for each channel of [`AttributeColumns`].
     pub(super) attribute: Vec<[f32; RUN_POINTS]>,
-    /// Positions and inverse radii in double precision, for runs too wide for single.
+    /// Positions and inverse radii in double precision, for runs that are too wide for single precision.
     pub(super) wide: Option<Box<WideRun>>,
     spare_wide: Option<Box<WideRun>>,
 }
@@ -46,17 +46,17 @@ pub(super) struct WideRun {
     pub(super) inverse_radius: [f64; RUN_POINTS],
 }
 
-/// What a cloud's field carries besides the density. Its channels are numbered in this order.
+/// The attributes that a cloud's field carries besides the density. Their channels are numbered in this order.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct AttributeColumns {
     /// The points' colour, decoded to linear light: three channels.
     pub color: bool,
-    /// Attribute columns of the file, one channel each.
+    /// Indices of attribute columns of the file, one channel each.
     pub scalars: Vec<usize>,
 }
 
 impl AttributeColumns {
-    /// How many channels these are.
+    /// Number of channels.
     #[must_use]
     pub fn channels(&self) -> usize {
         self.first_scalar() + self.scalars.len()
@@ -69,13 +69,13 @@ impl AttributeColumns {
     }
 }
 
-/// How runs of one cloud are decoded.
+/// Decodes the runs of one cloud.
 #[derive(Clone, Debug)]
 pub struct RunDecoder {
     root: RootCell,
     radius: Option<f32>,
     weight: Option<f32>,
-    /// 1, or 1/∫ω dV where kernels are normalised.
+    /// 1/∫ω dV over the unit ball if kernels are normalised.
     normalisation: Option<f64>,
     columns: AttributeColumns,
     linear_from_srgb: Box<[f32; 256]>,
@@ -95,7 +95,7 @@ impl RunDecoder {
         }
     }
 
-    /// Decodes a run for samples that are at least `step` apart, in the space of the cloud.
+    /// Decodes a run for samples that are at least `step` apart, in the cloud's space.
     pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
         dispatch!(simd.level(), simd => self.decode_with(simd, run, header, step, out));
     }
@@ -140,7 +140,7 @@ impl RunDecoder {
         }
         if let Some(factor) = self.normalisation {
             for (w, inverse) in out.weight[..n].iter_mut().zip(&out.inverse_radius) {
-                // Held where an f32 can hold it: beyond, a picture has no use for more.
+                // Clamped so that it fits an `f32`; larger weights make no difference to a picture.
                 *w = (f64::from(*w) * factor * f64::from(*inverse).powi(3)).clamp(-1e30, 1e30) as f32;
             }
         }
@@ -159,14 +159,14 @@ impl RunDecoder {
         }
         for (column, &index) in scalars.iter_mut().zip(&self.columns.scalars) {
             for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
-                // A missing value counts as 0 rather than spoil its neighbours.
+                // A value that is not finite counts as 0, so that it does not spoil its neighbours.
                 *o = if v.is_finite() { v } else { 0.0 };
             }
         }
     }
 }
 
-/// Decodes a display-encoded (sRGB) value of 0 to 1 (IEC 61966-2-1).
+/// Decodes a display-encoded (sRGB) value from 0 to 1 to linear light (IEC 61966-2-1).
 #[must_use]
 pub fn linear_from_srgb(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
@@ -191,7 +191,7 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
-    /// Fills the last chunk up with copies of its first point, which bound nothing new. They are never evaluated.
+    /// Pads the last chunk with copies of its first point, which do not enlarge its bounds. They are never evaluated.
     #[inline(always)]
     fn pad_last_chunk(&mut self) {
         let (n, padded) = (self.len, self.len.next_multiple_of(16));

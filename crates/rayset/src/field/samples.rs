@@ -1,15 +1,15 @@
-//! The field at the samples of one slab of a packet, as runs are added to it.
+//! The field at the samples of one slab of a packet, accumulated run by run.
 
 use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 use super::pairs::Pairs;
 use super::run::DecodedRun;
 
-/// What is accumulated besides the density.
+/// The quantities accumulated besides the density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Channels {
     /// The gradient of the density.
     pub gradient: bool,
-    /// How many weighted attributes.
+    /// Number of weighted attributes.
     pub attributes: usize,
 }
 
@@ -21,20 +21,20 @@ pub struct SampleRow(pub [f32; SLAB_SAMPLES]);
 /// The field at the samples of one slab of a packet.
 #[derive(Clone, Debug)]
 pub struct FieldSamples {
-    /// Σ v·ω for each lane.
+    /// The density, Σ v·ω, for each lane.
     pub density: Vec<SampleRow>,
-    /// Σ v·∇ω, three components, where asked for.
+    /// Its gradient, Σ v·∇ω, by components; empty if not requested.
     pub gradient: [Vec<SampleRow>; 3],
-    /// Σ v·ω·a, one for each attribute.
+    /// Σ v·ω·a for each attribute.
     pub attribute: Vec<Vec<SampleRow>>,
-    /// Lanes that received anything since [`clear`](Self::clear); the rows of all others are stale.
+    /// Lanes that have received contributions since [`clear`](Self::clear); the rows of all other lanes are stale.
     pub touched: u64,
-    /// Room to work in, kept from run to run: its contents need not be cleared.
+    /// Scratch memory, kept from run to run; its contents need not be cleared.
     pub(super) pairs: Option<Box<Pairs>>,
 }
 
 impl FieldSamples {
-    /// Room for the channels asked for.
+    /// Allocates rows for the requested channels.
     #[must_use]
     pub fn new(channels: Channels) -> Self {
         let rows = |wanted: bool| vec![SampleRow([0.0; SLAB_SAMPLES]); if wanted { LANES } else { 0 }];
@@ -47,7 +47,7 @@ impl FieldSamples {
         }
     }
 
-    /// What there is room for.
+    /// The channels for which rows are allocated.
     #[must_use]
     pub fn channels(&self) -> Channels {
         Channels { gradient: !self.gradient[0].is_empty(), attributes: self.attribute.len() }
@@ -58,7 +58,7 @@ impl FieldSamples {
         self.touched = 0;
     }
 
-    /// Zeroes a lane's rows on its first contribution.
+    /// Zeroes the rows of a lane before its first contribution.
     #[inline(always)]
     pub(super) fn begin<const GRADIENT: bool>(&mut self, lane: usize) {
         if self.touched >> lane & 1 != 0 {
@@ -77,7 +77,7 @@ impl FieldSamples {
     }
 }
 
-/// Everything that a splat works on.
+/// The operands of a splat.
 pub(super) struct SplatJob<'a> {
     pub(super) run: &'a DecodedRun,
     pub(super) packet: &'a Packet,

@@ -1,4 +1,4 @@
-//! The vector instructions in use, chosen when the program runs.
+//! The vector instruction set in use, chosen at run time.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,26 +7,27 @@ use fearless_simd::Level;
 
 use crate::parse::ParseError;
 
-/// A set of vector instructions. The same source is compiled for each; results may differ in the last bits between
-/// those that have fused multiply–add (AVX2, AVX-512, NEON) and those that have not.
+/// A vector instruction set. The same source is compiled for each; results may differ in the last bits between those
+/// with fused multiply–add (AVX2, AVX-512, NEON) and those without.
 #[derive(Clone, Copy, Debug)]
 pub struct SimdLevel(Level);
 
 impl Default for SimdLevel {
-    /// The best that this processor has.
+    /// The best instruction set of this processor.
     fn default() -> Self {
         Self(Level::new())
     }
 }
 
 impl SimdLevel {
-    /// What every processor of the architecture has: SSE2 on x86-64, NEON on 64-bit ARM, else no vectors at all.
+    /// The instruction set that every processor of the architecture has: SSE2 on x86-64, NEON on 64-bit ARM, otherwise
+    /// scalar code.
     #[must_use]
     pub fn baseline() -> Self {
         Self(Level::baseline())
     }
 
-    /// Every level that this processor has, the best first.
+    /// All instruction sets of this processor, the best first.
     #[must_use]
     pub fn available() -> Vec<Self> {
         let best = Level::new();
@@ -41,7 +42,7 @@ impl SimdLevel {
         levels
     }
 
-    /// Its name on the command line.
+    /// The name used on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self.0 {

@@ -1,12 +1,13 @@
-//! The inner loop: a run of points is added to the samples of a packet of rays.
+//! The inner loop: adds a run of points to the samples of a packet of rays.
 //!
-//! Along a ray the squared distance to a point is d⊥² + (t − t_c)². Points are tested sixteen at a time against one ray
-//! (`pairs`, in the coordinates of `lane_ray`); those that reach it are added to its 32 samples, sixteen at a time.
+//! Along a ray, the squared distance to a point is d⊥² + (t − t_c)². Points are tested against one ray, sixteen at a
+//! time (`pairs`, in the coordinates of `lane_ray`); those that reach it are added to its 32 samples, sixteen at a
+//! time.
 //!
-//! Invariants on which bit-identical pictures rest:
+//! Bit-identical pictures depend on these invariants:
 //! - a contribution is a function of ray, run, point and sample number only;
 //! - a sample receives contributions in the order of the points in the file;
-//! - culling leaves out only pairs that would contribute exactly zero.
+//! - culling only leaves out pairs whose contribution is exactly zero.
 
 use std::ops::Range;
 
@@ -24,24 +25,24 @@ use super::simd::SimdLevel;
 use super::splat_wide::splat_wide;
 use crate::octree::layout::RUN_POINTS;
 
-/// Channels of a colour: so many sums are kept in registers.
+/// Channels of a colour, whose sums are kept in registers.
 const COLOR: usize = 3;
-/// Any number of channels, whose sums are kept in memory.
+/// Any other number of channels; their sums are kept in memory.
 const ANY: usize = usize::MAX;
 
-/// Adds runs to samples with one kernel, on one set of instructions.
+/// Adds runs to samples with a given kernel and instruction set.
 #[derive(Clone, Copy, Debug)]
 pub struct Splatter {
     /// The kernel.
     pub kernel: Kernel,
-    /// What is accumulated.
+    /// The quantities accumulated.
     pub channels: Channels,
-    /// The instructions.
+    /// The instruction set.
     pub simd: SimdLevel,
 }
 
 impl Splatter {
-    /// Adds a run to the samples of the rays in `lanes`, in one slab.
+    /// Adds a run to the samples of one slab, on the rays in `lanes`.
     pub fn splat(
         &self,
         run: &DecodedRun,
@@ -113,7 +114,8 @@ fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usi
     counts
 }
 
-/// Adds all hits to the samples of the lane, in the order of the points; returns how many vectors of samples.
+/// Adds all hits to the samples of a lane, in the order of the points; returns the number of pairs of a point and a
+/// block of sixteen samples.
 #[inline(always)]
 fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
     simd: S,
@@ -133,7 +135,7 @@ fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
             let mut hits = hits;
             added += u64::from(hits.count_ones());
             while hits != 0 {
-                // Below RUN_POINTS by construction; the mask lets the compiler see it.
+                // Below RUN_POINTS by construction; the mask makes this visible to the compiler.
                 let i = (64 * half + hits.trailing_zeros() as usize) & (RUN_POINTS - 1);
                 hits &= hits - 1;
                 let along = ray.t[block] * run.inverse_radius[i] - pairs.nearest[i];
@@ -152,13 +154,13 @@ fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
     added
 }
 
-/// The samples of a block.
+/// The range of samples of a block.
 #[inline(always)]
 fn places(block: usize) -> Range<usize> {
     16 * block..16 * block + 16
 }
 
-/// Adds one point to any number of attributes, whose sums are in memory.
+/// Adds one point to the attributes, whose sums are in memory.
 #[inline(always)]
 fn add_attributes<S: Simd>(
     weighted: f32x16<S>,
@@ -174,13 +176,13 @@ fn add_attributes<S: Simd>(
     }
 }
 
-/// Sums over the points of one run at sixteen samples, in registers.
+/// Sums over the points of one run at sixteen samples, kept in registers.
 struct Sums<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> {
     density: f32x16<S>,
     color: [f32x16<S>; COLOR],
-    /// The gradient along the ray, of this run alone.
+    /// Component of the gradient along the ray, of this run only.
     along: f32x16<S>,
-    /// The gradient against [`Pairs::across`], of this run alone.
+    /// Component of the gradient across the ray, with reversed sign, of this run only.
     across: [f32x16<S>; 3],
 }
 
@@ -199,7 +201,7 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
         sums
     }
 
-    /// Adds the value of one point to density and colour; returns it with its weight.
+    /// Adds the value of one point to density and colour; returns it, weighted if attributes follow.
     #[inline(always)]
     fn add_value(&mut self, value: f32x16<S>, run: &DecodedRun, point: usize) -> f32x16<S> {
         let weight = run.weight[point];

@@ -1,11 +1,11 @@
-//! Runs whose points are small for their extent, in `f64`: slow, and rare.
+//! Splats runs whose points are small compared with the extent of the run, in `f64`: slow, but rarely needed.
 
 use super::counts::SplatCounts;
 use super::kernel::Kernel;
 use super::run::WideRun;
 use super::samples::SplatJob;
 
-/// Adds such a run; each pair is worked out by itself.
+/// Adds such a run, one pair of ray and point at a time.
 #[inline(never)]
 pub(super) fn splat_wide<const GRADIENT: bool>(
     kernel: Kernel,
@@ -32,7 +32,8 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
                 continue;
             }
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
-            // Samples in reach, one to spare on either side. Conversions round towards 0, and numbers below it become 0.
+            // The samples in reach, with one to spare on either side. Casts to integers round toward 0, and negative
+            // numbers become 0.
             let number = |t: f64| t / packet.step[lane] - packet.sample_offset[lane];
             let first = ((number(nearest - half) - 1.0) as u64).max(slab.first);
             let last = ((number(nearest + half) + 2.0) as u64).min(slab.end() - 1);

@@ -1,9 +1,10 @@
-//! Bounds of many rays at once.
+//! Bounds of sets of rays.
 
 use super::{Aabb, DVec3, Ray};
 
-/// A bound of a set of rays: at distance t from their origins, every one of them is within the box from
-/// `origin_min + t·direction_min` to `origin_max + t·direction_max`. Right for any rays, where a cone is not.
+/// Bound of a set of rays: at distance t from its origin, each ray lies within the box from
+/// `origin_min + t·direction_min` to `origin_max + t·direction_max`. Unlike a bounding cone, it is valid for any set of
+/// rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
     origin_min: DVec3,
@@ -13,7 +14,7 @@ pub struct Beam {
 }
 
 impl Beam {
-    /// The bound of no rays, which any ray enlarges.
+    /// The bound of no rays; including any ray enlarges it.
     pub const EMPTY: Self = Self {
         origin_min: DVec3::INFINITY,
         origin_max: DVec3::NEG_INFINITY,
@@ -21,7 +22,7 @@ impl Beam {
         direction_max: DVec3::NEG_INFINITY,
     };
 
-    /// Grows the bound to contain a ray, whose direction may have any length.
+    /// Enlarges the bound to contain a ray. The ray's direction may have any length.
     pub fn include(&mut self, ray: &Ray) {
         self.origin_min = self.origin_min.min(ray.origin);
         self.origin_max = self.origin_max.max(ray.origin);
@@ -29,16 +30,18 @@ impl Beam {
         self.direction_max = self.direction_max.max(ray.direction);
     }
 
-    /// How much the directions of its rays differ along an axis, at most.
+    /// The largest difference between the directions of the rays along any axis.
     #[must_use]
     pub fn spread(&self) -> f64 {
         (self.direction_max - self.direction_min).max_element()
     }
 
-    /// The distances t ≥ 0 between which some ray may be in a box, or `None` if none meets it. Never too short.
+    /// The interval of distances t ≥ 0 in which some ray may be inside a box, or `None` if no ray meets it.
+    /// Conservative.
     #[must_use]
     pub fn span(&self, bounds: &Aabb) -> Option<(f64, f64)> {
-        // Each face of the bound that must not pass the opposite face of the box is one inequality a + b·t ≥ 0.
+        // On each axis, neither face of the bound may have passed the opposite face of the box: one inequality
+        // a + b·t ≥ 0 for each face.
         let (mut enter, mut exit) = (0.0_f64, f64::INFINITY);
         let mut require = |a: f64, b: f64| {
             if b > 0.0 {
@@ -53,7 +56,7 @@ impl Beam {
             require(bounds.max[axis] - self.origin_min[axis], -self.direction_min[axis]);
             require(self.origin_max[axis] - bounds.min[axis], self.direction_max[axis]);
         }
-        // Far above the rounding of the quotients.
+        // Much larger than the rounding error of the quotients.
         let slack = 1e-9 * enter;
         (enter - slack <= exit + slack).then_some((enter - slack, exit + slack))
     }

@@ -1,51 +1,53 @@
-//! Axis-aligned boxes.
+//! Axis-aligned bounding boxes.
 
 use super::{DAffine3, DVec3, Ray};
 
-/// An axis-aligned box in world space. Empty when `min` exceeds `max` on any axis.
+/// An axis-aligned bounding box, in world space or in the local space of an object. Empty if `min` exceeds `max` on any
+/// axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
-    /// Smallest corner.
+    /// The corner with the smallest coordinates.
     pub min: DVec3,
-    /// Largest corner.
+    /// The corner with the largest coordinates.
     pub max: DVec3,
 }
 
 impl Aabb {
-    /// The box that contains nothing, and that any point enlarges.
+    /// The empty box; including any point enlarges it.
     pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
-    /// A box from its corners.
+    /// A box with the given corners.
     #[must_use]
     pub fn new(min: DVec3, max: DVec3) -> Self {
         Self { min, max }
     }
 
-    /// Whether the box contains nothing.
+    /// Whether the box is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.min.cmpgt(self.max).any()
     }
 
-    /// Grows the box to contain `p`.
+    /// Enlarges the box to contain `p`.
     pub fn include(&mut self, p: DVec3) {
         self.min = self.min.min(p);
         self.max = self.max.max(p);
     }
 
-    /// The smallest box that contains both.
+    /// The smallest box that contains both boxes.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// The box that both have in common; empty where they have nothing.
+    /// The intersection of both boxes; empty if they are disjoint.
     #[must_use]
     pub fn intersection(self, other: Self) -> Self {
         Self { min: self.min.max(other.min), max: self.max.min(other.max) }
     }
 
-    /// A box that contains the image of this one under an affine map. Infinite where this one is, on any axis.
+    /// A box that contains the image of this one under an affine map. If this one is infinite on any axis, the result
+    /// is infinite on all, unless the map is the identity.
     #[must_use]
     pub fn transformed(self, map: &DAffine3) -> Self {
         if *map == DAffine3::IDENTITY || self.is_empty() {
@@ -58,18 +60,18 @@ impl Aabb {
         let half = self.size() * 0.5;
         let m = map.matrix3;
         let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
-        // Far above the rounding of the products.
+        // Much larger than the rounding error of the products.
         let slack = 1e-12 * (center.abs() + reach);
         Self { min: center - reach - slack, max: center + reach + slack }
     }
 
-    /// The box grown by `margin` on every side.
+    /// The box enlarged by `margin` on every side.
     #[must_use]
     pub fn inflated(self, margin: f64) -> Self {
         Self { min: self.min - margin, max: self.max + margin }
     }
 
-    /// Centre of a box that is not empty.
+    /// Centre of the box, which must not be empty.
     #[must_use]
     pub fn center(&self) -> DVec3 {
         (self.min + self.max) * 0.5
@@ -81,19 +83,19 @@ impl Aabb {
         self.max - self.min
     }
 
-    /// Whether `p` lies in the box, its faces included.
+    /// Whether `p` lies in the box or on its faces.
     #[must_use]
     pub fn contains(&self, p: DVec3) -> bool {
         p.cmpge(self.min).all() && p.cmple(self.max).all()
     }
 
-    /// Whether `other` lies in this box, faces included.
+    /// Whether `other` is empty or lies in this box; faces may touch.
     #[must_use]
     pub fn encloses(&self, other: &Self) -> bool {
         other.is_empty() || (self.contains(other.min) && self.contains(other.max))
     }
 
-    /// The interval of `t` (clipped to `t ≥ 0`) in which the ray is inside the box, or `None` when it misses.
+    /// The interval of `t` (clipped to `t ≥ 0`) in which the ray is inside the box, or `None` if it misses the box.
     #[doc(hidden)]
     #[must_use]
     pub fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {

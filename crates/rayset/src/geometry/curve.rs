@@ -1,9 +1,9 @@
-//! Space-filling curves: Hilbert curves for the order of points in the octree and of tiles in the picture.
+//! Space-filling curves: Hilbert curves order the points of an octree and the tiles of a picture.
 
-/// Octree levels below the root that a place along the curve resolves; it has `3 * MAX_LEVEL` bits.
+/// Octree levels below the root that an index along the curve resolves; the index has `3 * MAX_LEVEL` bits.
 pub const MAX_LEVEL: u32 = 20;
 
-/// Spreads the low 20 bits of `v` so that two zero bits follow each.
+/// Spreads the low 21 bits of `v`, inserting two zero bits after each.
 fn spread(v: u32) -> u64 {
     let mut x = u64::from(v) & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;
@@ -13,7 +13,7 @@ fn spread(v: u32) -> u64 {
     (x | x << 2) & 0x1249_2492_4924_9249
 }
 
-/// Hilbert code of a cell at [`MAX_LEVEL`], x in the lowest bit of each triple.
+/// Morton code of a cell at [`MAX_LEVEL`], with x in the lowest bit of each triple.
 fn morton(cell: [u32; 3]) -> u64 {
     spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
 }
@@ -22,7 +22,7 @@ fn morton(cell: [u32; 3]) -> u64 {
 /// rank along the curve in the low three bits, and the orientation within it above.
 const TURNS: [[u8; 8]; 24] = turns();
 
-/// Works out [`TURNS`] from Gray codes (Hamilton, *Compact Hilbert Indices*, 2006, section 2).
+/// Computes [`TURNS`] from Gray codes (Hamilton, *Compact Hilbert Indices*, 2006, section 2).
 const fn turns() -> [[u8; 8]; 24] {
     const fn rotate_left(v: u32, by: u32) -> u32 {
         let by = by % 3;
@@ -53,8 +53,8 @@ const fn turns() -> [[u8; 8]; 24] {
     table
 }
 
-/// Place of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits number the cell of
-/// level `l` that holds it, so the curve orders an octree as a Hilbert code does, without its jumps.
+/// Index of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits are the index of the
+/// cell at level `l` that contains it, so the curve orders an octree as a Morton code does, but without jumps.
 #[must_use]
 pub fn hilbert(cell: [u32; 3]) -> u64 {
     let interleaved = morton(cell);
@@ -67,7 +67,7 @@ pub fn hilbert(cell: [u32; 3]) -> u64 {
     place
 }
 
-/// Column and row of step `index` along a Hilbert curve over a square of `side` cells (a power of two).
+/// Column and row of cell number `index` along a Hilbert curve over a square of `side` cells (a power of two).
 #[must_use]
 pub fn hilbert_cell(side: u32, index: u64) -> (u32, u32) {
     let (mut x, mut y, mut rest) = (0_u32, 0_u32, index);
@@ -90,8 +90,8 @@ pub fn hilbert_cell(side: u32, index: u64) -> (u32, u32) {
     (x, y)
 }
 
-/// All cells of a `columns` × `rows` rectangle, in the order in which a Hilbert curve meets them. A long rectangle is
-/// walked square after square, so that the work is that of its cells.
+/// All cells of a `columns` × `rows` rectangle in the order of a Hilbert curve. A long rectangle is traversed square by
+/// square, so that the cost is proportional to its number of cells.
 #[must_use]
 pub fn hilbert_order(columns: u32, rows: u32) -> Vec<(u32, u32)> {
     let side = columns.min(rows).max(1).next_power_of_two();

@@ -1,7 +1,7 @@
-//! Boxes, rays and space-filling curves: what every later module measures with.
+//! Bounding boxes, rays, beams of rays and space-filling curves, on which the other modules build.
 //!
-//! Positions are `f64` in world space (the space of the input file). Nothing here knows about points,
-//! pages or pictures.
+//! Positions are `f64`, in world space or in the local space of an object (the space of its input file). Nothing here
+//! depends on points, pages or pictures.
 
 mod beam;
 mod bounds;

@@ -2,17 +2,18 @@
 
 use super::DVec3;
 
-/// A half-line in world space. `direction` has length one, so the parameter `t` is a world-space length.
+/// A half-line. Unless stated otherwise it is in world space and `direction` has length one, so that `t` is a length in
+/// world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where the ray starts, world space.
+    /// Origin of the ray.
     pub origin: DVec3,
-    /// Unit direction, world space.
+    /// Direction of the ray.
     pub direction: DVec3,
 }
 
 impl Ray {
-    /// The position at distance `t` from the origin.
+    /// The position at parameter `t`.
     #[must_use]
     pub fn at(&self, t: f64) -> DVec3 {
         self.origin + self.direction * t

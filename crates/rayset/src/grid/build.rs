@@ -1,5 +1,5 @@
-//! From a stream of voxels to a grid file, out of core: slices pass by once, and a layer of bricks is written as soon as
-//! the slices that it needs are there.
+//! Out-of-core building of a grid file from a stream of voxels: slices are read once, and a layer of bricks is written as
+//! soon as the slices that it needs have been read.
 
 use std::collections::VecDeque;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -18,20 +18,20 @@ use crate::output::{Destination, OutputError, OutputFile, OutputWriter, remove_l
 use crate::setters::setters;
 use crate::spill::Spill;
 
-/// Why no grid was built.
+/// Why a grid could not be built.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GridBuildError {
     /// The build was cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// The input.
+    /// The input cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
     /// The output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// The system refused to write to it.
+    /// Writing the output failed.
     #[error("cannot write {}: {source}", path.display())]
     Write {
         /// The file.
@@ -39,23 +39,23 @@ pub enum GridBuildError {
         /// The system's reason.
         r#source: io::Error,
     },
-    /// A temporary file.
+    /// A temporary file cannot be created, written or read.
     #[error("temporary file in {}: {source}", folder.display())]
     Temporary {
-        /// Where it is.
+        /// The folder of the file.
         folder: PathBuf,
         /// The system's reason.
         r#source: io::Error,
     },
-    /// Not even a single brick and the buffers fit.
+    /// The memory is too small even for one brick and the buffers.
     #[error("{needed} bytes of memory are needed, {budget} may be used")]
     Memory {
-        /// The smallest that would do.
+        /// The least memory that suffices, in bytes.
         needed: u64,
-        /// What may be used.
+        /// The memory that may be used, in bytes.
         budget: u64,
     },
-    /// No grid that can be sampled.
+    /// The voxels do not form a grid that can be sampled.
     #[error("{what}")]
     Grid {
         /// What is wrong with it.
@@ -63,18 +63,18 @@ pub enum GridBuildError {
     },
 }
 
-/// Memory for buffers: a piece of voxels before and after conversion, a decompressor's, and the output's.
+/// Memory for buffers, in bytes: of a piece of voxels before and after conversion, of a decompressor, and of the output.
 const BUFFER_BYTES: u64 = 3 * PIECE_BYTES as u64 + (3 << 20);
-/// More than this is not copied out of the slices at a time.
+/// Upper limit on the bytes that are copied out of the slices at a time.
 const MOST_WINDOW_BYTES: u64 = 16 << 20;
 
-/// What may be used to build; none of it changes a byte of the file.
+/// The resources that a build may use; they do not affect the bytes of the file.
 #[derive(Clone, Debug)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct GridBuildOptions {
-    /// Memory to work in, bytes.
+    /// Memory to use, in bytes.
     pub memory_bytes: u64,
-    /// Folder of the temporary file, where slices do not fit in memory; that of the output by default.
+    /// Folder of the temporary file that is used if the slices do not fit in memory; by default that of the output.
     pub temp_dir: Option<PathBuf>,
 }
 
@@ -84,17 +84,17 @@ setters!(GridBuildOptions {
 });
 
 impl Default for GridBuildOptions {
-    /// A quarter of a gibibyte.
+    /// 256 MiB of memory.
     fn default() -> Self {
         Self { memory_bytes: 256 << 20, temp_dir: None }
     }
 }
 
-/// Builds a grid file, beside its name until it is whole. The control's progress hears of slices done,
-/// as [`Stage::Read`].
+/// Builds a grid file, which gets its name once it is complete. The control's progress reports the slices done, as
+/// [`Stage::Read`].
 ///
 /// # Errors
-/// [`GridBuildError`]; no file is left then.
+/// [`GridBuildError`]; no file is left behind then.
 pub fn build(
     mut source: VolumeSource,
     path: &Path,
@@ -132,9 +132,9 @@ pub fn build(
     Ok(header)
 }
 
-/// How memory is divided.
+/// How the memory is divided.
 struct Room {
-    /// Whether the slices of a layer fit.
+    /// Whether the slices of a layer fit in memory.
     holds_slices: bool,
     /// Bricks of a row whose voxels are copied out of the slices together.
     bricks_at_once: u64,
@@ -194,7 +194,7 @@ impl From<io::Error> for Failure {
     }
 }
 
-/// Writes all bricks of all layers, and ends the file.
+/// Writes all bricks of all layers, and completes the file.
 fn write(
     source: &mut VolumeSource,
     mut slices: Slices,
@@ -232,14 +232,14 @@ fn write(
     Ok(writer.finish(header)?)
 }
 
-/// The voxels along an axis that bricks hold, without those beyond the grid.
+/// The range of voxels along an axis that bricks hold, clipped to the grid.
 fn voxels_of(header: &GridHeader, axis: usize, bricks: Range<u64>) -> Range<u64> {
     let cells = header.kind.brick_cells();
     (bricks.start * cells).saturating_sub(1)..(bricks.end * cells + 2).min(header.size[axis])
 }
 
-/// Copies the voxels of a brick, those beyond the grid repeated from its edge. Returns the range of those that samples
-/// in its cells may use.
+/// Copies the voxels of a brick; beyond the grid, its edge voxels are repeated. Returns the range of the values that samples
+/// in the cells of the brick may use.
 fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut [u8]) -> (f32, f32) {
     let (kind, n) = (header.kind, header.kind.brick_voxels());
     let width = kind.bytes();
@@ -265,10 +265,10 @@ fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut 
     (low, high)
 }
 
-/// The file as it grows: bricks one after another, and pages of their ranges behind where the bricks will end.
+/// The file being written: bricks in order, and the pages of their ranges behind the place where the bricks will end.
 struct Writer {
     bricks: BufWriter<OutputWriter>,
-    /// A second place to write, and to read, in the same file.
+    /// A second position for writing, and reading, in the same file.
     ranges: OutputWriter,
     /// The brick to be written.
     page: Vec<u8>,
@@ -321,7 +321,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Brings the identity into the pages, writes what stands behind them, and last of all what says that this is a grid.
+    /// Enters the identity into the checksums of the pages, writes the sections behind them, and finally the header that
+    /// makes this a grid file.
     fn finish(mut self, header: &mut GridHeader) -> io::Result<()> {
         if self.ranges_in_page > 0 {
             self.end_range_page()?;
@@ -351,15 +352,15 @@ impl Writer {
     }
 }
 
-/// Turns the checksums of pages that were sealed under no identity into those under the identity of the file, which only
-/// the last voxel settled; returns the digest of the pages.
+/// Converts the checksums of pages that were sealed with an all-zero identity to those for the identity of the file, which
+/// was known only after the last voxel; returns the digest of the pages.
 ///
-/// A CRC of two parts follows from those of both, so the pages need not be read again: the checksum is that over the
-/// identity followed by the rest of the page. What stood for the identity before were sixteen zeros.
+/// The checksum is the CRC of the identity followed by the rest of the page. The CRC of a concatenation follows from the
+/// CRCs of its parts, so the pages need not be read again. Before, the identity was sixteen zero bytes.
 fn identify(file: &mut OutputWriter, header: &GridHeader, pages: Range<u64>) -> io::Result<u32> {
     let rest_bytes = PAGE_BYTES - 4;
     let before = Identity::default().seed();
-    // The CRC is affine: exchanging what precedes the page adds the same term to the checksum of every page.
+    // The CRC is affine: replacing what precedes the page XORs the same term into the checksum of every page.
     let zeros = vec![0; rest_bytes];
     let exchange =
         crc32c::crc32c_append(before, &zeros) ^ crc32c::crc32c_append(header.identity.seed(), &zeros);

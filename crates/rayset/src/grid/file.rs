@@ -1,4 +1,4 @@
-//! Opening a grid: header, footer, length and descriptions are checked here, pages when they are read.
+//! Opening a grid: header, footer, length and descriptions are checked here; pages are checked when they are read.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,9 +9,9 @@ use crate::container::{
 };
 use crate::storage::{MemoryStorage, Storage};
 
-/// An open grid: what its file says of itself, checked, and where its pages are read from.
+/// An open grid: its checked header, and where its pages are read from.
 pub struct Grid {
-    /// Its name in messages, where it is no file on disk.
+    /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
     /// `None` for a file on disk, which is opened by its path.
     storage: Option<Arc<dyn Storage>>,
@@ -28,22 +28,23 @@ impl Grid {
     /// Opens a grid and checks its header, its length, its descriptions and its footer.
     ///
     /// # Errors
-    /// [`OpenError`] where the file cannot be read or is no whole grid of this version.
+    /// [`OpenError`] if the file cannot be read, or is not a complete grid of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let mut file = OpenFile::open(path, FileKind::Grid)?;
         Ok(Self { path: path.to_owned(), storage: None, header: GridHeader::read(&mut file)? })
     }
 
-    /// Opens a grid whose bytes lie in memory: those of a file, read or mapped or built there. They are used where they are.
+    /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are used in place.
     ///
     /// # Errors
-    /// [`OpenError`] where they are no whole grid of this version.
+    /// [`OpenError`] if they are not a complete grid of this version.
     pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, OpenError> {
         let bytes: Arc<[u8]> = bytes.into();
         Self::from_storage("memory", Arc::new(MemoryStorage::new(Arc::new(bytes))))
     }
 
-    /// Opens a grid whose bytes are read from anywhere, with a name for messages. They must not change while it is open.
+    /// Opens a grid whose bytes are read from any storage; `name` is for messages. The bytes must not change while the grid
+    /// is open.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -53,7 +54,7 @@ impl Grid {
         Ok(Self { path, storage: Some(storage), header: GridHeader::read(&mut file)? })
     }
 
-    /// What its pages are read from, where that is no file on disk.
+    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its path.
     #[doc(hidden)]
     #[must_use]
     pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
@@ -67,7 +68,7 @@ impl Grid {
         }
     }
 
-    /// Path of the file, or the name of what it is read from.
+    /// The path of the file, or the name of the storage.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -82,7 +83,7 @@ impl Grid {
     /// Checks a page that has just been read: checksum, kind and place.
     ///
     /// # Errors
-    /// [`PageError`] that says what is wrong.
+    /// [`PageError`], which says what is wrong.
     #[doc(hidden)]
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
         let (bricks, kind) = (self.header.brick_pages(), self.header.kind);
@@ -98,7 +99,7 @@ impl Grid {
         if fits { Ok(()) } else { Err(PageError::Content { what: "ranges of another number of bricks" }) }
     }
 
-    /// Reads every page in order, checks it, and hands it over with its number; holds one page at a time.
+    /// Reads every page in order, one at a time, checks it, and passes it to `visit` with its number.
     fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), ScanError> {
         let mut file = self.reopened()?;
         if file.header().identity != self.header.identity {
@@ -113,7 +114,7 @@ impl Grid {
         })
     }
 
-    /// Reads and checks every page, and the digests of them all. Returns how many there are.
+    /// Reads and checks every page, and the digests of all pages. Returns the number of pages.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
@@ -122,7 +123,7 @@ impl Grid {
         Ok(self.header.pages())
     }
 
-    /// Reads every voxel, x fastest, as stored: for small grids.
+    /// Reads all voxels into memory, x fastest, as stored (without scale and offset): for small grids.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.

@@ -1,7 +1,7 @@
-//! What a grid file says of its voxels: the section `GRID`, as [`GridHeader`]; and what its pages hold.
+//! The layout of grid files: the section `GRID`, as [`GridHeader`], and the contents of the pages.
 //!
-//! A brick holds the voxels that samples in its cells need, those of the neighbouring bricks included, so that a sample
-//! reads one page. Numbers are little-endian. The frame around all this is [`crate::container`].
+//! A brick holds all voxels that samples in its cells need, including those shared with neighbouring bricks, so that a
+//! sample reads a single page. Numbers are little-endian. The surrounding container format is in [`crate::container`].
 
 use crate::container::{
     BLOCK_BYTES, FileHeader, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SectionKind,
@@ -9,11 +9,11 @@ use crate::container::{
 };
 use crate::geometry::{DAffine3, DVec3};
 
-/// First eight bytes of every file.
+/// The first eight bytes of every grid file.
 pub const MAGIC: [u8; 8] = *b"RAYGRID\n";
-/// Bytes of a page.
+/// Size of a page in bytes.
 pub const PAGE_BYTES: usize = 32 << 10;
-/// Ranges in a page.
+/// Value ranges in a page.
 pub const RANGES_PER_PAGE: u64 = ((PAGE_BYTES - PAGE_HEAD_BYTES) / 8) as u64;
 
 /// How a voxel is stored.
@@ -26,7 +26,7 @@ pub enum VoxelKind {
     I16,
     /// Unsigned, 16 bits.
     U16,
-    /// Single precision.
+    /// IEEE 754 single precision.
     F32,
 }
 
@@ -34,7 +34,7 @@ impl VoxelKind {
     /// Every kind.
     pub const ALL: &[Self] = &[Self::U8, Self::I16, Self::U16, Self::F32];
 
-    /// Bytes of a voxel.
+    /// Size of a voxel in bytes.
     #[must_use]
     pub fn bytes(self) -> usize {
         match self {
@@ -50,7 +50,7 @@ impl VoxelKind {
         ["u8", "i16", "u16", "f32"][self as usize]
     }
 
-    /// Voxels along an edge of a brick: as many as a page holds.
+    /// Voxels along an edge of a brick: as many as fit in a page.
     #[must_use]
     pub fn brick_voxels(self) -> usize {
         match self {
@@ -60,13 +60,13 @@ impl VoxelKind {
         }
     }
 
-    /// Cells between voxels that a brick is for; a voxel on either side is for gradients.
+    /// Cells along an edge of a brick; the additional voxel on either side is for gradients.
     #[must_use]
     pub fn brick_cells(self) -> u64 {
         self.brick_voxels() as u64 - 3
     }
 
-    /// The number that little-endian bytes stand for.
+    /// Decodes a voxel from little-endian bytes.
     #[must_use]
     pub fn value(self, bytes: &[u8]) -> f32 {
         match self {
@@ -78,11 +78,11 @@ impl VoxelKind {
     }
 }
 
-/// What a grid file says of itself.
+/// The header of a grid file.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct GridHeader {
-    /// What tells the file from others. Zeros while it is built: it follows from all voxels.
+    /// Distinguishes the file from others. Zero during the build, because it depends on all voxels.
     pub identity: Identity,
     /// Voxels along each axis, at least 2.
     pub size: [u64; 3],
@@ -94,11 +94,11 @@ pub struct GridHeader {
     pub scale: f64,
     /// See `scale`.
     pub offset: f64,
-    /// From voxel coordinates (voxel centres are whole numbers) to the space of the file it was made from.
+    /// Transforms voxel coordinates (voxel centres at integers) to the space of the file that the grid was made from.
     pub space_from_voxel: DAffine3,
-    /// Bytes of the whole file.
+    /// Size of the whole file in bytes.
     pub file_bytes: u64,
-    /// What the sources said of themselves, sorted. Readers of volumes say nothing yet.
+    /// Descriptions of the sources, sorted. Volume readers do not provide any yet.
     pub sources: Vec<String>,
 }
 
@@ -109,31 +109,31 @@ impl GridHeader {
         self.size.map(|n| (n - 1).div_ceil(self.kind.brick_cells()))
     }
 
-    /// Pages that hold bricks; they come first, x fastest.
+    /// Number of pages that hold bricks; they come first, x fastest.
     #[must_use]
     pub fn brick_pages(&self) -> u64 {
         self.bricks().iter().product()
     }
 
-    /// Pages that hold ranges of bricks; they follow.
+    /// Number of pages that hold the ranges of bricks; they follow the bricks.
     #[must_use]
     pub fn range_pages(&self) -> u64 {
         self.brick_pages().div_ceil(RANGES_PER_PAGE)
     }
 
-    /// All pages.
+    /// Number of all pages.
     #[must_use]
     pub fn pages(&self) -> u64 {
         self.brick_pages() + self.range_pages()
     }
 
-    /// Where a page starts.
+    /// The offset of a page in the file, in bytes.
     #[must_use]
     pub fn page_offset(&self, page: u64) -> u64 {
         BLOCK_BYTES as u64 + page * PAGE_BYTES as u64
     }
 
-    /// The value that a stored number stands for.
+    /// The value of a stored number, with scale and offset applied.
     #[must_use]
     pub fn value(&self, stored: f64) -> f64 {
         self.scale * stored + self.offset
@@ -146,7 +146,7 @@ impl GridHeader {
         (a.min(b), a.max(b))
     }
 
-    /// The section `GRID`.
+    /// Encodes the section `GRID`.
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut w = Writer::default();
         w.u32(self.kind as u32);
@@ -160,7 +160,7 @@ impl GridHeader {
         w.bytes
     }
 
-    /// The section `META`.
+    /// The contents of the section `META`.
     pub(crate) fn metadata(&self) -> Metadata {
         Metadata::new("", self.sources.clone())
     }
@@ -168,7 +168,7 @@ impl GridHeader {
     /// Reads and checks the sections of an open file.
     ///
     /// # Errors
-    /// [`OpenError`] where a section is missing, damaged, or out of range.
+    /// [`OpenError`] if a section is missing, damaged, or has a number out of range.
     #[doc(hidden)]
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let bytes = file.section(SectionKind::GRID)?;
@@ -220,7 +220,7 @@ impl GridHeader {
         self.check_numbers()
     }
 
-    /// Whether there may be a grid of so many voxels.
+    /// Checks that the numbers of voxels and pages are within the limits of the format.
     pub(crate) fn check_size(&self) -> Result<(), &'static str> {
         let in_range = self.size.iter().all(|n| (2..=1 << 24).contains(n));
         if !in_range || self.pages() > u64::from(u32::MAX) {
@@ -229,7 +229,7 @@ impl GridHeader {
         Ok(())
     }
 
-    /// Whether the numbers that place the voxels and their values can be used.
+    /// Checks that the transform, the scale and offset, and the value range are usable.
     pub(crate) fn check_numbers(&self) -> Result<(), &'static str> {
         let determinant = self.space_from_voxel.matrix3.determinant();
         let finite = self.space_from_voxel.is_finite()

@@ -1,4 +1,4 @@
-//! The slices of voxels that a layer of bricks needs: in memory where they fit, else in a temporary file.
+//! The slices of voxels that a layer of bricks needs: in memory if they fit, otherwise in a temporary file.
 
 use std::collections::VecDeque;
 use std::io;
@@ -10,10 +10,10 @@ use crate::cancel::CancelToken;
 use crate::container::{Identity, StreamHash};
 use crate::spill::Spill;
 
-/// Voxels are read from the source in pieces of so many bytes.
+/// Size in bytes of the pieces in which voxels are read from the source.
 pub(super) const PIECE_BYTES: usize = 1 << 20;
 
-/// Why slices cannot be had.
+/// Why slices cannot be read.
 pub(super) enum SliceError {
     Read(ReadError),
     /// The temporary file.
@@ -23,21 +23,21 @@ pub(super) enum SliceError {
 
 /// Consecutive slices, little-endian.
 pub(super) struct Slices {
-    /// Numbers of those that are held.
+    /// The numbers of the slices that are held.
     numbers: Range<u64>,
     row_bytes: u64,
     slice_bytes: u64,
     voxel_bytes: u64,
     held: Held,
     piece: Vec<u8>,
-    /// Of what places the voxels, and of all voxels so far.
+    /// Hash of the size, type, scaling and transform of the grid, and of all voxels so far.
     hash: StreamHash,
 }
 
 /// Where slices are.
 pub(super) enum Held {
     Memory(VecDeque<Vec<u8>>),
-    /// Slice k is in place k mod `places` of the file.
+    /// Slice k is stored at place k mod `places` of the file, a ring buffer.
     Disk {
         file: Spill,
         places: u64,
@@ -46,7 +46,7 @@ pub(super) enum Held {
 
 /// A block of voxels of the slices held.
 pub(super) struct Window {
-    /// x, y, z of the voxels, clamped to the grid.
+    /// The voxel ranges along x, y and z, clamped to the grid.
     ranges: [Range<u64>; 3],
     voxel_bytes: usize,
     bytes: Vec<u8>,
@@ -74,18 +74,18 @@ impl Slices {
         }
     }
 
-    /// What tells a file of these voxels from others, once all have been read.
+    /// The identity of a file of these voxels, once all have been read.
     pub(super) fn identity(&self) -> Identity {
         self.hash.identity()
     }
 
-    /// Bytes of the slices that a layer of bricks needs.
+    /// Size in bytes of the slices that a layer of bricks needs.
     pub(super) fn layer_bytes(header: &GridHeader) -> u64 {
         let places = header.kind.brick_voxels() as u64;
         places * header.size[0] * header.size[1] * header.kind.bytes() as u64
     }
 
-    /// Lets go of what comes before the numbers given, and reads on to their end.
+    /// Releases the slices before the range `to`, and reads on to its end.
     pub(super) fn advance(
         &mut self,
         source: &mut VolumeSource,
@@ -134,7 +134,7 @@ impl Slices {
         Ok(())
     }
 
-    /// Copies voxels of the slices held into a window.
+    /// Copies a block of voxels out of the slices held into a window.
     pub(super) fn look(&self, ranges: [Range<u64>; 3], window: &mut Window) -> Result<(), SliceError> {
         let [x, y, z] = ranges.clone();
         let length = ((x.end - x.start) * self.voxel_bytes) as usize;

@@ -1,35 +1,36 @@
-//! From light to the numbers of a picture: exposure and tone mapping.
+//! Converts linear light to display values: exposure and tone mapping.
 
 use crate::field::linear_from_srgb;
 
-/// How bright light becomes.
+/// How linear light is mapped to the range of a display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ToneMapping {
-    /// Up to 1 as it is; what is brighter is white.
+    /// No mapping: values above 1 are clipped when the picture is encoded.
     #[default]
     None,
-    /// Like film: highlights are compressed. The fit of the ACES curve by Narkowicz (2015).
+    /// A filmic curve that compresses highlights: Narkowicz's fit (2015) of the ACES curve.
     Filmic,
 }
 
-/// Exposure and tone mapping, for pictures that are to be looked at. Files of light (OpenEXR) are written without it.
+/// Exposure and tone mapping for pictures that are meant for display. OpenEXR files hold linear light, without it.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct DisplayTransform {
-    /// Stops: light is multiplied by two to this power.
+    /// Exposure in stops: light is multiplied by two to this power.
     pub exposure: f64,
-    /// What follows.
+    /// Tone mapping, applied after the exposure.
     pub tone_mapping: ToneMapping,
 }
 
 impl DisplayTransform {
-    /// Linear light of a colour as screens and painting programs say it: red, green and blue of sRGB, 0 to 1.
+    /// Converts a display-encoded sRGB colour, as used by screens and painting programs, to linear light; 0 to 1.
     #[must_use]
     pub fn linear_from_srgb(color: [f64; 3]) -> [f32; 3] {
         color.map(|v| linear_from_srgb(v) as f32)
     }
 
-    /// A value of straight (not premultiplied) linear light as the picture shows it, still linear.
+    /// Applies exposure and tone mapping to a component of straight (not premultiplied) colour; the result is still
+    /// linear.
     #[must_use]
     pub fn apply(&self, light: f32) -> f32 {
         let x = light * self.exposure.exp2() as f32;
@@ -43,7 +44,7 @@ impl DisplayTransform {
     }
 }
 
-/// Encodes linear light for display (IEC 61966-2-1), 0 to 1.
+/// Encodes linear light from 0 to 1 for display (IEC 61966-2-1).
 #[must_use]
 pub fn srgb_from_linear(v: f64) -> f64 {
     if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }

@@ -1,7 +1,8 @@
-//! OpenEXR with layers, written band by band so that no whole picture need exist.
+//! OpenEXR with layers, written band by band, so that the whole picture is never held in memory.
 //!
-//! One part of 32-bit channels in scan lines, compressed by ZIP in blocks of 16 rows; layers are told by the names of
-//! their channels, as is the custom ("Technical Introduction to OpenEXR", section on layers).
+//! A file has one part of 32-bit channels in scan lines, compressed by ZIP in blocks of 16 rows. Layers are
+//! distinguished by the names of their channels, as is customary ("Technical Introduction to OpenEXR", section on
+//! layers).
 
 use std::io::{self, Seek, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -21,13 +22,13 @@ use super::{Band, LayerPixel};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExrError {
-    /// The encoder refused.
+    /// The encoder reported an error.
     #[error("{0}")]
     Encode(String),
-    /// The system refused.
+    /// The system reported an error.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// A band without layers came, or bands in another order.
+    /// A band has no layers, a different width, or too many rows.
     #[error("bands have to come from the top, with their layers")]
     Band,
 }
@@ -39,16 +40,16 @@ fn encode_error(error: exr::error::Error) -> ExrError {
     }
 }
 
-/// Rows of a block of ZIP.
+/// Rows of a block compressed by ZIP.
 const BLOCK_ROWS: usize = 16;
 
-/// What a channel shows of a pixel.
+/// How the value of a channel is taken from a pixel.
 enum Value {
     Float(fn(&[f32; 4], &LayerPixel) -> f32),
     Whole(fn(&[f32; 4], &LayerPixel) -> u32),
 }
 
-/// Every channel: its name, and what it shows.
+/// All channels: name and value.
 const CHANNELS: [(&str, Value); 15] = [
     ("A", Value::Float(|c, _| c[3])),
     ("B", Value::Float(|c, _| c[2])),
@@ -67,23 +68,23 @@ const CHANNELS: [(&str, Value); 15] = [
     ("samples.Y", Value::Whole(|_, l| l.samples)),
 ];
 
-/// Writes a picture with all its layers, from bands in order.
+/// Writes a picture with all its layers, from bands in order from top to bottom.
 pub struct ExrBands {
     blocks: Option<SyncSender<UncompressedBlock>>,
     writer: Option<JoinHandle<Result<(), exr::error::Error>>>,
     width: usize,
     height: usize,
-    /// Rows that do not fill a block yet, and the row that they begin with.
+    /// Rows that do not fill a block yet; `first_row` is the number of the first of them.
     rows: Vec<(Vec<[f32; 4]>, Vec<LayerPixel>)>,
     first_row: usize,
 }
 
 impl ExrBands {
-    /// Writes the head of a picture: `width` × `height` pixels whose upper left one is (`left`, `top`) of a picture of
-    /// `whole` pixels.
+    /// Writes the header of a picture of `width` × `height` pixels, whose upper left pixel is (`left`, `top`) in a
+    /// picture of size `whole`.
     ///
     /// # Errors
-    /// [`ExrError`] where the system starts no thread.
+    /// [`ExrError`] if the writer thread cannot be started.
     pub fn new<W: Write + Seek + Send + 'static>(
         output: W,
         (width, height): (u32, u32),
@@ -106,7 +107,7 @@ impl ExrBands {
         header.own_attributes.layer_position = Vec2(left as i32, top as i32);
         let window = IntegerBounds::from_dimensions(Vec2(whole.0 as usize, whole.1 as usize));
         header.shared_attributes = ImageAttributes::new(window);
-        // The encoder asks for blocks; here they come.
+        // The encoder requests blocks one by one; this channel delivers them.
         let (blocks, incoming): (_, Receiver<UncompressedBlock>) = sync_channel(1);
         let write = move || {
             exr::block::write(output, [header].into_iter().collect(), true, |meta, chunks| {
@@ -124,7 +125,7 @@ impl ExrBands {
     /// Appends a band.
     ///
     /// # Errors
-    /// [`ExrError`] where the system refuses, or the band has no layers.
+    /// [`ExrError`] if the file cannot be written, or if the band has no layers or does not fit the picture.
     pub fn write(&mut self, band: &Band) -> Result<(), ExrError> {
         if band.width as usize != self.width || band.layers.len() != band.pixels.len() {
             return Err(ExrError::Band);
@@ -148,7 +149,7 @@ impl ExrBands {
         for (pixels, layers) in &rows {
             for (_, value) in &CHANNELS {
                 for (pixel, layer) in pixels.iter().zip(layers) {
-                    // In the machine's own order, as the encoder wants it.
+                    // In native byte order, as the encoder expects.
                     match value {
                         Value::Float(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
                         Value::Whole(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
@@ -164,14 +165,14 @@ impl ExrBands {
         };
         self.first_row += rows.len();
         let sent = self.blocks.as_ref().map(|blocks| blocks.send(UncompressedBlock { index, data }));
-        // Whoever wrote has ended: with an error.
+        // If the block was not accepted, the writer thread has ended with an error, which `end` returns.
         if sent.is_some_and(|sent| sent.is_ok()) { Ok(()) } else { self.end() }
     }
 
-    /// Writes what is left.
+    /// Completes the file.
     ///
     /// # Errors
-    /// [`ExrError`] where rows are missing or the system refuses.
+    /// [`ExrError`] if rows are missing or the file cannot be written.
     pub fn finish(mut self) -> Result<(), ExrError> {
         self.end()
     }

@@ -1,4 +1,4 @@
-//! Pictures: bands of rows in linear light; PNG, and OpenEXR with layers.
+//! Pictures: bands of rows in linear light, and writers for PNG and for OpenEXR with layers.
 
 mod display;
 #[cfg(feature = "exr")]
@@ -15,42 +15,43 @@ pub use display::{DisplayTransform, ToneMapping};
 pub use exr_out::{ExrBands, ExrError};
 pub use png_out::{PngBands, PngError};
 
-/// Rows of a picture: premultiplied colour and opacity in linear light.
+/// Rows of a picture: premultiplied colour and opacity, in linear light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Band {
     /// Number of the first row.
     pub first_row: u32,
-    /// Pixels across.
+    /// Width in pixels.
     pub width: u32,
-    /// Pixels, row after row: red, green, blue (premultiplied, linear light) and opacity.
+    /// Pixels row by row: red, green, blue (premultiplied, linear light) and opacity.
     pub pixels: Vec<[f32; 4]>,
-    /// What else is known of each pixel, where it was asked for; else empty.
+    /// Layers of each pixel if requested, otherwise empty.
     pub layers: Vec<LayerPixel>,
 }
 
-/// What is known of a pixel besides its colour: of what its rays meet before they are reflected or bent.
+/// Layers of a pixel besides its colour. They describe what its rays meet before they are reflected or refracted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct LayerPixel {
-    /// What of the background is hidden, 0 to 1.
+    /// Fraction of the background that is hidden, 0 to 1.
     pub opacity: f32,
-    /// Mean distance from the eye, each sample weighted by what it adds to the pixel; infinite where there is nothing.
+    /// Mean distance from the eye, with samples weighted by their contribution to the pixel; infinite if there are
+    /// none.
     pub depth: f32,
     /// Mean shading vector, world space, of length one or zero.
     pub normal: [f32; 3],
-    /// Mean colour before light, linear.
+    /// Mean colour without lighting, linear light.
     pub albedo: [f32; 3],
-    /// The leaf whose sample adds most, counted from 1 in the order of the graph; 0 where there is nothing.
+    /// The leaf whose sample contributes most, counted from 1 in the order of the graph; 0 if there is none.
     pub instance: u32,
-    /// Samples that were not transparent.
+    /// Number of samples that are not transparent.
     pub samples: u32,
-    /// Bytes of pages that were asked for on behalf of the pixel's tile, over the tile's pixels. It says how the work went,
-    /// and is the one number of a picture that may differ with the way it is done.
+    /// Bytes of the pages requested for the pixel's tile, divided by the number of pixels of the tile. This describes
+    /// how the work was done, and is the only value of a picture that may depend on it.
     pub bytes: f32,
 }
 
 impl Default for LayerPixel {
-    /// Nothing.
+    /// An empty pixel.
     fn default() -> Self {
         let (depth, normal, albedo) = (f32::INFINITY, [0.0; 3], [0.0; 3]);
         Self { opacity: 0.0, depth, normal, albedo, instance: 0, samples: 0, bytes: 0.0 }
@@ -58,7 +59,7 @@ impl Default for LayerPixel {
 }
 
 impl Band {
-    /// A transparent band.
+    /// A transparent band, with or without layers.
     #[must_use]
     pub fn new(first_row: u32, width: u32, rows: u32, layers: bool) -> Self {
         let pixels = width as usize * rows as usize;
@@ -72,7 +73,7 @@ impl Band {
         (self.pixels.len() / self.width.max(1) as usize) as u32
     }
 
-    /// A pixel, by its place in the whole picture. Panics where it lies in another band.
+    /// A pixel, by its position in the whole picture. Panics if the pixel lies in another band.
     #[must_use]
     pub fn pixel(&self, x: u32, y: u32) -> [f32; 4] {
         self.pixels[(y - self.first_row) as usize * self.width as usize + x as usize]

@@ -1,4 +1,4 @@
-//! PNG, written band by band so that no whole picture need exist.
+//! PNG, written band by band, so that the whole picture is never held in memory.
 
 use std::io::{self, Write};
 
@@ -9,10 +9,10 @@ use crate::output::OutputError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PngError {
-    /// The encoder refused.
+    /// The encoder reported an error.
     #[error("{0}")]
     Encode(String),
-    /// The system refused.
+    /// The system reported an error.
     #[error(transparent)]
     Io(#[from] io::Error),
     /// The file cannot be written.
@@ -27,10 +27,10 @@ fn encode_error(error: png::EncodingError) -> PngError {
     }
 }
 
-/// Entries of the table from linear light to bytes. Near black a step of it is a tenth of a byte.
+/// Entries of the table from linear light to bytes. Near black, one entry is a fifth of a byte step.
 const TABLE: usize = 1 << 14;
 
-/// Writes an 8-bit sRGB picture with straight alpha, from bands in order.
+/// Writes an 8-bit sRGB picture with straight alpha, from bands in order from top to bottom.
 pub struct PngBands<W: Write + 'static> {
     writer: png::StreamWriter<'static, W>,
     row: Vec<u8>,
@@ -39,10 +39,10 @@ pub struct PngBands<W: Write + 'static> {
 }
 
 impl<W: Write + 'static> PngBands<W> {
-    /// Writes the head of a picture.
+    /// Writes the header of a picture.
     ///
     /// # Errors
-    /// [`PngError`] where the size is zero or the system refuses.
+    /// [`PngError`] if the size is zero or the header cannot be written.
     pub fn new(
         output: W,
         width: u32,
@@ -63,13 +63,13 @@ impl<W: Write + 'static> PngBands<W> {
     /// Appends a band.
     ///
     /// # Errors
-    /// [`PngError`] where the system refuses.
+    /// [`PngError`] if the pixels cannot be written.
     pub fn write(&mut self, band: &Band) -> Result<(), PngError> {
         for pixels in band.pixels.chunks(band.width.max(1) as usize) {
             self.row.clear();
             for &[r, g, b, opacity] in pixels {
                 let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
-                // A component that is not a number becomes 0 in the cast.
+                // A component that is NaN becomes 0 in the cast.
                 let byte = |v: f32| {
                     let shown = self.display_transform.apply(v * straight).clamp(0.0, 1.0);
                     self.table[(shown * (TABLE - 1) as f32).round() as usize]
@@ -82,10 +82,10 @@ impl<W: Write + 'static> PngBands<W> {
         Ok(())
     }
 
-    /// Writes what is left.
+    /// Completes the file.
     ///
     /// # Errors
-    /// [`PngError`] where rows are missing or the system refuses.
+    /// [`PngError`] if rows are missing or the file cannot be written.
     pub fn finish(self) -> Result<(), PngError> {
         self.writer.finish().map_err(encode_error)
     }

@@ -1,4 +1,4 @@
-//! Opening a cloud: header, footer, length and descriptions are checked here, pages when they are read.
+//! Opening a cloud: header, footer, length and descriptions are checked here; pages are checked when they are read.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,9 +9,9 @@ use super::page::{PointPage, Run};
 use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
 use crate::storage::{MemoryStorage, Storage};
 
-/// An open cloud: what its file says of itself, checked, and where its pages are read from.
+/// An open cloud: its checked header, and where its pages are read from.
 pub struct Cloud {
-    /// Its name in messages, where it is no file on disk.
+    /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
     /// `None` for a file on disk, which is opened by its path.
     storage: Option<Arc<dyn Storage>>,
@@ -31,22 +31,23 @@ impl Cloud {
     /// Opens a cloud and checks its header, its length, its descriptions and its footer.
     ///
     /// # Errors
-    /// [`OpenError`] where the file cannot be read or is no whole cloud of this version.
+    /// [`OpenError`] if the file cannot be read, or is not a complete cloud of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let mut file = OpenFile::open(path, FileKind::Cloud)?;
         Ok(Self { path: path.to_owned(), storage: None, header: Header::read(&mut file)? })
     }
 
-    /// Opens a cloud whose bytes lie in memory: those of a file, read or mapped or built there. They are used where they are.
+    /// Opens a cloud whose bytes are in memory, for example those of a file that was read. They are used in place.
     ///
     /// # Errors
-    /// [`OpenError`] where they are no whole cloud of this version.
+    /// [`OpenError`] if they are not a complete cloud of this version.
     pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, OpenError> {
         let bytes: Arc<[u8]> = bytes.into();
         Self::from_storage("memory", Arc::new(MemoryStorage::new(Arc::new(bytes))))
     }
 
-    /// Opens a cloud whose bytes are read from anywhere, with a name for messages. They must not change while it is open.
+    /// Opens a cloud whose bytes are read from any storage; `name` is for messages. The bytes must not change while the
+    /// cloud is open.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -56,7 +57,7 @@ impl Cloud {
         Ok(Self { path, storage: Some(storage), header: Header::read(&mut file)? })
     }
 
-    /// What its pages are read from, where that is no file on disk.
+    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its path.
     #[doc(hidden)]
     #[must_use]
     pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
@@ -70,7 +71,7 @@ impl Cloud {
         }
     }
 
-    /// Path of the file, or the name of what it is read from.
+    /// The path of the file, or the name of the storage.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -82,7 +83,7 @@ impl Cloud {
         &self.header
     }
 
-    /// What kind of page stands at a number.
+    /// The kind of the page with this number.
     #[doc(hidden)]
     #[must_use]
     pub fn page_kind(&self, page: u32) -> PageKind {
@@ -92,7 +93,7 @@ impl Cloud {
     /// Checks a page that has just been read: checksum, kind, place, and every record in it.
     ///
     /// # Errors
-    /// [`PageError`] that says what is wrong.
+    /// [`PageError`], which says what is wrong.
     #[doc(hidden)]
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
         if self.page_kind(page) == PageKind::Points {
@@ -104,8 +105,8 @@ impl Cloud {
 }
 
 impl Cloud {
-    /// Reads every page in order, checks it, and hands it over with its number; holds one page at a time. Checks the
-    /// sections that are not pages, and the digest of all pages, too.
+    /// Reads every page in order, one at a time, checks it, and passes it to `visit` with its number. Also checks the
+    /// sections without pages, and the digests of all pages.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
@@ -124,7 +125,7 @@ impl Cloud {
         })
     }
 
-    /// Reads every run of points in the order of the file, with the page it stands in.
+    /// Passes every run of points to `visit`, in file order, with the number of its page.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.

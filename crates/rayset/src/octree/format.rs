@@ -1,6 +1,6 @@
-//! What a cloud file says of its points: the sections `CLOU` (numbers), `COLS` (columns) and `META` (words), as [`Header`].
+//! The metadata of a cloud file, as [`Header`]: the sections `CLOU` (numbers), `COLS` (columns) and `META` (text).
 //!
-//! `docs/format.md` shows the same tables in prose. The frame around them is [`crate::container`].
+//! `docs/format.md` describes the same tables in prose. The surrounding container format is in [`crate::container`].
 
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::container::{
@@ -10,23 +10,23 @@ use crate::container::{
 use crate::geometry::{Aabb, DVec3};
 use crate::points::ColumnType;
 
-/// First eight bytes of every cloud file.
+/// The first eight bytes of every cloud file.
 pub const MAGIC: [u8; 8] = *b"RAYSET\r\n";
 /// Largest number of attribute columns.
 pub const MAX_ATTRIBUTES: usize = 32;
-/// Most bytes of an attribute's name, and of its unit.
+/// Largest length of an attribute's name, and of its unit, in bytes.
 pub const NAME_BYTES: usize = 64;
 
-/// Radii and weights of a file keep to this, and to a little more, for they are rounded; see [`super::build`].
+/// Limits on the radii and weights in a file, slightly wider than those of [`super::build`] because values are rounded.
 const LARGEST: f32 = 1.000_001e18;
 const LEAST_RADIUS: f32 = 0.999_999e-18;
 
-/// Whether all points share a value or each has its own.
+/// A value that all points share, or one per point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Column {
     /// The value of every point.
     Constant(f32),
-    /// Each point has its own, within these bounds.
+    /// Each point has its own value, within these bounds.
     Varying {
         /// Smallest value.
         min: f32,
@@ -69,9 +69,9 @@ pub struct AttributeInfo {
     pub name: String,
     /// Type of the numbers.
     pub kind: ColumnType,
-    /// Unit as the source named it, at most 64 bytes; empty where it named none.
+    /// Unit as named by the source, at most 64 bytes; empty if it names none.
     pub unit: String,
-    /// Whether the numbers name classes, between which nothing may be interpolated.
+    /// Whether the numbers are class labels, which must not be interpolated.
     pub is_class: bool,
     /// Smallest finite value, rounded to `f64`.
     pub min: f64,
@@ -79,34 +79,34 @@ pub struct AttributeInfo {
     pub max: f64,
 }
 
-/// What a cloud file says of itself.
+/// The header of a cloud file.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct Header {
-    /// What tells the file from others.
+    /// Distinguishes the file from others.
     pub identity: Identity,
-    /// Bytes of a page, a multiple of 4096.
+    /// Size of a page in bytes, a multiple of 4096.
     pub page_bytes: u32,
-    /// Pages that hold points; they come first.
+    /// Number of pages that hold points; they come first.
     pub point_pages: u32,
-    /// Pages that hold nodes; they follow.
+    /// Number of pages that hold nodes; they follow the point pages.
     pub node_pages: u32,
-    /// Bytes of the whole file.
+    /// Size of the whole file in bytes.
     pub file_bytes: u64,
-    /// Points stored.
+    /// Number of points stored.
     pub points: u64,
-    /// Records of the input that were invalid and skipped.
+    /// Number of input records that were skipped as invalid.
     pub skipped: u64,
-    /// Nodes of the octree.
+    /// Number of nodes of the octree.
     pub nodes: u64,
-    /// The root node, in the last node page. Meaningless where there are no points.
+    /// The root node, in the last node page. Meaningless if there are no points.
     #[doc(hidden)]
     pub root: NodeRef,
     /// Smallest corner of the root cell, world space.
     pub root_min: DVec3,
-    /// Edge of the root cell, a power of two, world space.
+    /// Edge length of the root cell, a power of two, world space.
     pub root_size: f64,
-    /// Tight bounds of the stored positions, world space.
+    /// Bounds of the stored positions, world space.
     pub bounds: Aabb,
     /// Radius of influence, world space.
     pub radius: Column,
@@ -114,27 +114,27 @@ pub struct Header {
     pub radius_mean: f64,
     /// Weight.
     pub weight: Column,
-    /// Largest distance between a stored position and the one that was read, world space.
+    /// Largest distance between a stored position and the original one, world space.
     pub position_error: f64,
     /// The same as a fraction of the point's own radius.
     pub position_error_radii: f64,
-    /// Whether points carry a colour.
+    /// Whether points have colours.
     pub has_color: bool,
     /// Attribute columns.
     pub attributes: Vec<AttributeInfo>,
-    /// Bytes of the file that hold points' own data.
+    /// Number of bytes of the file that hold the data of points.
     pub point_data_bytes: u64,
-    /// Memory to render with unless the user says otherwise; 0 where none was stored.
+    /// Default memory budget for rendering, in bytes; 0 if none is stored.
     pub render_memory: u64,
-    /// The coordinate reference system of the positions, as the sources had it; empty where it is not known.
+    /// The coordinate reference system of the positions, as given by the sources; empty if unknown.
     pub crs: String,
-    /// What the sources said of themselves, sorted.
+    /// Descriptions of the sources, sorted.
     pub sources: Vec<String>,
-    /// Where the columns of a run stand; follows from the columns.
+    /// The layout of the columns of a run, derived from the columns.
     pub(crate) columns: ColumnLayout,
 }
 
-/// What a column of the file is for.
+/// The role of a column of the file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Role {
     Radius,
@@ -164,13 +164,13 @@ impl Header {
         BLOCK_BYTES as u64 + u64::from(page) * u64::from(self.page_bytes)
     }
 
-    /// All pages.
+    /// Number of all pages.
     #[must_use]
     pub fn pages(&self) -> u32 {
         self.point_pages + self.node_pages
     }
 
-    /// Where the columns of a run stand, the first `attributes` attributes counted.
+    /// The layout of the columns of a run, up to and including the first `attributes` attributes.
     #[doc(hidden)]
     #[must_use]
     pub fn column_layout(&self, attributes: usize) -> ColumnLayout {
@@ -179,7 +179,7 @@ impl Header {
         self.attributes[..attributes].iter().fold(layout, |l, a| l.with(a.kind.bytes()))
     }
 
-    /// The section `CLOU`.
+    /// Encodes the section `CLOU`.
     pub(crate) fn encode_numbers(&self) -> Vec<u8> {
         let mut w = Writer::default();
         for count in [self.points, self.skipped, self.nodes, self.point_data_bytes, self.render_memory] {
@@ -197,7 +197,7 @@ impl Header {
         w.bytes
     }
 
-    /// The section `COLS`.
+    /// Encodes the section `COLS`.
     pub(crate) fn encode_columns(&self) -> Vec<u8> {
         let shared = |column: Column| AttributeInfo {
             name: String::new(),
@@ -235,7 +235,7 @@ impl Header {
     /// Reads and checks the sections of an open file.
     ///
     /// # Errors
-    /// [`OpenError`] where a section is missing, damaged, or out of range.
+    /// [`OpenError`] if a section is missing, damaged, or has a value out of range.
     #[doc(hidden)]
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let numbers = file.section(SectionKind::CLOUD)?;
@@ -303,7 +303,7 @@ impl Header {
             let role = *Role::ALL.get(usize::from(role)).ok_or("a column for an unknown purpose")?;
             let kind = *ColumnType::ALL.get(usize::from(kind)).ok_or("a column of an unknown type")?;
             let is_stored = flags & STORED != 0;
-            // Columns stand in a run in this order, which the code that finds them relies on.
+            // The columns of a run are stored in this order, and the code that locates them relies on it.
             if seen.is_some_and(|before| {
                 before as u8 > role as u8 || (before == role && role != Role::Attribute)
             }) {
@@ -363,7 +363,7 @@ impl Header {
         if self.points > 0 && self.root.page >= self.node_pages {
             return Err("the root is in no node page");
         }
-        // What a walk through the tree may cost follows from these numbers, so they may not exceed what the pages hold.
+        // The cost of traversing the tree is bounded by these numbers, so they must not exceed what the pages can hold.
         let runs_in_page = (self.page_bytes as usize - PAGE_HEAD_BYTES) / RUN_HEAD_BYTES;
         if self.points > u64::from(self.point_pages) * (runs_in_page * RUN_POINTS) as u64 {
             return Err("more points than the pages can hold");

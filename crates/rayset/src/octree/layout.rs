@@ -1,49 +1,50 @@
-//! The measures of what lies in pages: runs and their columns, nodes, and the root cell that places refer to.
+//! Sizes and limits of the contents of pages: runs and their columns, nodes, and the root cell to which positions are
+//! relative.
 
 use crate::container::{BLOCK_BYTES, MAX_PAGE_BYTES, PAGE_HEAD_BYTES};
 use crate::geometry::DVec3;
 use crate::geometry::curve::MAX_LEVEL;
 
-/// Most points in a run.
+/// Largest number of points in a run.
 pub const RUN_POINTS: usize = 128;
-/// Bytes of a run's record.
+/// Size of a run's record in bytes.
 pub const RUN_HEAD_BYTES: usize = 18;
-/// Bytes of a record.
+/// Size of a node's record in bytes.
 pub const NODE_BYTES: usize = 80;
 /// Deepest level of a node.
 pub const DEEPEST_LEVEL: u8 = MAX_LEVEL as u8;
 
-/// Where a node's record is.
+/// The place of a node's record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct NodeRef {
-    /// Number among the node pages, which follow the point pages.
+    /// Index among the node pages, which follow the point pages.
     pub page: u32,
     /// Index of the record in the page.
     pub index: u16,
 }
 
-/// The root cell, which every run's frame refers to.
+/// The root cell, to which the frame of every run is relative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RootCell {
     /// Smallest corner, world space.
     pub min: DVec3,
-    /// Edge, a power of two, world space.
+    /// Edge length, a power of two, world space.
     pub size: f64,
 }
 
-/// Where the columns of a run stand behind its positions. Every column is padded to four bytes.
+/// The layout of the columns of a run, which follow its positions. Every column is padded to a multiple of four bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ColumnLayout {
-    /// Bytes of a point in columns of four and eight bytes a value, which need no padding.
+    /// Bytes per point in columns of four and eight bytes per value, which need no padding.
     words: u32,
-    /// Columns of two bytes a value.
+    /// Number of columns of two bytes per value.
     halves: u32,
-    /// Columns of one byte a value.
+    /// Number of columns of one byte per value.
     bytes: u32,
 }
 
 impl ColumnLayout {
-    /// The layout with another column behind the others.
+    /// The layout with another column after the others.
     #[must_use]
     pub fn with(self, value_bytes: usize) -> Self {
         match value_bytes {
@@ -53,7 +54,7 @@ impl ColumnLayout {
         }
     }
 
-    /// Bytes that the columns of `points` points take.
+    /// Size in bytes of the columns of a run of `points` points.
     #[must_use]
     #[inline]
     pub fn run_bytes(self, points: usize) -> usize {
@@ -63,14 +64,14 @@ impl ColumnLayout {
     }
 }
 
-/// Most records in a page.
+/// Largest number of node records in a page.
 #[must_use]
 pub fn nodes_per_page(page_bytes: usize) -> usize {
     (page_bytes - PAGE_HEAD_BYTES) / NODE_BYTES
 }
 
-/// Largest run of `layout` at the widest encoding of positions, with its record and the head of its page: the least that
-/// a page must have.
+/// Smallest page size in bytes for `layout`: that of a page with one run of the largest size, in the widest encoding of
+/// positions.
 #[must_use]
 pub fn least_page_bytes(layout: ColumnLayout) -> usize {
     let run = RUN_POINTS * 24 + layout.run_bytes(RUN_POINTS);

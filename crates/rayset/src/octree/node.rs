@@ -1,18 +1,18 @@
-//! Node records: tight bounds of influence, what level of detail needs, and where children and points are.
+//! Node records: tight bounds of influence, the data for level of detail, and the places of children and points.
 
 use super::format::Header;
 use super::layout::{DEEPEST_LEVEL, NODE_BYTES, NodeRef, RootCell, nodes_per_page};
 use crate::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 use crate::geometry::{Aabb, DVec3};
 
-/// Runs that a node owns, which may continue over several pages.
+/// The runs that a node owns, which may continue over several pages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct RunRange {
     /// Page of the first run.
     pub first_page: u32,
-    /// Its index there.
+    /// Index of the first run in that page.
     pub first_run: u16,
-    /// Number of runs; the range goes on at run 0 of the next page where a page ends.
+    /// Number of runs; at the end of a page, the range continues with run 0 of the next page.
     pub runs: u32,
 }
 
@@ -23,11 +23,11 @@ pub struct Node {
     pub bounds_min: [f32; 3],
     /// See `bounds_min`.
     pub bounds_max: [f32; 3],
-    /// Points at and below the node.
+    /// Number of points at and below the node.
     pub points: u64,
     /// Sum of their weights.
     pub weight_sum: f64,
-    /// Their mean position, each counted by the size of its weight, in units of the root cell.
+    /// Their mean position, weighted by the absolute values of their weights, in units of the root cell.
     pub centroid: [f32; 3],
     /// Smallest radius at and below the node.
     pub radius_min: f32,
@@ -35,9 +35,9 @@ pub struct Node {
     pub radius_max: f32,
     /// The node's own points.
     pub own: RunRange,
-    /// Bit k is set where child k exists.
+    /// Bit k is set if child k exists.
     pub child_mask: u8,
-    /// Level of the node, the root's being 0.
+    /// Level of the node; the root is at level 0.
     pub level: u8,
     /// The first child; its siblings follow it in the same page, in the order of their numbers.
     pub first_child: NodeRef,
@@ -51,7 +51,7 @@ impl Node {
         Aabb::new(corner(self.bounds_min), corner(self.bounds_max))
     }
 
-    /// Whether this can be a child of another node: one level down.
+    /// Whether this can be a child of `parent`: it must be one level below.
     #[must_use]
     pub fn is_child_of(&self, parent: &Self) -> bool {
         u16::from(self.level) == u16::from(parent.level) + 1
@@ -112,11 +112,11 @@ pub struct NodePage<'a> {
 }
 
 impl<'a> NodePage<'a> {
-    /// Checks a page: its head, and that every record refers to pages that exist, and only to nodes written before
-    /// it, so that no cycle can be followed.
+    /// Checks a page: its head, and that every record refers to existing pages, and only to nodes stored before it, so that
+    /// there are no cycles.
     ///
     /// # Errors
-    /// [`PageError`] that says what is wrong.
+    /// [`PageError`], which says what is wrong.
     pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
         let head = PageHead::check(bytes, PageKind::Octree, page, header.identity)?;
         let this = Self::trusted(bytes);
@@ -158,7 +158,7 @@ impl<'a> NodePage<'a> {
         Ok(this)
     }
 
-    /// A page that [`check`](Self::check) has passed before.
+    /// A page that has already passed [`check`](Self::check).
     #[must_use]
     pub fn trusted(bytes: &'a [u8]) -> Self {
         Self { bytes, nodes: u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize }
@@ -191,7 +191,7 @@ impl<'a> NodePage<'a> {
 /// Rounds world bounds outward to the units of the root cell.
 #[must_use]
 pub fn to_cell_units(bounds: &Aabb, root: RootCell) -> ([f32; 3], [f32; 3]) {
-    // Two steps of f32 cover the rounding of the division and of the conversion.
+    // Two `f32` steps cover the rounding of the division and of the conversion.
     let down = |v: f64| (v as f32).next_down().next_down();
     let up = |v: f64| (v as f32).next_up().next_up();
     let (min, max) = ((bounds.min - root.min) / root.size, (bounds.max - root.min) / root.size);

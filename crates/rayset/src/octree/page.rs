@@ -10,9 +10,9 @@ use crate::geometry::{Aabb, DVec3};
 
 /// Run corners lie on a lattice of this many steps along the root cell's edge.
 const ORIGIN_STEPS: f64 = 16_777_216.0;
-/// Exponent of the coarsest step: `root_size · 2^-COARSEST_STEP`.
+/// Negated exponent of the coarsest step, which is `root_size · 2^-COARSEST_STEP`.
 const COARSEST_STEP: i32 = 15;
-/// Largest exponent that fits the record.
+/// Number of step codes, which have seven bits in the record.
 const STEP_CODES: i32 = 128;
 
 /// How a run stores its positions.
@@ -39,7 +39,7 @@ impl Encoding {
         }
     }
 
-    /// Steps to one unit of a run's extent.
+    /// Number of steps in one unit of a run's extent.
     fn extent_steps(self) -> f64 {
         if self == Self::U32 { 16_777_216.0 } else { 256.0 }
     }
@@ -55,12 +55,12 @@ impl Encoding {
     }
 }
 
-/// A run's record, as stored save for its place in the page.
+/// A run's record, decoded. Its place in the page is set when the run is placed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RunHead {
     /// Corner, in units of the root cell's edge / 2²⁴.
     origin: [u32; 3],
-    /// Edges of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding), rounded up.
+    /// Edge lengths of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding), rounded up.
     extent: [u8; 3],
     radius_max: u16,
     count: u8,
@@ -70,7 +70,7 @@ pub struct RunHead {
     offset_words: u16,
 }
 
-/// 2^−(COARSEST_STEP + code), from its bits: this is asked for with every run that a ray comes near.
+/// 2^−(COARSEST_STEP + code), constructed from its bits because it is needed for every run near a ray.
 fn step_fraction(code: u8) -> f64 {
     f64::from_bits((1023 - COARSEST_STEP as u64 - u64::from(code)) << 52)
 }
@@ -105,7 +105,7 @@ impl RunHead {
         bytes[16..18].copy_from_slice(&self.offset_words.to_le_bytes());
     }
 
-    /// The same run with its data at another place, in units of four bytes.
+    /// The same record with its data at another place in the page, in units of four bytes.
     pub(crate) fn placed_at(self, words: usize) -> Self {
         Self { offset_words: words as u16, ..self }
     }
@@ -127,7 +127,7 @@ impl RunHead {
         self.encoding
     }
 
-    /// An upper bound, at most 1/128 above the largest radius of the run.
+    /// An upper bound on the radii of the run, at most 1/128 above the largest.
     #[must_use]
     pub fn radius_max(&self) -> f32 {
         f32::from_bits(u32::from(self.radius_max) << 16)
@@ -147,25 +147,25 @@ impl RunHead {
         Aabb::new(min, min + DVec3::from_array(self.extent.map(f64::from)) * unit)
     }
 
-    /// Bytes of the run's data.
+    /// Size of the run's data in bytes.
     #[must_use]
     pub fn data_bytes(&self, columns: ColumnLayout) -> usize {
         (self.len() * self.encoding.position_bytes()).next_multiple_of(4) + columns.run_bytes(self.len())
     }
 }
 
-/// The columns of one run, as the builder hands them over.
+/// The columns of one run, as provided by the builder.
 #[derive(Clone, Copy, Debug)]
 pub struct RunColumns<'a> {
-    /// World positions, 1 to 128 of them.
+    /// Positions in world space, 1 to 128 of them.
     pub position: &'a [[f64; 3]],
     /// Radii.
     pub radius: &'a [f32],
     /// Whether the radii are stored.
     pub store_radius: bool,
-    /// Weights, where they are stored.
+    /// Weights, if they are stored.
     pub weight: Option<&'a [f32]>,
-    /// Colours, where they are stored.
+    /// Colours, if they are stored.
     pub color: Option<&'a [[u8; 3]]>,
     /// Attribute columns, each value in its own type, little-endian.
     pub attributes: &'a [&'a [u8]],
@@ -176,16 +176,16 @@ pub struct RunColumns<'a> {
 pub struct EncodedRun {
     /// The record; its offset is set when the run is placed.
     pub head: RunHead,
-    /// Largest distance of a stored position from the given one, world space.
+    /// Largest distance between a stored and a given position, world space.
     pub position_error: f64,
-    /// The same over the smallest radius of the run.
+    /// The same divided by the smallest radius of the run.
     pub position_error_radii: f64,
 }
 
 /// Encodes a run, appending its data to `data`.
 ///
-/// `precision` is the largest position error allowed, as a fraction of the smallest radius of the run; zero keeps
-/// positions exactly.
+/// `precision` is the largest position error allowed, as a fraction of the smallest radius of the run; with zero, positions
+/// are stored exactly.
 pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &mut Vec<u8>) -> EncodedRun {
     let mut bounds = Aabb::EMPTY;
     run.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
@@ -197,7 +197,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     let radius_min = f64::from(run.radius.iter().copied().fold(f32::INFINITY, f32::min));
     let radius_max = run.radius.iter().copied().fold(0.0, f32::max);
 
-    // The finest step whose largest offset fits, for each encoding, from the finest encoding that is good enough.
+    // For each encoding, the finest step whose largest offset fits; of the encodings, the smallest that is precise enough.
     let finest = |steps: f64| step_code_for(extent.max_element() / steps, root.size);
     let step = |code: u8| root.size * step_fraction(code);
     let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
@@ -248,7 +248,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         data.resize(start + (data.len() - start).next_multiple_of(4), 0);
     }
 
-    // Rounded offsets may pass the exact extent by half a step, so the stored extent is rounded up.
+    // Rounded offsets may exceed the exact extent by half a step, so the stored extent is rounded up.
     let extent = (extent / unit + 0.5 / encoding.extent_steps()).ceil().min(DVec3::splat(255.0));
     let head = RunHead {
         origin: origin.to_array().map(|v| v as u32),
@@ -259,7 +259,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         step_code,
         offset_words: 0,
     };
-    // Squares of errors below 1e-154 underflow, and an error must not be said to be zero.
+    // Squares of errors below 1e-154 underflow, but a nonzero error must not be reported as zero.
     let position_error = error_squared.sqrt().max(worst_axis);
     EncodedRun { head, position_error, position_error_radii: position_error / radius_min }
 }
@@ -280,7 +280,7 @@ fn round_up_to_16_bits(v: f32) -> u16 {
     ((bits >> 16) + u32::from(bits & 0xffff != 0)) as u16
 }
 
-/// A point page whose records have been checked against its length.
+/// A point page whose records have been checked.
 #[derive(Clone, Copy, Debug)]
 pub struct PointPage<'a> {
     bytes: &'a [u8],
@@ -292,7 +292,7 @@ impl<'a> PointPage<'a> {
     /// Checks a page: its head, and that every run lies within it.
     ///
     /// # Errors
-    /// [`PageError`] that says what is wrong.
+    /// [`PageError`], which says what is wrong.
     pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
         let head = PageHead::check(bytes, PageKind::Points, page, header.identity)?;
         let page = Self::trusted(bytes, header);
@@ -319,7 +319,7 @@ impl<'a> PointPage<'a> {
         Ok(page)
     }
 
-    /// A page that [`check`](Self::check) has passed before.
+    /// A page that has already passed [`check`](Self::check).
     #[must_use]
     pub fn trusted(bytes: &'a [u8], header: &Header) -> Self {
         let runs = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
@@ -338,7 +338,7 @@ impl<'a> PointPage<'a> {
         self.runs == 0
     }
 
-    /// A run's record. Panics where `index` is not below [`len`](Self::len).
+    /// A run's record. Panics if `index` is not less than [`len`](Self::len).
     #[must_use]
     pub fn head(&self, index: usize) -> RunHead {
         assert!(index < self.runs, "run {index} of {}", self.runs);
@@ -368,7 +368,7 @@ impl<'a> Run<'a> {
         self.data[byte..byte + 4 * count].chunks_exact(4).map(|w| [w[0], w[1], w[2], w[3]])
     }
 
-    /// Calls `value(axis, index, coordinate)` with coordinates about the centre of the run's
+    /// Calls `value(axis, index, coordinate)` with coordinates relative to the centre of the run's
     /// [`position_bounds`](RunHead::position_bounds), exact in `f64` for the integer encodings.
     #[inline(always)]
     fn for_each_offset(&self, root: RootCell, mut value: impl FnMut(usize, usize, f64)) {
@@ -399,11 +399,12 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Decodes coordinates about the centre of the run's position bounds, in `f32`, into the first `len` places.
+    /// Decodes coordinates relative to the centre of the run's position bounds, in `f32`, into the first `len` elements of
+    /// `out`.
     #[inline(always)]
     pub fn decode_local(&self, root: RootCell, out: &mut [[f32; RUN_POINTS]; 3]) {
         if self.head.encoding == Encoding::U16 {
-            // Exact: a 16-bit integer times a power of two, minus half another, needs 17 bits.
+            // Exact: a 16-bit integer minus half of one needs at most 17 bits, and the step is a power of two.
             let n = self.head.len();
             let step = self.head.step(root) as f32;
             for axis in 0..3 {
@@ -423,7 +424,7 @@ impl<'a> Run<'a> {
         self.for_each_offset(root, |axis, i, v| out[axis][i] = v);
     }
 
-    /// World positions as stored.
+    /// The stored positions in world space.
     #[must_use]
     pub fn positions(&self, root: RootCell) -> Vec<DVec3> {
         let mut local = [[0.0; RUN_POINTS]; 3];
@@ -441,17 +442,17 @@ impl<'a> Run<'a> {
         self.words(self.column_start() + 4 * n * column, n).map(f32::from_le_bytes)
     }
 
-    /// Stored radii, where the header says that there are any.
+    /// The stored radii, if the header says that there are any.
     pub fn radii(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
         header.radius.is_stored().then(|| self.f32_column(0))
     }
 
-    /// Stored weights, where the header says that there are any.
+    /// The stored weights, if the header says that there are any.
     pub fn weights(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
         header.weight.is_stored().then(|| self.f32_column(usize::from(header.radius.is_stored())))
     }
 
-    /// Colours, display-encoded (sRGB), where the header says that there are any.
+    /// The display-encoded (sRGB) colours, if the header says that there are any.
     pub fn colors(&self, header: &Header) -> Option<impl Iterator<Item = [u8; 3]> + use<'a>> {
         let column = usize::from(header.radius.is_stored()) + usize::from(header.weight.is_stored());
         let n = self.head.len();

@@ -1,4 +1,4 @@
-//! Checking a whole file: every checksum and record, and every bound and total that a render relies on.
+//! Verifying a whole file: every checksum and record, and every bound and total that rendering relies on.
 
 use super::file::Cloud;
 use super::format::Header;
@@ -14,24 +14,24 @@ use crate::geometry::{Aabb, DVec3};
 pub enum Depth {
     /// Header, footer and length: what opening a file checks.
     Quick,
-    /// Every page: checksum, place, and that every record lies within its page.
+    /// Also every page: checksum, place, and that every record lies within its page.
     #[default]
     Pages,
     /// Also every bound and total against the points themselves.
     Deep,
 }
 
-/// What was found.
+/// How much was verified.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct VerifyReport {
-    /// Pages checked.
+    /// Number of pages checked.
     pub pages: u32,
-    /// Runs checked.
+    /// Number of runs checked.
     pub runs: u64,
-    /// Points checked.
+    /// Number of points checked.
     pub points: u64,
-    /// Nodes checked against their points.
+    /// Number of nodes checked against their points.
     pub nodes: u64,
 }
 
@@ -45,43 +45,44 @@ pub enum VerifyError {
     /// A bound or total does not hold.
     #[error("node {index} of node page {page}: {what}")]
     Node {
-        /// Node page, counted from the first.
+        /// Index of the node page.
         page: u32,
-        /// Record in it.
+        /// Index of the record in the page.
         index: u16,
-        /// What does not hold.
+        /// What is wrong.
         what: &'static str,
     },
-    /// Something else that the header says does not hold.
+    /// Another value in the header does not hold.
     #[error("what the file says of all points: {what}")]
     Header {
-        /// What does not hold.
+        /// What is wrong.
         what: &'static str,
     },
-    /// A total in the header does not hold.
+    /// The number of points does not hold.
     #[error("the header says {expected} points, the pages hold {found}")]
     Points {
-        /// In the header.
+        /// The number in the header.
         expected: u64,
-        /// In the pages.
+        /// The number in the pages.
         found: u64,
     },
 }
 
 impl Cloud {
-    /// Checks the file, as deep as is asked for, in bounded memory.
+    /// Verifies the file to the given depth. Holds one page at a time, and with [`Depth::Deep`] also all nodes and a summary
+    /// of each run.
     ///
     /// # Errors
-    /// [`VerifyError`] at the first that is wrong.
+    /// [`VerifyError`] for the first thing that is wrong.
     pub fn verify(&self, depth: Depth) -> Result<VerifyReport, VerifyError> {
         verify(self, depth)
     }
 }
 
-/// Checks an open cloud. Holds one page at a time, and with [`Depth::Deep`] all nodes and one summary for each run.
+/// Verifies an open cloud. Holds one page at a time, and with [`Depth::Deep`] also all nodes and a summary of each run.
 ///
 /// # Errors
-/// [`VerifyError`] at the first thing that is wrong.
+/// [`VerifyError`] for the first thing that is wrong.
 fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
     let mut report = VerifyReport::default();
     if depth == Depth::Quick {
@@ -127,7 +128,7 @@ fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
     Ok(report)
 }
 
-/// Compares what the header says with what is true of all points.
+/// Compares the header with the facts about all points.
 fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'static str> {
     if nodes != header.nodes {
         return Err("its number of nodes is wrong");
@@ -144,12 +145,12 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
     Ok(())
 }
 
-/// How far rounding may take a position: it is the sum of a place in the root cell and an offset.
+/// Bound on the rounding error of a position, which is the sum of a place in the root cell and an offset, in world space.
 fn rounding(header: &Header) -> f64 {
     4.0 * f64::EPSILON * (header.root_min.abs().max_element() + header.root_size)
 }
 
-/// What is true of some points.
+/// Facts about a set of points.
 #[derive(Clone, Copy)]
 struct RunFacts {
     influence: Aabb,
@@ -222,14 +223,14 @@ struct Facts<'a> {
     runs: Vec<RunFacts>,
     first_run_of_page: Vec<usize>,
     nodes: Vec<Vec<Node>>,
-    /// Which nodes have been met, and which runs have been one's own.
+    /// Which nodes have been visited, and which runs have already been owned by a node.
     seen: Vec<Vec<bool>>,
     taken: Vec<bool>,
 }
 
 impl Facts<'_> {
-    /// Checks a node and everything below it; returns what is true of its points. Levels grow up to a deepest, and no
-    /// node is met twice, so this ends in as many steps as there are nodes.
+    /// Checks a node and everything below it; returns the facts about its points. Levels increase up to the deepest one, and
+    /// no node is visited twice, so this takes at most as many steps as there are nodes.
     fn check(&mut self, place: NodeRef, report: &mut VerifyReport) -> Result<RunFacts, VerifyError> {
         let wrong = |what| VerifyError::Node { page: place.page, index: place.index, what };
         let node = self.nodes.get(place.page as usize).and_then(|p| p.get(usize::from(place.index)));

@@ -1,4 +1,4 @@
-//! Where an output goes, looked at before any work begins.
+//! The destination of an output, checked before any work begins.
 
 use std::ffi::OsStr;
 use std::fs::{FileType, Metadata};
@@ -7,37 +7,37 @@ use std::path::{Path, PathBuf};
 
 use super::OutputError;
 
-/// Links that are followed, one to another, before they are taken for a circle: as many as Linux follows.
+/// Symbolic links followed in a row before they are taken for a cycle: as many as Linux follows.
 const MOST_LINKS: usize = 40;
 
-/// Where an output goes.
+/// The destination of an output.
 #[derive(Clone, Debug)]
 pub struct Destination {
     named: PathBuf,
     pub(super) target: Target,
 }
 
-/// What a path stands for.
+/// What a path refers to.
 #[derive(Clone, Debug)]
 pub(super) enum Target {
-    /// A file that is there and will be replaced, or is not there yet; no link.
+    /// A file that exists and will be replaced, or that does not exist yet; never a link.
     File(PathBuf),
     /// A pipe or a device that takes bytes one after another. It is written to, never replaced.
     Stream,
 }
 
 impl Destination {
-    /// Looks at a path. Nothing is created or changed.
+    /// Examines a path. Nothing is created or changed.
     ///
     /// # Errors
-    /// [`OutputError`] where the path names a folder, a disk or a socket, its folder is missing, or the system refuses to
-    /// say what it is.
+    /// [`OutputError`] if the path names a folder, a disk or a socket, its folder is missing, or the system cannot tell what
+    /// it is.
     pub fn new(path: &Path) -> Result<Self, OutputError> {
         let io = |source| OutputError::Io { action: "write", path: path.to_owned(), source };
         let to = |target| Ok(Self { named: path.to_owned(), target });
         let found = match std::fs::metadata(path) {
             Ok(found) => Some(found),
-            // Also a link to what is not there.
+            // Also a link whose target does not exist.
             Err(e) if e.kind() == io::ErrorKind::NotFound => None,
             Err(e) => return Err(io(e)),
         };
@@ -60,8 +60,8 @@ impl Destination {
             };
         }
         match std::fs::metadata(&target) {
-            // What a process has for its standard output may have no name any more. The link to it, in /proc, then leads to
-            // a file by itself and to nothing by its text.
+            // The file that is a process's standard output may have been unlinked. Its link in /proc can then still be
+            // opened, but the path that the link states does not exist.
             Err(e) if e.kind() == io::ErrorKind::NotFound && target != path => to(Target::Stream),
             Err(e) if e.kind() != io::ErrorKind::NotFound => Err(io(e)),
             _ => to(Target::File(target)),
@@ -74,19 +74,19 @@ impl Destination {
         &self.named
     }
 
-    /// The folder in which the file is written, links followed.
+    /// The folder in which the file is written, after links have been followed.
     #[must_use]
     pub fn folder(&self) -> &Path {
         folder_of(self.written())
     }
 
-    /// Whether this is a pipe or a device: it takes bytes one after another and cannot be gone back in.
+    /// Whether this is a pipe or a device, which takes bytes in order and cannot seek.
     #[must_use]
     pub fn is_stream(&self) -> bool {
         matches!(self.target, Target::Stream)
     }
 
-    /// Refuses pipes and devices, for outputs that are written in several places.
+    /// Refuses pipes and devices, for outputs that are not written sequentially.
     ///
     /// # Errors
     /// [`OutputError::NotAFile`].
@@ -101,7 +101,7 @@ impl Destination {
         })
     }
 
-    /// Refuses to replace what a run reads, however it is named: by another path, a link or a hard link.
+    /// Refuses to replace a file that the run reads, even if it is named by another path, a symbolic link or a hard link.
     ///
     /// # Errors
     /// [`OutputError::IsInput`].
@@ -112,7 +112,7 @@ impl Destination {
         let described = |path: &Path| match std::fs::metadata(path) {
             Ok(metadata) => Ok(Some(metadata)),
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
-            // Not knowing is no leave to replace it.
+            // If it cannot be examined, it must not be replaced.
             Err(source) => Err(OutputError::Io { action: "look at", path: path.to_owned(), source }),
         };
         let Some(replaced) = described(self.written())? else { return Ok(()) };
@@ -127,10 +127,10 @@ impl Destination {
         Ok(())
     }
 
-    /// The one path of the file that is written, by which two outputs can be told from each other; `None` for a stream.
+    /// The canonical path of the file that is written, by which outputs can be compared; `None` for a stream.
     ///
     /// # Errors
-    /// The system's, where the folder cannot be found.
+    /// The system's error, if the folder cannot be found.
     pub fn canonical(&self) -> io::Result<Option<PathBuf>> {
         if self.is_stream() {
             return Ok(None);
@@ -138,12 +138,12 @@ impl Destination {
         Ok(Some(self.folder().canonicalize()?.join(self.file_name())))
     }
 
-    /// The name of the file that is written, links followed.
+    /// The name of the file that is written, after links have been followed.
     pub(crate) fn file_name(&self) -> &OsStr {
         self.written().file_name().unwrap_or_default()
     }
 
-    /// What is written to.
+    /// The path that is written to.
     fn written(&self) -> &Path {
         match &self.target {
             Target::File(path) => path,
@@ -152,12 +152,12 @@ impl Destination {
     }
 }
 
-/// The folder that a path lies in.
+/// The folder that contains a path.
 pub(super) fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Follows the links that a path is; those on the way to its folder are the system's to follow.
+/// Follows the path itself while it is a symbolic link; links among its parent folders are left to the system.
 fn follow_links(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MOST_LINKS {
@@ -172,7 +172,7 @@ fn follow_links(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many links, one to another"))
 }
 
-/// Pipes and devices that take characters may be written to.
+/// Accepts pipes and character devices; anything else cannot be written to.
 fn check_stream(path: &Path, kind: FileType) -> Result<(), OutputError> {
     let refuse =
         |what| Err(OutputError::NotAFile { path: path.to_owned(), what, expected: "name a file to write" });
@@ -199,12 +199,12 @@ fn check_stream(path: &Path, kind: FileType) -> Result<(), OutputError> {
     refuse("no regular file")
 }
 
-/// Whether two paths are of one file, by their names.
+/// Whether two paths name the same file, by their canonical paths.
 fn is_same_path(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Whether two descriptions are of one file; `None` if the system gives files no numbers.
+/// Whether two descriptions are of the same file; `None` if the system has no inode numbers.
 pub(super) fn is_same(a: &Metadata, b: &Metadata) -> Option<bool> {
     #[cfg(unix)]
     {

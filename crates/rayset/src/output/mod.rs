@@ -1,12 +1,12 @@
-//! Outputs: files that have their name only when they are whole.
+//! Outputs: files that get their names only once they are complete.
 //!
-//! [`Destination::new`] looks at a path before any work begins: links are followed to the file that is to be replaced,
-//! folders and disks are refused, devices and pipes are told from files. An [`OutputFile`] then grows beside its name, in a
-//! partial file of its own, and [`publish`](OutputFile::publish) renames it, so that of several runs with one output the
-//! last to finish wins, whole.
+//! [`Destination::new`] examines a path before any work begins: it follows links to the file that is to be replaced, refuses
+//! folders and disks, and distinguishes devices and pipes from files. An [`OutputFile`] is then written to a partial file of
+//! its own beside the destination, and [`publish`](OutputFile::publish) renames it. If several runs have the same output,
+//! the one that finishes last wins, and its file is complete.
 //!
-//! A partial file is locked as long as it is being written. One that is not was left by a process that was killed: whoever
-//! writes to the same destination next removes it.
+//! A partial file is locked while it is being written. One that is not locked was left behind by a process that was killed;
+//! the next run that writes to the same destination removes it.
 
 mod destination;
 mod partial;
@@ -33,7 +33,7 @@ pub enum OutputError {
         /// The system's reason.
         r#source: io::Error,
     },
-    /// The path ends in no name.
+    /// The path does not end in a file name.
     #[error("`{}` is no name of a file", path.display())]
     NoName {
         /// The path.
@@ -44,17 +44,17 @@ pub enum OutputError {
     NoFolder {
         /// The output.
         path: PathBuf,
-        /// What should have been a folder.
+        /// The path that should be a folder.
         folder: PathBuf,
     },
-    /// The path names something that is not to be replaced by a file, nor written to.
+    /// The path names something that cannot be replaced by a file or written to.
     #[error("{} is {what}; {expected}", path.display())]
     NotAFile {
         /// The path.
         path: PathBuf,
         /// What it is.
         what: &'static str,
-        /// What would do.
+        /// What is expected instead.
         expected: &'static str,
     },
     /// The output is the input.
@@ -67,7 +67,7 @@ pub enum OutputError {
     },
 }
 
-/// How the input is called, where it is another name.
+/// The name of the input, if it differs from that of the output.
 fn named(output: &Path, input: &Path) -> String {
     if output == input { String::new() } else { format!(", called {}", input.display()) }
 }

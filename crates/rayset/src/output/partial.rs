@@ -1,10 +1,10 @@
-//! Files under names of their own, held by locks; and the removal of those that a killed process has left.
+//! Uniquely named, locked files, and the removal of those that a killed process has left behind.
 //!
-//! A file is created, locked, and then looked at again under its name: whoever removes leftovers may have taken the lock
-//! first, and the name away. Whoever removes one holds its lock while doing so. So a file that its writer has found under
-//! its name keeps that name until the writer lets go of the lock.
+//! A file is created and locked, and its name is then checked again: a process that removes leftovers may have taken the
+//! lock first and removed the name. It holds the lock while it removes the file. So once a writer has found its file under
+//! its name, the file keeps that name until the writer releases the lock.
 //!
-//! Some network file systems have no locks. There files are written without, and never removed as leftovers.
+//! Some network file systems have no locks. There, files are written without locks and are never removed as leftovers.
 
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -25,7 +25,7 @@ pub(crate) enum Purpose {
 impl Purpose {
     const ALL: [Self; 2] = [Self::Partial, Self::Temporary];
 
-    /// How names begin.
+    /// The prefix of the names of such files.
     fn prefix(self, output: &OsStr) -> String {
         let purpose = match self {
             Self::Partial => "partial",
@@ -46,14 +46,14 @@ fn short(name: &OsStr) -> String {
     format!("{}~{:08x}", &text[..end], crc32c::crc32c(name.as_encoded_bytes()))
 }
 
-/// The process whose number a name bears after its prefix, if it is such a name: `PROCESS-NUMBER`.
+/// The process ID in a name that consists of `prefix` and `PROCESS-NUMBER`; `None` for other names.
 fn process_of(name: &OsStr, prefix: &str) -> Option<u32> {
     let (process, number) = name.to_str()?.strip_prefix(prefix)?.split_once('-')?;
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
     if digits(number) { process.parse().ok() } else { None }
 }
 
-/// Creates a file in `folder` under a name that is made of `output`'s, and locks it.
+/// Creates a file in `folder` under a unique name derived from `output`, and locks it.
 pub(crate) fn create_unique(folder: &Path, output: &OsStr, purpose: Purpose) -> io::Result<(File, PathBuf)> {
     let prefix = purpose.prefix(output);
     let process = std::process::id();
@@ -67,7 +67,7 @@ pub(crate) fn create_unique(folder: &Path, output: &OsStr, purpose: Purpose) -> 
         };
         match hold(&file, &path) {
             Ok(true) => return Ok((file, path)),
-            // It was taken for a leftover before it was locked.
+            // Another process removed it as a leftover before it was locked.
             Ok(false) => {}
             Err(error) => {
                 let _ = std::fs::remove_file(&path);
@@ -77,7 +77,7 @@ pub(crate) fn create_unique(folder: &Path, output: &OsStr, purpose: Purpose) -> 
     }
 }
 
-/// Locks a file that has just been created. False if it has lost its name meanwhile, or is about to.
+/// Locks a file that has just been created. Returns false if it has lost its name since, or is about to.
 fn hold(file: &File, path: &Path) -> io::Result<bool> {
     match lock(file) {
         Ok(()) => has_name(file, path),
@@ -96,7 +96,7 @@ fn lock(file: &File) -> Result<(), TryLockError> {
     }
 }
 
-/// Whether an error says that the file system does not know locks.
+/// Whether an error means that the file system does not support locks.
 fn has_no_locks(error: &io::Error) -> bool {
     #[cfg(unix)]
     let no_locks = error.raw_os_error() == Some(rustix::io::Errno::NOLCK.raw_os_error());
@@ -105,7 +105,7 @@ fn has_no_locks(error: &io::Error) -> bool {
     no_locks || error.kind() == io::ErrorKind::Unsupported
 }
 
-/// Whether an open file is the one under a name.
+/// Whether a path still names this open file.
 fn has_name(file: &File, path: &Path) -> io::Result<bool> {
     match std::fs::symlink_metadata(path) {
         Ok(named) => Ok(is_same(&file.metadata()?, &named).unwrap_or(true)),
@@ -114,11 +114,11 @@ fn has_name(file: &File, path: &Path) -> io::Result<bool> {
     }
 }
 
-/// Removes from `folder` what killed processes have left of an output. What cannot be removed stays: it is no reason not
-/// to write.
+/// Removes from `folder` what killed processes have left of an output. Failures are ignored, because leftovers do not
+/// prevent writing.
 pub(crate) fn remove_leftovers(folder: &Path, output: &Destination) {
     for_each_partial(folder, output.file_name(), |path, _| {
-        // Opening would wait, were it a pipe.
+        // Opening a pipe would block.
         if !std::fs::symlink_metadata(path)?.is_file() {
             return Ok(());
         }
@@ -131,15 +131,16 @@ pub(crate) fn remove_leftovers(folder: &Path, output: &Destination) {
 }
 
 impl Destination {
-    /// Removes what this process is writing at the moment for this destination, though it is locked: for a process that is
-    /// about to end by a signal. `temp_dir` is where temporary files lie, if not beside the output.
+    /// Removes the files that this process is currently writing for this destination, although they are locked: for a
+    /// process that is about to be ended by a signal. `temp_dir` is the folder of the temporary files, if they are not
+    /// beside the output.
     pub fn remove_own_partials(&self, temp_dir: Option<&Path>) {
         if self.is_stream() {
             return;
         }
         for folder in std::iter::once(self.folder()).chain(temp_dir) {
             for_each_partial(folder, self.file_name(), |path, process| {
-                // In another container there may be a process of the same number: only what is open here is removed.
+                // A process in another container may have the same ID: only files that are open here are removed.
                 if process == std::process::id() && is_open_here(path).unwrap_or(true) {
                     std::fs::remove_file(path)?;
                 }
@@ -149,7 +150,7 @@ impl Destination {
     }
 }
 
-/// Whether this process has a file open; `None` if the system does not say.
+/// Whether this process has a file open; `None` if the system cannot tell.
 fn is_open_here(path: &Path) -> Option<bool> {
     let named = std::fs::symlink_metadata(path).ok()?;
     let mut files = std::fs::read_dir("/proc/self/fd").ok()?.filter_map(|entry| {
@@ -159,14 +160,14 @@ fn is_open_here(path: &Path) -> Option<bool> {
     Some(files.any(|same| same))
 }
 
-/// Calls `visit` with every file that stands beside an output for it, and the number of the process that wrote it.
+/// Calls `visit` for every partial or temporary file of an output in `folder`, with the ID of the process that wrote it.
 fn for_each_partial(folder: &Path, output: &OsStr, visit: impl Fn(&Path, u32) -> io::Result<()>) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     let prefixes = Purpose::ALL.map(|purpose| purpose.prefix(output));
     for entry in entries.flatten() {
         let name = entry.file_name();
         if let Some(process) = prefixes.iter().find_map(|prefix| process_of(&name, prefix)) {
-            // Somebody else may have removed it, or may not let us.
+            // Another process may have removed it, or it may not be accessible.
             let _ = visit(&entry.path(), process);
         }
     }

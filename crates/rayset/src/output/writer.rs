@@ -1,4 +1,4 @@
-//! A file that grows beside its name.
+//! Output files, written beside their destinations.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -9,9 +9,9 @@ use super::destination::Target;
 use super::partial::{Purpose, create_unique, remove_leftovers};
 use super::{Destination, OutputError};
 
-/// An output that is being written. It gets its name by [`publish`](Self::publish); dropped before, it is removed.
+/// An output that is being written. [`publish`](Self::publish) gives it its name; if it is dropped before, it is removed.
 ///
-/// A pipe or a device gets bytes as they are written.
+/// A pipe or a device receives bytes as they are written.
 #[derive(Debug)]
 pub struct OutputFile {
     destination: Destination,
@@ -20,18 +20,18 @@ pub struct OutputFile {
     partial: Option<PathBuf>,
 }
 
-/// What all writers of a file share.
+/// The state that all writers of a file share.
 #[derive(Debug)]
 struct Growing {
     file: File,
-    /// Why bytes are missing. Encoders and buffers that are dropped write on and tell nobody of failures, so these are kept:
-    /// a file of which a write has failed never gets its name.
+    /// The first failed write. Encoders and buffers write on when they are dropped and do not report failures, so the
+    /// failure is kept here: a file to which a write has failed never gets its name.
     failure: Mutex<Option<io::Error>>,
 }
 
 impl OutputFile {
-    /// Creates a partial file beside the destination, or opens the pipe or device. What killed processes have left of the
-    /// same output is removed.
+    /// Creates a partial file beside the destination, or opens the pipe or device. Removes files of the same output that
+    /// killed processes have left behind.
     ///
     /// # Errors
     /// [`OutputError::Io`].
@@ -51,13 +51,13 @@ impl OutputFile {
         Ok(Self { destination: destination.clone(), growing, partial })
     }
 
-    /// Where it goes.
+    /// The destination.
     #[must_use]
     pub fn destination(&self) -> &Destination {
         &self.destination
     }
 
-    /// Writes from the beginning on. Several writers of one file keep places of their own.
+    /// A writer that starts at the beginning of the file. Each writer of a file has its own position.
     #[must_use]
     pub fn writer(&self) -> OutputWriter {
         OutputWriter { growing: self.growing.clone(), is_stream: self.destination.is_stream(), at: 0 }
@@ -66,7 +66,8 @@ impl OutputFile {
     /// Makes the file durable and gives it its name.
     ///
     /// # Errors
-    /// [`OutputError::Io`]; what stood under the name is then as it was, unless only the folder could not be made durable.
+    /// [`OutputError::Io`]; any existing file of that name is then unchanged, unless the only failure was to make the folder
+    /// durable.
     pub fn publish(mut self) -> Result<(), OutputError> {
         self.give_name().map_err(|source| OutputError::Io {
             action: "write",
@@ -94,13 +95,13 @@ impl Drop for OutputFile {
         if let Some(partial) = self.partial.take()
             && std::fs::remove_file(&partial).is_err()
         {
-            // Once more: the first attempt may have been disturbed.
+            // Try again: the first attempt may have been interrupted.
             let _ = std::fs::remove_file(&partial);
         }
     }
 }
 
-/// Makes the names in a folder durable, where the file system knows how to.
+/// Makes the names in a folder durable, if the file system supports it.
 fn sync_folder(folder: &Path) -> io::Result<()> {
     #[cfg(unix)]
     match File::open(folder)?.sync_all() {
@@ -111,7 +112,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// A place in an [`OutputFile`] where bytes are written, and read again unless it is a stream, without a buffer.
+/// A position in an [`OutputFile`] at which bytes are written, and read back unless it is a stream, without buffering.
 #[derive(Debug)]
 pub struct OutputWriter {
     growing: Arc<Growing>,

@@ -1,4 +1,4 @@
-//! Points that are in memory already.
+//! Points that are already in memory.
 
 use super::{ColorDepth, ColumnInfo, PointBatch, PointSource, ReadError, Schema, Values};
 
@@ -14,7 +14,7 @@ pub struct ArraySource {
 impl ArraySource {
     /// Points with named columns, each as long as the positions. Colours are `red`, `green` and `blue`, from 0 to 1.
     ///
-    /// Panics where a column is shorter or longer than the positions.
+    /// Panics if a column is shorter or longer than the positions.
     #[must_use]
     pub fn new(position: Vec<[f64; 3]>, columns: Vec<(&str, Vec<f32>)>) -> Self {
         let typed = columns.into_iter().map(|(name, values)| {
@@ -26,7 +26,8 @@ impl ArraySource {
 
     /// Points with columns of any type, each as long as the positions.
     ///
-    /// Panics where a column is shorter or longer than the positions, or of another type than it says.
+    /// Panics if a column is shorter or longer than the positions, or if its values are not of the type that its description
+    /// states.
     #[must_use]
     pub fn typed(position: Vec<[f64; 3]>, columns: Vec<(ColumnInfo, Values)>) -> Self {
         for (info, values) in &columns {

@@ -1,4 +1,4 @@
-//! Columns of numbers in the types that files have, so that times, classes and identifiers survive as they came.
+//! Columns of numbers in the types that files use, so that times, classes and identifiers are kept exactly.
 
 /// The type of the numbers of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -27,7 +27,7 @@ pub enum ColumnType {
 }
 
 impl ColumnType {
-    /// All types, each at the place of its [`code`](Self::code).
+    /// All types, each at the index of its [`code`](Self::code).
     pub const ALL: &[Self] = &[
         Self::U8,
         Self::I8,
@@ -41,13 +41,13 @@ impl ColumnType {
         Self::F64,
     ];
 
-    /// The number that stands for the type in a cloud file.
+    /// The number that denotes the type in a cloud file.
     #[must_use]
     pub fn code(self) -> u8 {
         self as u8
     }
 
-    /// Bytes of a value: 1, 2, 4 or 8.
+    /// Size of a value in bytes: 1, 2, 4 or 8.
     #[must_use]
     pub fn bytes(self) -> usize {
         match self {
@@ -85,8 +85,8 @@ impl ColumnType {
         matches!(self, Self::I8 | Self::I16 | Self::I32 | Self::I64)
     }
 
-    /// The smallest type that holds every value of both exactly. Where there is none (64-bit integers beside floats or
-    /// beside 64-bit integers of the other sign), [`F64`](Self::F64), which is exact up to 2⁵³.
+    /// The smallest type that holds every value of both exactly. If there is none (for 64-bit integers with floats, and for
+    /// [`U64`](Self::U64) with signed integers), [`F64`](Self::F64), which is exact for integers up to 2⁵³.
     #[must_use]
     pub fn common(self, other: Self) -> Self {
         if self == other {
@@ -117,10 +117,10 @@ impl ColumnType {
         }
     }
 
-    /// The value that `bytes`, of [`bytes`](Self::bytes) bytes in little-endian order, stand for. 64-bit integers are
-    /// rounded beyond 2⁵³.
+    /// Decodes a value from the first [`bytes`](Self::bytes) of `bytes`, in little-endian order. 64-bit integers beyond 2⁵³
+    /// are rounded.
     ///
-    /// Panics where `bytes` are fewer.
+    /// Panics if `bytes` is shorter.
     #[must_use]
     #[inline]
     pub fn decode(self, bytes: &[u8]) -> f64 {
@@ -152,27 +152,27 @@ impl std::fmt::Display for ColumnType {
     }
 }
 
-/// What a source says of one of its columns.
+/// The description of a column of a source.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnInfo {
     /// Name. Colours are `red`, `green` and `blue`.
     pub name: String,
     /// Type of the numbers.
     pub kind: ColumnType,
-    /// Unit as the file names it; empty where it names none.
+    /// Unit as named by the file; empty if it names none.
     pub unit: String,
-    /// Whether the numbers name classes, between which nothing may be interpolated.
+    /// Whether the numbers are class labels, which must not be interpolated.
     pub is_class: bool,
 }
 
 impl ColumnInfo {
-    /// A column without a unit, of quantities.
+    /// A column of quantities, without a unit.
     #[must_use]
     pub fn new(name: impl Into<String>, kind: ColumnType) -> Self {
         Self { name: name.into(), kind, unit: String::new(), is_class: false }
     }
 
-    /// The same column, of classes.
+    /// The same column, marked as class labels.
     #[must_use]
     pub fn of_classes(self) -> Self {
         Self { is_class: true, ..self }
@@ -211,7 +211,7 @@ pub enum Values {
     F64(Vec<f64>),
 }
 
-/// Does the same with the vector of any type.
+/// Evaluates the same expression for the vector of any type.
 macro_rules! each {
     ($values:expr, $v:ident => $what:expr) => {
         match $values {
@@ -230,7 +230,7 @@ macro_rules! each {
 }
 
 impl Values {
-    /// No numbers yet, of a type.
+    /// An empty column of the given type.
     #[must_use]
     pub fn empty(kind: ColumnType) -> Self {
         match kind {
@@ -264,24 +264,24 @@ impl Values {
         }
     }
 
-    /// How many there are.
+    /// Number of values.
     #[must_use]
     pub fn len(&self) -> usize {
         each!(self, v => v.len())
     }
 
-    /// Whether there are none.
+    /// Whether there are no values.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Removes all numbers and keeps the memory.
+    /// Removes all numbers but keeps the allocated memory.
     pub fn clear(&mut self) {
         each!(self, v => v.clear());
     }
 
-    /// Number `index` as `f64`; 64-bit integers are rounded beyond 2⁵³. Panics beyond the end.
+    /// Number `index` as `f64`; 64-bit integers beyond 2⁵³ are rounded. Panics if `index` is out of range.
     #[must_use]
     #[inline]
     pub fn get(&self, index: usize) -> f64 {
@@ -291,13 +291,14 @@ impl Values {
         }
     }
 
-    /// Appends a number, converted as `as` does: cut off at the ends of the type, NaN as 0 in integers.
+    /// Appends a number, converted as by `as`: for integers, it is truncated and clamped to the range of the type, and NaN
+    /// becomes 0.
     #[inline]
     pub fn push(&mut self, value: f64) {
         each!(self, v => v.push(value as _));
     }
 
-    /// Multiplies every number, with the conversions of [`push`](Self::push).
+    /// Multiplies every number by `factor`, converted as by [`push`](Self::push).
     pub fn scale(&mut self, factor: f64) {
         #[allow(clippy::unnecessary_cast, reason = "one of the types is f64")]
         {
@@ -305,9 +306,9 @@ impl Values {
         }
     }
 
-    /// Appends the number that `bytes` stand for, in little-endian order; exact for every type.
+    /// Appends the number at the start of `bytes`, in little-endian order; exact for every type.
     ///
-    /// Panics where there are fewer bytes than the type has.
+    /// Panics if there are fewer bytes than the type has.
     #[inline]
     pub fn push_le_bytes(&mut self, bytes: &[u8]) {
         macro_rules! put {
@@ -331,9 +332,9 @@ impl Values {
         }
     }
 
-    /// Appends some numbers of another column.
+    /// Appends a range of the numbers of another column.
     ///
-    /// Panics where the types differ or the range goes beyond the end.
+    /// Panics if the types differ or the range extends beyond the end.
     pub fn extend_from(&mut self, other: &Self, range: std::ops::Range<usize>) {
         macro_rules! same {
             ($($kind:ident),*) => {
@@ -346,8 +347,8 @@ impl Values {
         same!(U8, I8, U16, I16, U32, I32, U64, I64, F32, F64);
     }
 
-    /// Appends number `index`, as a value of type `kind`, to `out` in little-endian order. The conversion is exact
-    /// where `kind` is [`common`](ColumnType::common) to this type and others.
+    /// Appends number `index`, as a value of type `kind`, to `out` in little-endian order. The conversion is as exact as
+    /// [`common`](ColumnType::common) states if `kind` is the common type of this type and others.
     #[inline]
     pub fn write_as(&self, index: usize, kind: ColumnType, out: &mut Vec<u8>) {
         if kind == self.kind() {

@@ -38,7 +38,7 @@ pub enum ReadError {
     Malformed {
         /// The file.
         path: PathBuf,
-        /// Where in it.
+        /// The place in the file.
         place: Place,
         /// What was found and what was expected.
         what: String,
@@ -48,9 +48,9 @@ pub enum ReadError {
     Las {
         /// The file.
         path: PathBuf,
-        /// Byte of the file, near where the damage is.
+        /// Byte offset in the file, near the damage.
         byte: u64,
-        /// What was found.
+        /// What is wrong.
         what: String,
         /// Number of points before the damage.
         read: u64,
@@ -62,10 +62,10 @@ pub enum ReadError {
     NotCompiled {
         /// The file.
         path: PathBuf,
-        /// The cargo feature that it takes.
+        /// The cargo feature that is needed.
         feature: &'static str,
     },
-    /// The extension names no format that can be read.
+    /// The extension is not that of a format that can be read.
     #[error(
         "{}: unknown kind of file; expected .ply, .las, .laz, .xyz, .txt, .csv, .asc or .pts", path.display()
     )]

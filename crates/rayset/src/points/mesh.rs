@@ -1,4 +1,4 @@
-//! Points on the triangles of a mesh, as many as one likes.
+//! Sampling any number of points on the triangles of a mesh.
 
 use std::path::Path;
 
@@ -8,15 +8,15 @@ use super::synthetic::SplitMix;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 use crate::geometry::DVec3;
 
-/// Most corners of a face: more is no face, but a damaged count.
+/// Largest number of corners of a face; a larger count is taken for damage.
 const CORNER_LIMIT: u32 = 1 << 16;
 
-/// Points drawn at random from the surface of a mesh, evenly by area; the same for the same mesh and number. The mesh is
-/// held in memory: 24 bytes a vertex and 20 a triangle.
+/// Random points on the surface of a mesh, uniformly distributed by area; the same for the same mesh and number. The mesh is
+/// held in memory: 24 bytes per vertex and 20 bytes per triangle.
 pub struct MeshSource {
     vertices: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
-    /// Area of each triangle and all before.
+    /// Cumulative area of the triangles, up to and including each.
     area: Vec<f64>,
     random: SplitMix,
     left: u64,
@@ -27,7 +27,7 @@ impl MeshSource {
     /// Reads the vertices and faces of a PLY file.
     ///
     /// # Errors
-    /// [`ReadError`] where it cannot be read, has no faces, or a face has a corner that is no vertex.
+    /// [`ReadError`] if it cannot be read, has no faces with an area, or a face refers to a vertex that does not exist.
     pub fn open(path: &Path, points: u64) -> Result<Self, ReadError> {
         let (header, mut body) = Body::open(path)?;
         let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
@@ -107,7 +107,7 @@ fn read_vertices(
     Ok(())
 }
 
-/// Reads the faces; a polygon is a fan of triangles. `vertices`: how many there are.
+/// Reads the faces; polygons are split into fans of triangles. `vertices` is the number of vertices.
 fn read_faces(
     body: &mut Body,
     element: &Element,
@@ -116,7 +116,7 @@ fn read_faces(
     triangles: &mut Vec<[u32; 3]>,
 ) -> Result<(), ReadError> {
     for index in 0..element.count {
-        // The first corner, the one before, and how many were seen.
+        // The first corner, the previous one, and the number of corners so far.
         let (mut first, mut last, mut seen) = (0, 0, 0_u32);
         body.record(element, index, |place| place == corners, |place, part| {
             match part {
@@ -165,7 +165,7 @@ impl PointSource for MeshSource {
             let at = self.random.unit() * whole + self.random.unit() * whole / f64::from(1 << 24);
             let triangle = self.area.partition_point(|&a| a <= at).min(self.triangles.len() - 1);
             let [a, b, c] = self.triangles[triangle].map(|corner| self.vertices[corner as usize]);
-            // Evenly over the triangle (Osada et al. 2002).
+            // Uniform over the triangle (Osada et al. 2002).
             let (u, v) = (self.random.unit().sqrt(), self.random.unit());
             let p = a * (1.0 - u) + b * (u * (1.0 - v)) + c * (u * v);
             batch.position.push(p.to_array());

@@ -1,8 +1,8 @@
-//! Points in: streaming readers for the files people have, and generators for the standard workloads.
+//! Point input: streaming readers for common file formats, and generators for the standard workloads.
 //!
-//! A [`PointSource`] hands out points in batches and never holds a whole file. Positions are `f64` in the file's own
-//! coordinates; everything else is a column with a name and a type. What a column means (radius, weight, colour) is
-//! decided by the builder, and so is what happens to invalid records.
+//! A [`PointSource`] delivers points in batches and never holds a whole file in memory. Positions are `f64` in the file's
+//! own coordinates; everything else is a column with a name and a type. The builder decides what a column means (radius,
+//! weight, colour) and what happens to invalid records.
 
 mod array;
 mod column;
@@ -51,7 +51,7 @@ pub use self::text::TextSource;
 use self::text::TextSource;
 use crate::setters::setters;
 
-/// What a reader needs to be told because some formats do not say it.
+/// Information for a reader that some formats do not contain.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ReadOptions {
@@ -61,10 +61,10 @@ pub struct ReadOptions {
 
 setters!(ReadOptions { with_text_columns => text_columns: Option<Vec<String>> });
 
-/// Opens a file by its extension.
+/// Opens a file, in the format that its extension indicates.
 ///
 /// # Errors
-/// [`ReadError`] where the file cannot be opened, its header is malformed, or its extension is unknown.
+/// [`ReadError`] if the file cannot be opened, its header is malformed, or its extension is unknown.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     Ok(match extension.as_str() {

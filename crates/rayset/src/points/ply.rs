@@ -1,4 +1,4 @@
-//! PLY: ASCII and both binary orders, properties of any type and order; lists are skipped.
+//! PLY: ASCII and both binary byte orders, properties of any type and in any order; lists are skipped.
 
 use std::path::Path;
 
@@ -19,9 +19,9 @@ pub struct PlySource {
     body: Body,
     vertex: Element,
     axes: [usize; 3],
-    /// The property of each column of the schema.
+    /// The index of the property of each column of the schema.
     properties: Vec<usize>,
-    /// The properties that are wanted, and where their values go; one property may go to several places.
+    /// The selected properties, and where their values go; a property may have several targets.
     targets: Vec<(usize, Target)>,
     schema: Schema,
     selected: Vec<usize>,
@@ -34,7 +34,7 @@ impl PlySource {
     /// Opens a file, reads its header and skips to its vertices.
     ///
     /// # Errors
-    /// [`ReadError`] where the file cannot be read, is no PLY file, or has no `vertex` element with x, y and z.
+    /// [`ReadError`] if the file cannot be read, is not a PLY file, or has no `vertex` element with x, y and z.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let (header, mut body) = Body::open(path)?;
         let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
@@ -83,7 +83,7 @@ impl PlySource {
         Ok(source)
     }
 
-    /// Records without lists, in binary.
+    /// Reads binary records without lists.
     fn fill_fixed(&mut self, batch: &mut PointBatch, count: usize, stride: usize) -> Result<(), ReadError> {
         let big = self.body.encoding() == Encoding::BigEndian;
         let mut left = count;
@@ -115,7 +115,7 @@ impl PlySource {
         Ok(())
     }
 
-    /// Records of any length, and ASCII.
+    /// Reads records of varying length, and ASCII records.
     fn fill_varying(&mut self, batch: &mut PointBatch, count: usize) -> Result<(), ReadError> {
         for _ in 0..count {
             let values = &mut self.values;
@@ -158,7 +158,7 @@ impl PointSource for PlySource {
     }
 
     fn memory_needed(&self) -> u64 {
-        // A buffer to read through.
+        // The read buffer.
         256 << 10
     }
 

@@ -1,4 +1,4 @@
-//! The records of a PLY file behind its header, in ASCII and both binary orders.
+//! The records of a PLY file after its header, in ASCII and both binary byte orders.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -8,7 +8,7 @@ use super::ply_header::{Element, Encoding, Header, Property, Scalar};
 use super::{Place, ReadError, roles};
 
 pub(super) const BUFFER_BYTES: usize = 256 << 10;
-/// Longest line of an ASCII file, so that a file without line ends costs bounded memory.
+/// Longest line of an ASCII file in bytes, so that a file without line ends needs bounded memory.
 const LINE_LIMIT: usize = 1 << 20;
 
 /// A part of a record, in the order of the file.
@@ -16,7 +16,7 @@ const LINE_LIMIT: usize = 1 << 20;
 pub(super) enum Part {
     /// The value of a property.
     Scalar(f64),
-    /// How many items of a list follow.
+    /// The number of items of a list, which follow.
     Count(u32),
     Item(f64),
 }
@@ -52,7 +52,7 @@ impl Body {
         self.encoding
     }
 
-    /// Something wrong at `byte` of a binary file, or on the line of an ASCII file that was read last.
+    /// An error at `byte` of a binary file, or on the line of an ASCII file that was read last.
     fn fail(&self, byte: u64, what: impl Into<String>) -> ReadError {
         let place = if self.encoding == Encoding::Ascii { Place::Line(self.line) } else { Place::Byte(byte) };
         ReadError::malformed(&self.path, place, what)
@@ -72,7 +72,7 @@ impl Body {
         self.fail(self.byte, format!("the file ends early: {read} of {} {records} read", element.count))
     }
 
-    /// Passes over all records of an element.
+    /// Skips all records of an element.
     pub(super) fn skip(&mut self, element: &Element) -> Result<(), ReadError> {
         if element.properties.is_empty() {
             return Ok(());
@@ -96,8 +96,8 @@ impl Body {
         Ok(())
     }
 
-    /// Reads record `index` of an element and hands its parts to `visit` with the place of their property; of lists that
-    /// `wants` does not name the items are passed over. What `visit` says is wrong is told with its place in the file.
+    /// Reads record `index` of an element and passes its parts to `visit`, with the index of their property. The items of
+    /// lists for which `wants` is false are skipped. Errors of `visit` are reported with their place in the file.
     pub(super) fn record(
         &mut self,
         element: &Element,
@@ -148,7 +148,7 @@ impl Body {
         Ok(())
     }
 
-    /// Reads `count` records of an element without lists, from record `index`, each of `stride` bytes.
+    /// Reads `count` records of `stride` bytes of an element without lists, from record `index` on.
     pub(super) fn fixed(
         &mut self,
         element: &Element,
@@ -170,7 +170,7 @@ impl Body {
         Ok(kind.decode(&self.record, self.encoding == Encoding::BigEndian))
     }
 
-    /// Reads up to `bytes` into `self.record`, fewer only at the end of the file.
+    /// Reads up to `bytes` bytes into `self.record`; fewer only at the end of the file. Returns how many were read.
     fn read_bytes(&mut self, bytes: usize) -> Result<usize, ReadError> {
         self.record.resize(bytes, 0);
         let mut read = 0;
@@ -220,7 +220,7 @@ fn list_count(items: f64) -> Result<u32, String> {
     }
 }
 
-/// Takes the line of an ASCII record apart.
+/// Parses the line of an ASCII record.
 fn parse_line(
     line: &[u8],
     properties: &[Property],

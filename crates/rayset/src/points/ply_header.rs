@@ -1,20 +1,20 @@
 //! The header of a PLY file: elements and their properties, checked but not yet interpreted.
 //!
-//! Format: Greg Turk, *The PLY Polygon File Format* (1994), with the size-suffixed type names in later use. Comments and
-//! `obj_info` may be of any length, up to that of the whole header.
+//! Format: Greg Turk, *The PLY Polygon File Format* (1994), with the size-suffixed type names in later use. `comment` and
+//! `obj_info` lines are limited only by the length of the whole header.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
 
 use super::{ColumnType, Place, ReadError, roles};
 
-/// Longest header accepted, so that a file of another kind is not searched to its end.
+/// Longest header accepted, in bytes, so that a file of another kind is not searched to its end.
 const HEADER_LIMIT: u64 = 64 << 20;
-/// Longest line that declares something, and as much of a comment as is looked at.
+/// Longest line of a declaration in bytes, and the part of a comment that is examined.
 const LINE_LIMIT: u64 = 1 << 10;
-/// Most elements and properties in all.
+/// Largest total number of elements and properties.
 const DECLARATION_LIMIT: usize = 4096;
-/// Longest description that is put together of comments.
+/// Longest description made from comments, in bytes.
 const DESCRIPTION_LIMIT: usize = 512;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +51,7 @@ impl Scalar {
         })
     }
 
-    /// The type of a column of such numbers.
+    /// The column type for these numbers.
     pub(super) fn column_type(self) -> ColumnType {
         match self {
             Self::I8 => ColumnType::I8,
@@ -74,7 +74,7 @@ impl Scalar {
         }
     }
 
-    /// Whether a value of this type can be `value`; floats are rounded.
+    /// Whether this type can represent `value`; always true for floats, which are rounded.
     pub(super) fn holds(self, value: f64) -> bool {
         let within = |min: f64, max: f64| value >= min && value <= max && value.fract() == 0.0;
         match self {
@@ -136,7 +136,7 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Bytes of one record, or `None` if a list makes them vary.
+    /// Bytes of a record, or `None` if lists make the length vary.
     pub(super) fn stride(&self) -> Option<usize> {
         self.properties.iter().try_fold(0, |sum, p| match p {
             Property::Scalar { kind, .. } => Some(sum + kind.size()),
@@ -144,9 +144,9 @@ impl Element {
         })
     }
 
-    /// The places of the properties x, y and z, or what is wrong with them.
+    /// The indices of the properties x, y and z, or what is wrong with them.
     pub(super) fn axes(&self) -> Result<[usize; 3], String> {
-        // A list is no coordinate, whatever its name.
+        // A list cannot be a coordinate, whatever its name.
         let name = |p: &Property| match p {
             Property::Scalar { name, .. } => name.clone(),
             Property::List { .. } => String::new(),
@@ -175,7 +175,7 @@ pub(super) struct Header {
     pub(super) elements: Vec<Element>,
     /// Format and comments, in at most 512 bytes.
     pub(super) description: String,
-    /// Bytes and lines that the header takes, its last line included.
+    /// Length of the header in bytes and in lines, including its last line.
     pub(super) bytes: u64,
     pub(super) lines: u64,
 }
@@ -293,7 +293,7 @@ fn property(words: &[&str]) -> Result<Property, String> {
     }
 }
 
-/// Reads a line of which only the start is kept; returns its bytes, at most `limit`.
+/// Reads a line; of long comments, only the start is kept. Returns the number of bytes read, at most `limit`.
 fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>, limit: u64) -> io::Result<u64> {
     line.clear();
     let mut read = input.take(LINE_LIMIT.min(limit)).read_until(b'\n', line)? as u64;
@@ -320,7 +320,7 @@ fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>, limit: u64) -> io::Re
     Ok(read)
 }
 
-/// Adds a comment to a description, but not one that may name somebody's folders.
+/// Adds a comment to a description, unless it may contain a path.
 fn add_comment(comments: &mut String, words: &[&str]) {
     let text = words.join(" ").replace(char::is_control, " ");
     if !text.is_empty() && !text.contains(['/', '\\']) && comments.len() < DESCRIPTION_LIMIT {

@@ -1,4 +1,4 @@
-//! Binary little-endian PLY out, for generated points.
+//! Writing binary little-endian PLY, for generated points.
 
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 
@@ -8,13 +8,14 @@ use crate::output::{Destination, OutputError, OutputFile, OutputWriter};
 /// Digits reserved in the header for the number of points.
 const COUNT_WIDTH: usize = 20;
 
-/// Writes points as `float x, y, z` and one `float` (colours: `uchar`) a column. The file has its name when it is whole.
+/// Writes points as `float x, y, z` and one `float` (colours: `uchar`) per column. The file gets its name once it is
+/// complete.
 #[derive(Debug)]
 pub struct PlyWriter {
     buffer: BufWriter<OutputWriter>,
     file: OutputFile,
     count_at: u64,
-    /// What the header says at first.
+    /// The number of points that the header states at first.
     expected: u64,
     count: u64,
     is_color: Vec<bool>,
@@ -23,8 +24,8 @@ pub struct PlyWriter {
 impl PlyWriter {
     /// Creates the file and writes its header. Colour columns (`red`, `green`, `blue`) take values from 0 to 1.
     ///
-    /// The number of points stands in the header. It is written again in the end if it is another one than `expected`; a
-    /// pipe cannot be gone back in, so there `expected` has to be right.
+    /// The header contains the number of points. It is rewritten at the end if it differs from `expected`; a pipe cannot
+    /// seek, so for a pipe `expected` must be right.
     ///
     /// # Errors
     /// [`OutputError::Io`].
@@ -80,7 +81,7 @@ impl PlyWriter {
         Ok(())
     }
 
-    /// Puts the number of points right, and gives the file its name. Returns the number.
+    /// Corrects the number of points in the header, and gives the file its name. Returns the number of points.
     ///
     /// # Errors
     /// [`OutputError::Io`].

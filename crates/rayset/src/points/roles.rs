@@ -1,7 +1,7 @@
-//! What columns are for, told by their names: axes, colours, classes.
+//! The roles of columns by their names: axes, colours, classes.
 //!
-//! A name means itself before it means anything else: `x` is the axis even where there is an `easting`, and a file with
-//! `red` has no other red. Names are compared without regard to case where no name agrees letter by letter.
+//! An exact name takes precedence over an alias: `x` is the axis even if there is an `easting`, and in a file with `red`
+//! nothing else is red. If no name matches exactly, case is ignored.
 
 use super::ColumnInfo;
 
@@ -12,10 +12,10 @@ const AXES: [&[&str]; 3] = [
 ];
 
 const COLORS: [&str; 3] = ["red", "green", "blue"];
-/// Other names of the three colours, which count where all three are there.
+/// Aliases of the three colours, which are used only if all three are present.
 const COLOR_ALIASES: [[&str; 3]; 2] = [["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"]];
 
-/// The first of `names` that is `wanted`, letter by letter or else without regard to case.
+/// The index of the first of `names` that equals `wanted`, exactly or otherwise ignoring case.
 fn place(names: &[&str], wanted: &str) -> Option<usize> {
     let exact = names.iter().position(|n| *n == wanted);
     exact.or_else(|| names.iter().position(|n| n.eq_ignore_ascii_case(wanted)))
@@ -27,8 +27,8 @@ pub(super) fn axes<S: AsRef<str>>(names: &[S]) -> [Option<usize>; 3] {
     AXES.map(|aliases| aliases.iter().find_map(|alias| place(&names, alias)))
 }
 
-/// The roles `red`, `green` and `blue`, with the columns that have them under other names. None where any column is
-/// called `red`, `green` or `blue`.
+/// The roles `red`, `green` and `blue`, with the columns that have them under other names. Empty if any column is called
+/// `red`, `green` or `blue`.
 pub(super) fn colors(columns: &[ColumnInfo]) -> Vec<(String, usize)> {
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
     let find = |name: &str| place(&names, name);
@@ -39,7 +39,8 @@ pub(super) fn colors(columns: &[ColumnInfo]) -> Vec<(String, usize)> {
     all.map_or_else(Vec::new, |found| COLORS.iter().map(|c| (*c).to_owned()).zip(found).collect())
 }
 
-/// The column that `name` means: that of the name, else that of the role, else that of the name in other letter case.
+/// The column that `name` refers to: the one of that name, otherwise the one with that role, otherwise the one of that name
+/// ignoring case.
 pub(super) fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str) -> Option<usize> {
     let exact = columns.iter().position(|c| c.name == name);
     exact
@@ -47,14 +48,14 @@ pub(super) fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str
         .or_else(|| columns.iter().position(|c| c.name.eq_ignore_ascii_case(name)))
 }
 
-/// Whether a column of this name holds the numbers of classes.
+/// Whether a column of this name holds class labels.
 pub(super) fn is_class(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let name = name.strip_prefix("scalar_").unwrap_or(&name);
     matches!(name, "class" | "classification" | "label")
 }
 
-/// The start of what a file holds, short enough for a message and without control characters.
+/// The start of a text from a file, shortened for a message and without control characters.
 pub(super) fn excerpt(text: &str) -> String {
     let text = text.trim();
     let mut short: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect();

@@ -1,4 +1,4 @@
-//! Points that somebody else holds in memory, in slices, without a copy of them.
+//! Points in slices in the caller's memory, which are read in place.
 
 use std::ops::Range;
 
@@ -6,7 +6,7 @@ use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadErr
 
 macro_rules! column_slice {
     ($($kind:ident: $number:ty),*) => {
-        /// Numbers of a column, in a slice of one of the types that columns have.
+        /// The numbers of a column, as a slice of one of the column types.
         #[derive(Clone, Copy, Debug)]
         pub enum ColumnSlice<'a> {
             $(
@@ -29,7 +29,7 @@ macro_rules! column_slice {
             fn append_to(&self, to: &mut Values, range: Range<usize>) {
                 match (self, to) {
                     $((Self::$kind(from), Values::$kind(to)) => to.extend_from_slice(&from[range]),)*
-                    // A batch has the types of its schema, which are those of the slices.
+                    // The columns of a batch have the types of the schema, which are those of the slices.
                     (from, to) => debug_assert_eq!(from.kind(), to.kind()),
                 }
             }
@@ -53,7 +53,7 @@ macro_rules! column_slice {
 
 column_slice!(U8: u8, I8: i8, U16: u16, I16: i16, U32: u32, I32: i32, U64: u64, I64: i64, F32: f32, F64: f64);
 
-/// Positions in a slice, of single or double precision.
+/// Positions in a slice, in single or double precision.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub enum PositionSlice<'a> {
@@ -103,7 +103,7 @@ impl<'a> From<&'a Vec<[f64; 3]>> for PositionSlice<'a> {
     }
 }
 
-/// A column is not as long as the positions are.
+/// A column does not have as many values as there are positions.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("column `{name}` has {found} values, where there are {expected} positions")]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
@@ -116,7 +116,7 @@ pub struct ColumnLengthError {
     pub expected: usize,
 }
 
-/// Points in slices: positions, and columns of any type and name. They are read where they are.
+/// Points in slices: positions, and columns of any type and name. The slices are borrowed and read in place.
 ///
 /// ```
 /// use rayset::points::SliceSource;
@@ -137,7 +137,7 @@ pub struct SliceSource<'a> {
 }
 
 impl<'a> SliceSource<'a> {
-    /// Points without columns, at positions of any finite coordinates.
+    /// Points without columns, at positions with any finite coordinates.
     #[must_use]
     pub fn new(position: impl Into<PositionSlice<'a>>) -> Self {
         Self {
@@ -150,7 +150,7 @@ impl<'a> SliceSource<'a> {
         }
     }
 
-    /// The same with a radius of influence for each point, which a build takes unless it is told otherwise.
+    /// Adds a radius of influence for each point, which a build uses by default.
     ///
     /// # Errors
     /// [`ColumnLengthError`].
@@ -158,7 +158,7 @@ impl<'a> SliceSource<'a> {
         self.attribute("radius", radius)
     }
 
-    /// The same with a weight for each point, which a build takes unless it is told otherwise.
+    /// Adds a weight for each point, which a build uses by default.
     ///
     /// # Errors
     /// [`ColumnLengthError`].
@@ -166,7 +166,7 @@ impl<'a> SliceSource<'a> {
         self.attribute("weight", weight)
     }
 
-    /// The same with a colour for each point: red, green and blue as a display wants them (sRGB), 0 to 1.
+    /// Adds a colour for each point: display-encoded (sRGB) red, green and blue, from 0 to 1.
     ///
     /// # Errors
     /// [`ColumnLengthError`].
@@ -179,8 +179,8 @@ impl<'a> SliceSource<'a> {
         Ok(self)
     }
 
-    /// The same with a further column, which [`BuildOptions::attributes`](crate::octree::build::BuildOptions::attributes)
-    /// can keep under its name.
+    /// Adds a further column, which [`BuildOptions::attributes`](crate::octree::build::BuildOptions::attributes) can keep
+    /// under its name.
     ///
     /// # Errors
     /// [`ColumnLengthError`].
@@ -191,7 +191,7 @@ impl<'a> SliceSource<'a> {
     ) -> Result<Self, ColumnLengthError> {
         let values = values.into();
         self.check(name, values.len())?;
-        // Colours stand behind all other columns.
+        // Colours come after all other columns.
         self.schema.columns.insert(self.columns.len(), ColumnInfo::new(name, values.kind()));
         self.columns.push(values);
         Ok(self)

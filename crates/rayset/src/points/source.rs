@@ -1,4 +1,4 @@
-//! Points as a stream: what a source offers, and batches of it.
+//! Streams of points: sources, their schemas, and batches.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::column::{ColumnInfo, Values};
 use super::error::ReadError;
 use super::roles;
 
-/// How the numbers of the colour columns of a source are to be read.
+/// The value range of the colour columns of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ColorDepth {
@@ -20,31 +20,30 @@ pub enum ColorDepth {
     Guess,
 }
 
-/// What a source offers besides positions.
+/// The data that a source offers besides positions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schema {
-    /// Columns, in the order of [`PointBatch::columns`] before any selection. Colours are `red`, `green`, `blue`, as
-    /// names or as roles.
+    /// All columns that can be selected. Colours are `red`, `green` and `blue`, as names or as roles.
     pub columns: Vec<ColumnInfo>,
-    /// What columns are for that have other names: `red` of the column `r`. Each a role and the index of a column.
+    /// Roles of columns that have other names, such as `red` for the column `r`: the role and the index of the column.
     pub roles: Vec<(String, usize)>,
-    /// How to read the colour columns, if there are any.
+    /// The value range of the colour columns, if there are any.
     pub color_depth: ColorDepth,
-    /// The coordinate reference system as the file has it (WKT, or GeoTIFF keys in words); empty where it has none.
+    /// The coordinate reference system from the file (WKT, or `EPSG:` and a code); empty if it has none.
     pub crs: String,
-    /// What the file says of itself: format, version, the program that wrote it. Empty where it says nothing.
+    /// A description of the file: format, version, the program that wrote it. May be empty.
     pub description: String,
 }
 
 impl Schema {
-    /// Columns alone.
+    /// A schema with columns only.
     #[must_use]
     pub fn new(columns: Vec<ColumnInfo>, color_depth: ColorDepth) -> Self {
         Self { columns, roles: Vec::new(), color_depth, crs: String::new(), description: String::new() }
     }
 
-    /// Index of the column that `name` means: the one of that name, else the one that has it as its role, else the one of
-    /// that name in other letter case. Several names may mean one column.
+    /// Index of the column that `name` refers to: the one of that name, otherwise the one with that role, otherwise the one
+    /// of that name ignoring case. Several names may refer to the same column.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<usize> {
         roles::find(&self.columns, &self.roles, name)
@@ -59,16 +58,16 @@ impl Schema {
 /// A batch of points in columns; buffers are reused from one fill to the next.
 #[derive(Clone, Debug, Default)]
 pub struct PointBatch {
-    /// Positions in the coordinates of the file, possibly not finite: readers pass on what they find.
+    /// Positions in the coordinates of the file. They may not be finite: readers do not validate them.
     pub position: Vec<[f64; 3]>,
-    /// One column for each selected column of the schema, of its type, and as long as `position`.
+    /// One column for each selected column of the schema, of the same type, with as many values as `position`.
     pub columns: Vec<Values>,
 }
 
 impl PointBatch {
-    /// Empties the batch and gives it the `selected` columns of a schema, keeping the buffers where types agree.
+    /// Empties the batch and gives it the `selected` columns of a schema, keeping the buffers if the types agree.
     ///
-    /// Panics where an index is not one of the schema's.
+    /// Panics if an index is not one of the schema's.
     pub fn reset(&mut self, schema: &Schema, selected: &[usize]) {
         self.position.clear();
         self.columns.truncate(selected.len());
@@ -95,26 +94,27 @@ impl PointBatch {
     }
 }
 
-/// A stream of points. Anything that has points can be one: see [`SliceSource`](super::SliceSource) for a short example.
+/// A stream of points. Implement it for points from elsewhere; for points in memory there is
+/// [`SliceSource`](super::SliceSource).
 pub trait PointSource: Send {
     /// What the source offers.
     fn schema(&self) -> &Schema;
-    /// Number of points that the file claims to hold; a claim, never trusted for an allocation.
+    /// Number of points that the source claims to hold, if known; never trusted for an allocation.
     fn count_hint(&self) -> Option<u64>;
-    /// The file that is read, if it is one: an output never replaces it.
+    /// The file that is read, if the source is a file; an output never replaces it.
     fn path(&self) -> Option<&Path> {
         None
     }
     /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema; one may be chosen more than
-    /// once. Initially none.
+    /// once. Initially, none are chosen.
     fn select(&mut self, columns: &[usize]);
-    /// Bytes that reading holds at once besides the batch, at most. Sources that hold next to nothing say 0.
+    /// Upper bound on the memory in bytes that reading needs besides the batch. Sources that need almost none return 0.
     fn memory_needed(&self) -> u64 {
         0
     }
-    /// Replaces the contents of `batch` by up to `limit` further points; leaves it empty at the end.
+    /// Replaces the contents of `batch` by up to `limit` further points; the batch is empty at the end.
     ///
     /// # Errors
-    /// [`ReadError`] where the file cannot be read or breaks its format.
+    /// [`ReadError`] if the file cannot be read or violates its format.
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError>;
 }

@@ -1,7 +1,7 @@
-//! Generated clouds: the standard workloads, the same in code, benchmarks and documents, and two handsome ones.
+//! Generated clouds: the standard workloads of tests, benchmarks and documents, and some decorative ones.
 //!
-//! Random numbers are splitmix64 from state 42, u = (next >> 40) / 2²⁴ in draw order, so that anyone can make the
-//! same points.
+//! Random numbers are splitmix64 from state 42, u = (next >> 40) / 2²⁴ in draw order, so that the points can be reproduced
+//! elsewhere.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -11,7 +11,7 @@ use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadErr
 use crate::geometry::DVec3;
 use crate::parse::ParseError;
 
-/// What a workload's points are spread over.
+/// The shape over which a workload's points are distributed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shape {
     Sphere,
@@ -28,16 +28,16 @@ pub struct Workload {
     points: u64,
 }
 
-/// A viewpoint that suits a workload.
+/// A suitable viewpoint for a workload.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Eye position.
     pub position: DVec3,
-    /// What the eye looks at.
+    /// The point that the eye looks at.
     pub look_at: DVec3,
     /// Up direction.
     pub up: DVec3,
-    /// Vertical field of view, degrees.
+    /// Vertical field of view in degrees.
     pub fovy_degrees: f64,
 }
 
@@ -63,7 +63,7 @@ impl Workload {
         }
     }
 
-    /// The viewpoint of the standard benchmark, or one that shows a handsome cloud well.
+    /// The viewpoint of the standard benchmark, or a good one for a decorative cloud.
     #[must_use]
     pub fn view(&self) -> View {
         let (position, up) = match self.shape {
@@ -156,7 +156,7 @@ impl SplitMix {
         (z >> 40) as f64 / f64::from(1 << 24)
     }
 
-    /// Normal with mean 0 and deviation 1 (Box–Muller, one of the pair).
+    /// Normally distributed with mean 0 and standard deviation 1 (Box–Muller, one of the pair).
     fn normal(&mut self) -> f64 {
         let (u, v) = (1.0 - self.unit(), self.unit());
         (-2.0 * u.ln()).sqrt() * (TAU * v).cos()
@@ -204,9 +204,9 @@ fn knot(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     let flute = 0.06 * (8.0 * v + 24.0 * u).sin();
     let tube = 0.42 + flute;
     let p = center + (side * v.cos() + across * v.sin()) * tube;
-    // Tube area over the number of points is the square of the spacing. The radius covers about five spacings, and the
-    // weight puts half opacity well inside the shell of overlapping kernels, where many points have a say: both hide
-    // the noise of random points.
+    // The square of the spacing is the tube's area over the number of points. The radius covers about five spacings, and the
+    // weight places half opacity well inside the shell of overlapping kernels, where many points contribute: both hide the
+    // noise of random points.
     let radius = 5.0 * (2.7 * TAU * TAU * 0.42 / points.max(1) as f64).sqrt();
     let shade = 0.75 + 3.0 * flute;
     let [r, g, b] = hue(2.0 * u / TAU);
@@ -231,20 +231,20 @@ fn galaxy(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     (p, [radius, 0.7, 0.45 + 0.5 * young, 0.6 + 0.2 * young, 1.0 - 0.2 * young])
 }
 
-/// A lobed vase of height 1 on the ground: as solid things as a scan of a statue.
+/// A lobed vase of height 1 on the ground: a solid object, like a scan of a statue.
 fn vase(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     let (h, angle) = (random.unit(), TAU * random.unit());
     // A foot, a belly, a neck and a lip.
     let profile = 0.17 + 0.12 * (1.25 * PI * h).sin() + 0.08 * h.powi(8);
     let lobes = 1.0 + 0.07 * (7.0 * angle + 5.0 * h).sin();
     let p = [profile * lobes * angle.cos(), h, profile * lobes * angle.sin()];
-    // As of the knot; the surface is about 1.4.
+    // As for the knot; the area of the surface is about 1.4.
     let radius = 5.0 * (1.4 / points.max(1) as f64).sqrt();
     let glaze = 0.5 + 0.5 * (7.0 * angle + 5.0 * h).sin();
     (p, [radius, 0.4, 0.75 + 0.1 * glaze, 0.62 + 0.1 * h, 0.45 + 0.15 * glaze])
 }
 
-/// A saturated colour of the wheel, `turn` in turns.
+/// A saturated colour of the colour wheel; the hue `turn` is in turns.
 fn hue(turn: f64) -> [f64; 3] {
     [0.0, 1.0 / 3.0, 2.0 / 3.0].map(|shift| 0.55 + 0.4 * (TAU * (turn - shift)).cos())
 }

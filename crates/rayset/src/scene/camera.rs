@@ -1,8 +1,8 @@
-//! Cameras: where rays start and where they go.
+//! Cameras: where rays start and in which direction they go.
 
 use crate::geometry::{Aabb, DVec3, Ray};
 
-/// How points of the image plane become rays.
+/// How points of the image plane are mapped to rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Projection {
@@ -21,34 +21,35 @@ pub enum Projection {
 /// A camera; names follow ANARI.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Eye, or the centre of an orthographic picture; world space.
+    /// The eye, or the centre of the image plane of an orthographic camera; world space.
     pub position: DVec3,
-    /// Viewing direction; any length but zero.
+    /// Viewing direction, world space; of any length except zero.
     pub direction: DVec3,
-    /// A direction that points up in the picture; not parallel to `direction`.
+    /// A direction that points up in the picture, world space; not parallel to `direction`.
     pub up: DVec3,
-    /// How rays diverge.
+    /// Perspective or orthographic.
     pub projection: Projection,
 }
 
-/// A camera that frames a scene may stand this much farther off than anything in it.
+/// Largest coordinate of a camera's position. A camera that frames a scene may be farther away than anything in the
+/// scene, so this is larger than the limit for the scene.
 const FARTHEST_EYE: f64 = 1e30;
 
-/// A direction, whatever the length that it is given by; `None` if it has none.
+/// The unit vector in the direction of `v`, whatever the length of `v`; `None` if `v` is zero or not finite.
 fn unit(v: DVec3) -> Option<DVec3> {
-    // In units of its largest component its length can be squared, however small or large it is.
+    // Divided by its largest component, the vector has a length that can be squared without overflow or underflow.
     let largest = v.abs().max_element();
     v.try_normalize().or_else(|| (v / largest).try_normalize().filter(|_| v.is_finite()))
 }
 
-/// Why a camera makes no rays.
+/// Why a camera is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraError {
-    /// A direction is zero or not finite.
+    /// The viewing direction is zero or not finite, or the position is out of range.
     #[error("the camera's direction is zero or not finite, or its position beyond 1e30")]
     Direction,
-    /// Up says nothing about the roll.
+    /// The up direction does not determine the roll of the camera.
     #[error("the camera's up direction is parallel to its viewing direction, zero or not finite")]
     Up,
     /// The field of view or height is out of range.
@@ -56,7 +57,7 @@ pub enum CameraError {
     Projection,
 }
 
-/// A camera for a picture of a certain size: makes the ray of a pixel.
+/// A camera prepared for a picture of a given size; generates the rays of its pixels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RayMaker {
     camera: Camera,
@@ -64,18 +65,19 @@ pub(crate) struct RayMaker {
     right: DVec3,
     up: DVec3,
     size: [f64; 2],
-    /// Half the height of the picture: of the plane at distance 1 in perspective, else in world units.
+    /// Half the height of the image plane: at distance 1 for a perspective camera, in world units for an orthographic
+    /// one.
     half_height: f64,
 }
 
 impl Camera {
-    /// A perspective camera at `position` that looks at `target`.
+    /// A perspective camera at `position` that looks at `target`, with the vertical field of view `fovy` in radians.
     #[must_use]
     pub fn look_at(position: DVec3, target: DVec3, up: DVec3, fovy: f64) -> Self {
         Self { position, direction: target - position, up, projection: Projection::Perspective { fovy } }
     }
 
-    /// A camera that sees all of `bounds` from the side that `toward` points away from.
+    /// A camera that looks along `toward` and sees all of `bounds`.
     #[must_use]
     pub fn framing(
         bounds: &Aabb,
@@ -91,11 +93,11 @@ impl Camera {
         let (center, half) = (bounds.center(), bounds.size() * 0.5);
         let half_extent = |axis: DVec3| axis.abs().dot(half).max(1e-300);
         let (width, height) = (half_extent(right), half_extent(upward));
-        /// Part of the picture that stays free around the object.
+        /// Factor by which the image is larger than the object, to leave a margin around it.
         const MARGIN: f64 = 1.04;
         let half_height = MARGIN * height.max(width / aspect);
         let tangent = (fovy * 0.5).tan();
-        // Corners nearer to the eye look larger: stand back far enough for each.
+        // Nearer corners look larger: the camera moves back until every corner fits.
         let mut distance = 0.0_f64;
         for corner in 0..8 {
             let sign = |bit: i32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
@@ -113,10 +115,10 @@ impl Camera {
         Self { position: center - direction * distance, direction, up: upward, projection }
     }
 
-    /// Checks that the camera makes rays.
+    /// Checks that the camera can generate rays.
     ///
     /// # Errors
-    /// [`CameraError`] that says what is wrong.
+    /// [`CameraError`] if a direction, the position or the projection is invalid.
     pub fn check(&self) -> Result<(), CameraError> {
         self.ray_maker(1, 1).map(drop)
     }
@@ -125,7 +127,7 @@ impl Camera {
     pub(crate) fn ray_maker(&self, width: u32, height: u32) -> Result<RayMaker, CameraError> {
         let in_range = self.position.abs().max_element() <= FARTHEST_EYE;
         let forward = unit(self.direction).filter(|_| in_range).ok_or(CameraError::Direction)?;
-        // Nearer to parallel than rounding is wide, they leave the roll to chance.
+        // If the two are parallel within rounding error, the roll is undetermined.
         let sine = unit(self.up).map_or(0.0, |up| forward.cross(up).length());
         let right = unit(forward.cross(self.up)).filter(|_| sine > 1e-12).ok_or(CameraError::Up)?;
         let fits = match self.projection {
@@ -146,7 +148,7 @@ impl Camera {
 }
 
 impl RayMaker {
-    /// The ray through a point of the picture, in pixels from its upper left corner.
+    /// The ray through a point of the picture, given in pixels from its upper left corner.
     pub(crate) fn ray(&self, x: f64, y: f64) -> Ray {
         let [width, height] = self.size;
         // Picture coordinates in units of half the picture's height, up and right positive.
@@ -162,7 +164,8 @@ impl RayMaker {
         }
     }
 
-    /// Where a position appears, in pixels from the upper left corner; `None` if it is not in front of the eye.
+    /// Projects a position to the picture, in pixels from its upper left corner; `None` if it is not in front of the
+    /// eye.
     pub(crate) fn project(&self, p: DVec3) -> Option<(f64, f64)> {
         let [width, height] = self.size;
         let offset = p - self.camera.position;

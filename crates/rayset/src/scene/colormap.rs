@@ -2,14 +2,14 @@
 //!
 //! Tables: viridis, inferno, magma and plasma by Smith, van der Walt and Firing (released into the public domain under
 //! CC0), turbo by Mikhailov (Google, 2019), coolwarm after Moreland, *Diverging Color Maps for Scientific
-//! Visualization* (2009); each read off at 33 places and interpolated linearly in between (within 5/255).
+//! Visualization* (2009). Each is sampled at 33 places and interpolated linearly in between (to within 5/255).
 
 use std::fmt;
 use std::str::FromStr;
 
 use crate::parse::ParseError;
 
-/// A colour for every number from 0 to 1.
+/// A named colour map: a colour for every number from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Colormap {
     knots: &'static [u32],
@@ -35,7 +35,7 @@ impl Colormap {
     /// The colour at `x` (clamped to 0–1), display-encoded (sRGB), 0 to 1.
     #[must_use]
     pub fn display_color(&self, x: f64) -> [f64; 3] {
-        // A value that is not a number has no place on the scale; it takes the lower end.
+        // NaN has no place on the scale; it gets the colour of the lower end.
         let x = if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) };
         let x = if self.reversed { 1.0 - x } else { x } * (self.knots.len() - 1) as f64;
         let i = (x as usize).min(self.knots.len() - 2);
@@ -48,7 +48,7 @@ impl Colormap {
 }
 
 impl Colormap {
-    /// Its colours, each at its place from 0 to 1; straight lines lie between.
+    /// The colours with their places from 0 to 1; colours in between are interpolated linearly.
     pub(super) fn stops(&self) -> Vec<(f64, [f64; 3])> {
         let last = (self.knots.len() - 1) as f64;
         (0..self.knots.len()).map(|i| i as f64 / last).map(|at| (at, self.display_color(at))).collect()

@@ -12,67 +12,67 @@ pub enum SceneError {
     /// A transfer function is invalid.
     #[error(transparent)]
     Transfer(#[from] TransferError),
-    /// A transform has no inverse.
+    /// A transform is not invertible.
     #[error("a transform flattens space or is not finite (determinant {determinant:e})")]
     Singular {
         /// Its determinant.
         determinant: f64,
     },
-    /// A transform that magnifies, shrinks or moves beyond all bounds.
+    /// A transform scales or translates beyond the range of lengths.
     #[error(
         "a transform, with all those around it, takes a length of 1 to {length:e}; expected 1e-18 to 1e18, as of places"
     )]
     Stretch {
-        /// What becomes of a length of 1, or of the origin.
+        /// What it maps a length of 1, or the origin, to.
         length: f64,
     },
-    /// Too many samples.
+    /// The step is too small: a ray would have too many samples.
     #[error("a step of {step:e} is too small for this scene; {least:e} or more will do, or \"auto\"")]
     Step {
         /// The distance between samples.
         step: f64,
-        /// The least that there may be.
+        /// The smallest step allowed.
         least: f64,
     },
-    /// An operator without enough children.
+    /// An operator has too few children.
     #[error("{operator} of {children} children; at least {least} are needed")]
     Children {
-        /// Its name.
+        /// Name of the operator.
         operator: &'static str,
-        /// How many it has.
+        /// Number of its children.
         children: usize,
-        /// How many it needs.
+        /// Number of children it needs.
         least: usize,
     },
-    /// A term that is too large when it is written out.
+    /// The graph is too large when shared nodes are expanded.
     #[error("the graph stands for {places} objects and operators; at most {most} are traced")]
     TooLarge {
-        /// Places of nodes.
+        /// Number of places of nodes, with shared nodes counted at every use.
         places: u64,
-        /// How many there may be.
+        /// The largest number allowed.
         most: u64,
     },
-    /// A transfer function reads what nothing below it has.
+    /// A transfer function reads an attribute that no object below it has.
     #[error("nothing below has an attribute named \"{name}\"; there are {known:?}")]
     NoAttribute {
-        /// What it reads.
+        /// Name of the attribute.
         name: String,
-        /// What there is.
+        /// Names of the attributes that exist.
         known: Vec<String>,
     },
-    /// More attributes are read than can be kept apart.
+    /// Transfer functions read more attributes than can be carried.
     #[error("transfer functions read {count} different attributes; at most {MOST_ATTRIBUTES} are carried")]
     TooManyAttributes {
-        /// How many.
+        /// Number of attributes that are read.
         count: usize,
     },
-    /// Rays would never end.
+    /// The scene has no finite bounds.
     #[error("the scene has no end: cut its half-spaces off with an intersection")]
     Unbounded,
-    /// The unit distance is not a positive number.
+    /// The unit distance is out of range.
     #[error("the unit distance must be a number from 1e-18 to 1e18")]
     UnitDistance,
-    /// A number out of its range.
+    /// A number is out of range.
     #[error("{what} {value} is out of range; expected {expected}")]
     Number {
         /// What the number is.

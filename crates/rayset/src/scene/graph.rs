@@ -1,18 +1,18 @@
 //! The volume scene graph: a term of constructive volume geometry (Chen & Tucker 2000), as a rooted DAG.
 //!
-//! A node is an elemental volume object or an operator over other nodes. A child is held by reference, so a subtree may
-//! be used in several places, and no cycle can be made. Each node may move what it makes, pass it through transfer
-//! functions, and give it a material.
+//! A node is an elemental volume object or an operator over other nodes. Children are held by reference, so a subtree
+//! may be used in several places, and cycles cannot occur. Each node may transform its content, apply transfer
+//! functions to it, and assign a material.
 //!
 //! | operator | opacity | attributes | shading vector |
 //! | --- | --- | --- | --- |
 //! | union | the largest | of the largest (the first child on ties) | of the child that sets the opacity |
 //! | intersection | the smallest | of the largest of all children | of the child that sets the opacity |
-//! | difference | max(0, O₁ − O₂ − …) | of the first child | the nearest subtrahend's, turned, where its boundary is the nearer; else the first child's |
+//! | difference | max(0, O₁ − O₂ − …) | of the first child | the nearest subtrahend's, reversed, if its boundary is nearer and within the unit distance; otherwise the first child's |
 //! | blend | min(1, ΣO) | weighted by O | weighted by O |
 //!
-//! Every opacity is held to [`MAX_OPACITY`](super::MAX_OPACITY) as it leaves a leaf, so that opaque things tie. The
-//! attributes of an intersection or blend of many children are not those of nested pairs.
+//! Opacities are limited to [`MAX_OPACITY`](super::MAX_OPACITY) at the leaves, so that opaque objects tie. The
+//! attributes of an intersection or blend of many children differ from those of nested pairs.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
@@ -28,14 +28,14 @@ use crate::octree::Cloud;
 /// A node of the scene graph.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// What it is.
+    /// The object or operator.
     pub shape: Shape,
-    /// Moves what the node makes into the space of its parent; the root's parent is the world. Opacities stay as they
-    /// are.
+    /// Transform from the node's local space to the space of its parent (world space for the root). It does not change
+    /// opacities.
     pub parent_from_local: DAffine3,
-    /// Applied one after another. Where the opacity is 0 it stays 0.
+    /// Transfer functions, applied one after another. An opacity of 0 stays 0.
     pub transfers: Vec<Transfer>,
-    /// For everything below that has none of its own.
+    /// Material of everything below that has no material of its own.
     pub material: Option<Material>,
 }
 
@@ -47,9 +47,9 @@ pub enum Shape {
     Cloud(CloudObject),
     /// A grid.
     Grid(GridObject),
-    /// A field in closed form.
+    /// A field given in closed form.
     Procedural(Arc<dyn Procedural>),
-    /// One or more children.
+    /// An operator and its children, one or more.
     Operator(Operator, Vec<Arc<Node>>),
 }
 
@@ -57,13 +57,13 @@ pub enum Shape {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Operator {
-    /// Everything.
+    /// Everything that any child contains.
     Union,
-    /// What all have in common.
+    /// What all children have in common.
     Intersection,
-    /// The first without the others.
+    /// The first child without the others.
     Difference,
-    /// The sum.
+    /// The sum of all children.
     Blend,
 }
 
@@ -80,22 +80,22 @@ impl Operator {
     }
 }
 
-/// A cloud seen as a volume object (PBVO).
+/// A point cloud as a volume object (PBVO).
 #[derive(Clone, Debug)]
 pub struct CloudObject {
-    /// The cloud. Objects that share it share its pages.
+    /// The cloud. Objects that share a cloud share its pages.
     pub cloud: Arc<Cloud>,
-    /// Its radial basis function.
+    /// The radial basis function.
     pub kernel: Kernel,
-    /// Whether kernels integrate to one, so that weight = mass (or mass·value/density) as in SPH.
+    /// Whether kernels are normalised to integrate to one, so that weight = mass (or mass·value/density) as in SPH.
     pub normalised: bool,
     /// Opacity and colour from density and attributes.
     pub transfer: TransferFunction,
 }
 
 impl CloudObject {
-    /// As the paper sees a cloud: Wyvill's kernel, O = min(1, D); in the points' own colours where they have any, else
-    /// white.
+    /// A cloud with the paper's defaults: Wyvill's kernel, O = min(1, D), and the colours of the points, or white if
+    /// the cloud has no colours.
     #[must_use]
     pub fn plain(cloud: Arc<Cloud>) -> Self {
         let color = if cloud.header().has_color { ColorRule::Points } else { ColorRule::Uniform([1.0; 3]) };
@@ -103,8 +103,8 @@ impl CloudObject {
         Self { cloud, kernel: Kernel::default(), normalised: false, transfer }
     }
 
-    /// The density that a single point of the largest weight makes at its own place, were it as wide as the widest.
-    /// Attributes are defined where densities are at least 1e-12 of it.
+    /// Density at the centre of a single point that has the largest weight and, if kernels are normalised, the largest
+    /// radius of the cloud. Attributes are defined where the density is above 1e-12 of it.
     #[must_use]
     pub fn largest_point_density(&self) -> f64 {
         let header = self.cloud.header();
@@ -116,14 +116,14 @@ impl CloudObject {
         }
     }
 
-    /// A box outside which the cloud is transparent, in its own space; empty where it has no points.
+    /// A box in local space outside which the cloud is transparent; empty if the cloud has no points.
     #[must_use]
     pub fn bounds(&self) -> Aabb {
         let header = self.cloud.header();
         if header.points == 0 {
             return Aabb::EMPTY;
         }
-        // Positions are stored rounded.
+        // Stored positions are rounded.
         header.bounds.inflated(f64::from(header.radius.max()) + header.position_error)
     }
 
@@ -140,17 +140,17 @@ impl CloudObject {
     }
 }
 
-/// A grid seen as a volume object; its values take the place of densities.
+/// A grid as a volume object; its values are used in place of densities.
 #[derive(Clone, Debug)]
 pub struct GridObject {
-    /// The grid. Objects that share it share its pages.
+    /// The grid. Objects that share a grid share its pages.
     pub grid: Arc<Grid>,
     /// Opacity and colour from values.
     pub transfer: TransferFunction,
 }
 
 impl GridObject {
-    /// Opacity from 0 at the smallest value to 1 at the largest, in shades of grey.
+    /// A grid whose opacity rises from 0 at the smallest value to 1 at the largest, in white.
     #[must_use]
     pub fn plain(grid: Arc<Grid>) -> Self {
         let (low, high) = grid.header().value_range();
@@ -162,14 +162,14 @@ impl GridObject {
         Self { grid, transfer }
     }
 
-    /// The value at which the boundary is said to lie: where the opacity first has half its greatest.
+    /// The value that defines the boundary: where the opacity first reaches half its maximum.
     #[must_use]
     pub fn boundary_value(&self, unit_distance: f64) -> f64 {
         self.transfer.opacity.boundary_density(unit_distance)
     }
 
-    /// −1 where the object lies toward larger values, 1 where toward smaller: times the gradient of the values, the
-    /// shading vector's direction.
+    /// The sign that turns the gradient of the values into the direction of the shading vector: −1 if the object lies
+    /// toward larger values, 1 if toward smaller ones.
     #[must_use]
     pub fn outward(&self) -> f64 {
         match &self.transfer.opacity {
@@ -179,17 +179,17 @@ impl GridObject {
     }
 }
 
-/// The name under which the values of a grid travel through operators.
+/// The name of the attribute that carries the values of a grid through operators.
 pub const GRID_ATTRIBUTE: &str = "value";
 
-/// The most places that the nodes of a graph may stand in, shared ones counted wherever they are used.
+/// The largest number of places of nodes in a graph, with shared nodes counted at every use.
 pub const MOST_PLACES: u64 = 1 << 16;
 
-/// What a transfer function of a node reads.
+/// The input of a node's transfer function.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Channel {
-    /// The opacity so far.
+    /// The opacity before this transfer function.
     Opacity,
     /// A component of the colour, in linear light.
     Red,
@@ -197,25 +197,26 @@ pub enum Channel {
     Green,
     /// See [`Channel::Red`].
     Blue,
-    /// An attribute of the objects below, by its name: a column of a cloud, [`GRID_ATTRIBUTE`], or one of
-    /// [`Procedural::attributes`]. Operators treat it as they treat colours; objects without it count as 0.
+    /// An attribute of the objects below, by name: a column of a cloud, [`GRID_ATTRIBUTE`], or one of
+    /// [`Procedural::attributes`]. Operators combine attributes as they combine colours; in objects that lack it, its
+    /// value is 0.
     Attribute(Arc<str>),
 }
 
-/// A transfer function over what a node makes.
+/// A transfer function applied to the output of a node.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Transfer {
-    /// A new opacity, where there was any.
+    /// Replaces the opacity wherever it is not 0.
     Opacity {
-        /// What is looked up.
+        /// The input value.
         input: Channel,
-        /// (value, opacity) in ascending order of values, straight lines between.
+        /// (value, opacity) pairs in ascending order of values, interpolated linearly.
         curve: Vec<(f64, f64)>,
     },
-    /// A new colour.
+    /// Replaces the colour.
     Color {
-        /// What is looked up.
+        /// The input value.
         input: Channel,
         /// The colours.
         map: ColorMap,
@@ -223,33 +224,33 @@ pub enum Transfer {
 }
 
 impl Node {
-    /// A node that leaves its shape where it is.
+    /// A node with an identity transform, without transfer functions or material.
     #[must_use]
     pub fn new(shape: Shape) -> Self {
         Self { shape, parent_from_local: DAffine3::IDENTITY, transfers: Vec::new(), material: None }
     }
 
-    /// An operator over nodes.
+    /// An operator node with the given children.
     #[must_use]
     pub fn operator(operator: Operator, children: impl IntoIterator<Item = Node>) -> Self {
         Self::new(Shape::Operator(operator, children.into_iter().map(Arc::new).collect()))
     }
 
-    /// The node, moved.
+    /// Applies a further transform to the node, after the one it has.
     #[must_use]
     pub fn moved(mut self, by: DAffine3) -> Self {
         self.parent_from_local = by * self.parent_from_local;
         self
     }
 
-    /// The node, of a material.
+    /// Sets the material of the node.
     #[must_use]
     pub fn of(mut self, material: Material) -> Self {
         self.material = Some(material);
         self
     }
 
-    /// Calls `f` with the node and everything below, each once for every place in which it is used.
+    /// Calls `f` for the node and everything below, once for every place in which a node is used.
     pub fn for_each(&self, f: &mut impl FnMut(&Self)) {
         f(self);
         if let Shape::Operator(_, children) = &self.shape {
@@ -260,9 +261,9 @@ impl Node {
     /// Checks the node and everything below.
     ///
     /// # Errors
-    /// [`SceneError`] that says what is wrong.
+    /// [`SceneError`] if the graph, one of its transforms, transfer functions, materials or objects is invalid.
     pub fn check(&self) -> Result<(), SceneError> {
-        // Sharing can make graphs whose terms are beyond all bounds.
+        // Sharing allows graphs whose expansion is too large to walk.
         let places = self.places(&mut HashMap::new());
         if places > MOST_PLACES {
             return Err(SceneError::TooLarge { places, most: MOST_PLACES });
@@ -272,7 +273,7 @@ impl Node {
         if count > MOST_ATTRIBUTES { Err(SceneError::TooManyAttributes { count }) } else { Ok(()) }
     }
 
-    /// The attributes of the objects below, and the range of values that each is known to have.
+    /// The attributes of the objects below, each with the range of its values.
     #[must_use]
     pub fn attributes(&self) -> BTreeMap<String, (f64, f64)> {
         let mut known: BTreeMap<String, (f64, f64)> = BTreeMap::new();
@@ -293,7 +294,7 @@ impl Node {
         known
     }
 
-    /// The attributes that any transfer function reads, each once, in alphabetical order.
+    /// The attributes that transfer functions read, without duplicates, in alphabetical order.
     #[must_use]
     pub fn attributes_read(&self) -> Vec<Arc<str>> {
         let mut names = Vec::new();
@@ -305,7 +306,7 @@ impl Node {
         names
     }
 
-    /// Calls `f` with the node and everything below, shared nodes once.
+    /// Calls `f` for the node and everything below, shared nodes once.
     fn for_each_once(&self, f: &mut impl FnMut(&Self)) {
         fn visit(node: &Node, seen: &mut HashSet<*const Node>, f: &mut impl FnMut(&Node)) {
             if seen.insert(std::ptr::from_ref(node)) {
@@ -318,7 +319,7 @@ impl Node {
         visit(self, &mut HashSet::new(), f);
     }
 
-    /// In how many places the nodes of the term stand, shared ones counted wherever they are used.
+    /// Number of places of nodes in the expanded graph, with shared nodes counted at every use.
     fn places(&self, known: &mut HashMap<*const Self, u64>) -> u64 {
         let Shape::Operator(_, children) = &self.shape else { return 1 };
         if let Some(&places) = known.get(&std::ptr::from_ref(self)) {
@@ -361,7 +362,7 @@ impl Node {
         }
     }
 
-    /// A box around all solids, noise and grids, as far as the node is not transparent there; empty where there are none.
+    /// Bounding box of all solids, noise and grids, intersected with the bounds of the node; empty if there are none.
     /// In the space of the node's parent.
     #[must_use]
     pub fn bounds_of_solids(&self) -> Aabb {
@@ -382,7 +383,7 @@ impl Node {
         visit(self, &DAffine3::IDENTITY, self.bounds())
     }
 
-    /// A box outside which the node is transparent, in the space of its parent; infinite where there is none.
+    /// A box outside which the node is transparent, in the space of its parent; infinite if the node is unbounded.
     #[must_use]
     pub fn bounds(&self) -> Aabb {
         let local = match &self.shape {
@@ -406,7 +407,7 @@ impl Node {
 }
 
 impl Transfer {
-    /// The attribute that it reads.
+    /// The attribute that the transfer function reads, if any.
     fn attribute(&self) -> Option<&Arc<str>> {
         match self {
             Self::Opacity { input: Channel::Attribute(name), .. }
@@ -432,7 +433,8 @@ impl Transfer {
     }
 }
 
-/// Checks that a transform has an inverse, and that both leave lengths and places within what numbers may be.
+/// Checks that a transform is invertible and that it and its inverse keep lengths and positions within the allowed
+/// range.
 pub(crate) fn check_transform(transform: &DAffine3) -> Result<(), SceneError> {
     if *transform == DAffine3::IDENTITY {
         return Ok(());
@@ -454,10 +456,10 @@ pub(crate) fn check_transform(transform: &DAffine3) -> Result<(), SceneError> {
     if most_back <= 1.0 / SHORTEST { Ok(()) } else { Err(SceneError::Stretch { length: 1.0 / most_back }) }
 }
 
-/// The longest that a vector of length one becomes under a linear map.
+/// The greatest length to which a linear map takes a vector of length one.
 #[must_use]
 pub fn largest_stretch(map: &DAffine3) -> f64 {
-    // Power iteration on MᵀM, from a direction that no axis is orthogonal to.
+    // Power iteration on MᵀM, from a start vector that is not orthogonal to any axis.
     let m = map.matrix3;
     let square = m.transpose() * m;
     let mut v = DVec3::new(0.577, 0.578, 0.576);

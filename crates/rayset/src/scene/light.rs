@@ -3,31 +3,31 @@
 use super::{BRIGHTEST, FARTHEST, SHORTEST, SceneError};
 use crate::geometry::DVec3;
 
-/// What lights a scene. Names follow ANARI.
+/// The lighting of a scene. Names follow ANARI.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Lighting {
-    /// Nothing: samples have the colours of their transfer functions.
+    /// No lighting: samples have the colours given by their transfer functions.
     Unlit,
-    /// Lights, any number.
+    /// Any number of lights.
     Lit(Vec<Light>),
 }
 
 impl Default for Lighting {
-    /// A light at the eye.
+    /// See [`Lighting::headlight`].
     fn default() -> Self {
         Self::headlight()
     }
 }
 
 impl Lighting {
-    /// A white light at the eye that throws no shadows anyone could see, and as much from everywhere.
+    /// A white light at the eye, which casts no visible shadows, and white ambient light of the same strength.
     #[must_use]
     pub fn headlight() -> Self {
         let light = |kind| Light { kind, color: [1.0; 3], shadow: false };
         Self::Lit(vec![light(LightKind::Ambient), light(LightKind::Headlight)])
     }
 
-    /// Whether any light throws shadows.
+    /// Whether any light casts shadows.
     #[must_use]
     pub fn throws_shadows(&self) -> bool {
         matches!(self, Self::Lit(lights) if lights.iter().any(Light::throws_shadows))
@@ -44,12 +44,12 @@ impl Lighting {
 /// A light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// Where its light comes from.
+    /// The kind of light, with its position or direction.
     pub kind: LightKind,
-    /// Its light times its strength, linear: radiance of ambient light, irradiance of a headlight or directional light,
-    /// radiant intensity of a point light.
+    /// Colour times intensity, in linear light: radiance of ambient light, irradiance of a headlight or directional
+    /// light, radiant intensity of a point light.
     pub color: [f32; 3],
-    /// Whether objects throw shadows in it. Without meaning for ambient light and headlights.
+    /// Whether objects cast shadows in this light. Ignored for ambient light and headlights.
     pub shadow: bool,
 }
 
@@ -57,26 +57,26 @@ pub struct Light {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum LightKind {
-    /// The same from everywhere.
+    /// Light of equal radiance from all directions.
     Ambient,
-    /// From where the ray comes.
+    /// Light along the ray, from where the ray starts.
     Headlight,
     /// Parallel rays.
     Directional {
-        /// Where the light goes, world space; of any length from 1e-18 to 1e18.
+        /// Direction in which the light travels, world space; its length may be anything from 1e-18 to 1e18.
         direction: DVec3,
     },
-    /// From a point.
+    /// Light from a point.
     Point {
-        /// The point, world space.
+        /// Position of the light, world space.
         position: DVec3,
-        /// Whether it weakens with the square of the distance.
+        /// Whether its intensity decreases with the square of the distance.
         decays: bool,
     },
 }
 
 impl Light {
-    /// Whether shadow rays go to it.
+    /// Whether the light needs shadow rays.
     #[must_use]
     pub fn throws_shadows(&self) -> bool {
         self.shadow && matches!(self.kind, LightKind::Directional { .. } | LightKind::Point { .. })

@@ -1,28 +1,28 @@
-//! What surfaces do with light.
+//! Materials: how volume objects respond to light.
 
 use super::SceneError;
 
-/// How a volume object answers light. Local shading is Blinn's (1977): with N the shading vector, L the direction to the
-/// light, H between L and the direction to the eye, a light adds
-/// `color·diffuse·|N·L| + specular·|N·H|^shininess`, both sides alike.
+/// How a volume object responds to light. Local shading is Blinn's (1977): with N the shading vector, L the direction
+/// to the light, and H halfway between L and the direction to the eye, a light adds
+/// `color·diffuse·|N·L| + specular·|N·H|^shininess`. Both sides of a surface are lit alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
-    /// Part of ambient light that is given back, times the object's colour.
+    /// Factor for ambient light, times the object's colour.
     pub ambient: f64,
-    /// Part of a light that is scattered, times the object's colour.
+    /// Factor for diffusely scattered light, times the object's colour.
     pub diffuse: f64,
-    /// Part of a light in its highlight, white.
+    /// Factor for the specular highlight, which has the colour of the light.
     pub specular: f64,
-    /// Exponent of the highlight.
+    /// Exponent of the specular highlight.
     pub shininess: f64,
-    /// Part of the light that comes from the mirrored direction, 0 to 1.
+    /// Fraction of light that comes from the mirror direction, 0 to 1.
     pub reflectance: f64,
-    /// Where it differs from 1, rays are bent where they enter and leave, by Snell's law.
+    /// Refractive index. If it differs from 1, rays are refracted by Snell's law where they enter and leave the object.
     pub refractive_index: f64,
 }
 
 impl Default for Material {
-    /// Unpolished, opaque to the law of refraction.
+    /// A matte material with a faint highlight, without mirror reflection or refraction.
     fn default() -> Self {
         Self {
             ambient: 0.25,
@@ -36,13 +36,13 @@ impl Default for Material {
 }
 
 impl Material {
-    /// Its numbers, in the order of the fields.
+    /// The values in the order of the fields.
     #[must_use]
     pub fn to_array(&self) -> [f64; 6] {
         [self.ambient, self.diffuse, self.specular, self.shininess, self.reflectance, self.refractive_index]
     }
 
-    /// The opposite of [`to_array`](Self::to_array).
+    /// The inverse of [`to_array`](Self::to_array).
     #[must_use]
     pub fn from_array(v: [f64; 6]) -> Self {
         let [ambient, diffuse, specular, shininess, reflectance, refractive_index] = v;

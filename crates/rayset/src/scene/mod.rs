@@ -1,7 +1,7 @@
-//! What is to be seen, and what of it decides pixels: a volume scene graph, lights, a camera, and the settings of the
+//! Scene description: the volume scene graph, lights, the camera, and the settings that determine the pixels of the
 //! picture.
 //!
-//! Nothing here says how the work is done; threads, memory and input are the business of `trace`.
+//! Nothing here says how the work is done: threads, memory and input are handled by `trace`.
 
 mod camera;
 mod colormap;
@@ -49,20 +49,20 @@ pub use transfer::{curve_at, max_extinction};
 #[cfg(not(feature = "internals"))]
 pub(crate) use transfer::{curve_at, max_extinction};
 
-/// Coordinates and lengths reach this far.
+/// Largest absolute value of coordinates and lengths.
 pub const FARTHEST: f64 = 1e18;
-/// Lengths and directions are at least so long.
+/// Smallest length, of distances and of direction vectors.
 pub const SHORTEST: f64 = 1e-18;
-/// Most stops of a colour map, and points of a curve in a scene file.
+/// Most stops of a colour map, and most points of a curve in a scene file.
 pub const MOST_STOPS: usize = 4096;
-/// The brightest colour or light, in any channel.
+/// Largest value of any channel of a colour or light.
 pub const BRIGHTEST: f64 = 1e12;
-/// What solids, noise and grids hold that is finer than this part of the diagonal of them all is not sampled more finely:
-/// thin things are missed rather than waited for.
+/// Features of solids, noise and grids smaller than this fraction of the diagonal of their common bounds do not reduce
+/// the step further: thin features may be missed, but rendering time stays bounded.
 pub const FINEST_DETAIL: f64 = 1.0 / (1 << 14) as f64;
-/// Most samples of a ray along that diagonal, however fine a cloud in it is.
+/// Most samples of a ray along that diagonal, however fine a cloud within it is.
 pub const MOST_STEPS_IN_SOLIDS: f64 = (1_u64 << 20) as f64;
-/// Most samples along the diagonal of a scene: few enough to be counted exactly. What is empty is passed over.
+/// Most samples along the diagonal of a scene, few enough to be counted exactly. Empty space is skipped.
 pub const MOST_STEPS: f64 = (1_u64 << 40) as f64;
 
 /// A volume scene graph, and how it is lit.
@@ -70,16 +70,17 @@ pub const MOST_STEPS: f64 = (1_u64 << 40) as f64;
 pub struct Scene {
     /// The graph.
     pub root: Arc<Node>,
-    /// Light.
+    /// The lighting.
     pub lighting: Lighting,
-    /// Colour behind everything, in linear light; `None` leaves the picture transparent there.
+    /// Background colour in linear light; if `None`, the background of the picture is transparent.
     pub background: Option<[f32; 3]>,
-    /// The length that every opacity refers to, world space.
+    /// The length that all opacities refer to, world space.
     pub unit_distance: f64,
 }
 
 impl Scene {
-    /// A single cloud, where its file has it, lit by a headlight. Opacity refers to its mean radius.
+    /// A scene of a single cloud in its original position, lit by a headlight. The unit distance is the mean radius of
+    /// its points.
     #[must_use]
     pub fn of_cloud(object: CloudObject) -> Self {
         let unit_distance = object.cloud.header().radius_mean;
@@ -91,10 +92,11 @@ impl Scene {
         }
     }
 
-    /// Checks everything that can be known before rays are traced.
+    /// Checks everything that can be checked before rays are traced.
     ///
     /// # Errors
-    /// [`SceneError`] that says what is wrong.
+    /// [`SceneError`] if the graph, the lights, the background, the unit distance or the extent of the scene is
+    /// invalid.
     pub fn check(&self) -> Result<(), SceneError> {
         if !(SHORTEST..=FARTHEST).contains(&self.unit_distance) {
             return Err(SceneError::UnitDistance);
@@ -114,7 +116,7 @@ impl Scene {
         if !bounds.size().is_finite() {
             return Err(SceneError::Unbounded);
         }
-        // A little more than coordinates: what stands at the farthest place may have an extent.
+        // The limit is somewhat larger than that of coordinates: an object at the farthest position may have an extent.
         let farthest = bounds.min.abs().max(bounds.max.abs()).max_element();
         if farthest > 10.0 * FARTHEST {
             let what = "the farthest coordinate of the scene";
@@ -128,11 +130,12 @@ impl Scene {
         Ok(())
     }
 
-    /// Checks a distance between samples: it must leave few enough of them on a ray to be counted, and in solids, noise
-    /// and grids, where every one of them is evaluated, few enough to wait for.
+    /// Checks a distance between samples: along a ray there must be few enough samples to be counted exactly, and in
+    /// solids, noise and grids, where every sample is evaluated, few enough to be evaluated in reasonable time.
     ///
     /// # Errors
-    /// [`SceneError::Step`] that says what would do, or [`SceneError::Number`].
+    /// [`SceneError::Step`], with the smallest step allowed, if the step is too small; [`SceneError::Number`] if it is
+    /// out of range.
     pub fn check_step(&self, step: Step) -> Result<(), SceneError> {
         let step = match step {
             Step::Automatic { fraction } if (1e-3..=4.0).contains(&fraction) => return Ok(()),
@@ -155,12 +158,12 @@ impl Scene {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Step {
-    /// The same on every ray, world space.
+    /// The same on all rays, world space.
     Fixed(f64),
-    /// For each ray the largest `fraction · r_max · 2^k`, k a whole number, that is at most `fraction` of the
-    /// smallest radius whose bounds the ray meets.
+    /// For each ray the largest `fraction · r_max · 2^k` with integer k that is at most `fraction` of the smallest
+    /// radius whose bounds the ray meets.
     Automatic {
-        /// Part of a radius.
+        /// Step as a fraction of that radius.
         fraction: f64,
     },
 }
@@ -172,64 +175,64 @@ impl Default for Step {
     }
 }
 
-/// Where the lattice of samples of a ray begins.
+/// Offset of the first sample of a ray from its origin, in steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum SampleOffset {
-    /// Half a step from the origin, on every ray.
+    /// Half a step, on every ray.
     #[default]
     Half,
-    /// A fraction of a step that is a hash of the pixel: turns bands into noise.
+    /// A fraction of a step that is a hash of the pixel: turns banding into noise.
     Hashed,
 }
 
-/// Where in a pixel its rays go.
+/// Where the rays of a pixel pass through it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Sampling {
-    /// Through the middles of a lattice.
+    /// Through the centres of the cells of a regular lattice.
     #[default]
     Fixed,
-    /// Through a place in each cell of the lattice that is a hash of pixel and cell: turns steps at edges into noise.
+    /// Through one position in each cell of the lattice, a hash of pixel and cell: turns aliasing at edges into noise.
     Stratified,
 }
 
-/// How it is found what of a light reaches a sample.
+/// How the transmittance between a light and a sample is determined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Shadows {
-    /// By a ray from the sample to the light: the reference.
+    /// By a shadow ray from the sample to the light: the reference.
     Exact,
-    /// From tables of the light's own rays.
+    /// From deep shadow maps, traced from the light.
     Cached {
-        /// Rays of a light along each side of what it lights.
+        /// Resolution of a light's map: cells along each side.
         resolution: u32,
     },
 }
 
-/// What decides pixels besides the scene and the camera.
+/// The settings that determine pixels, besides the scene and the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct RenderSettings {
-    /// Pixels across.
+    /// Width of the picture in pixels.
     pub width: u32,
-    /// Pixels down.
+    /// Height of the picture in pixels.
     pub height: u32,
     /// Distance between samples.
     pub step: Step,
-    /// Beginning of the samples of a ray.
+    /// Offset of the first sample of a ray.
     pub sample_offset: SampleOffset,
-    /// A ray ends at its first sample behind which less than this is seen. 0: rays go on to the end.
+    /// A ray ends at the first sample behind which its transmittance is below this. 0: rays never end early.
     pub stop_transmittance: f32,
-    /// Rays through a pixel are this number squared.
+    /// A pixel has this number squared of rays.
     pub samples: u32,
-    /// And go there.
+    /// Where these rays pass through the pixel.
     pub sampling: Sampling,
-    /// Shadows.
+    /// How shadows are computed.
     pub shadows: Shadows,
-    /// How often the light of a ray is followed on where it is reflected or refracted.
+    /// Largest number of successive reflections and refractions that are followed.
     pub max_depth: u32,
-    /// Whether depth, shading vectors and the like are found besides colours.
+    /// Whether depth, shading vectors and other layers are computed besides colours.
     pub layers: bool,
 }
 
@@ -268,7 +271,8 @@ impl RenderSettings {
         Self { width, height, ..self }
     }
 
-    /// The sample offset, in steps, of the ray through a pixel, or through a cell of a pixel where there are several: then cells are counted.
+    /// The sample offset, in steps, of the ray through a pixel. If a pixel has several rays, `x` and `y` are the column
+    /// and row of the ray's cell in the whole picture.
     #[must_use]
     pub fn sample_offset_of(&self, x: u32, y: u32) -> f64 {
         match self.sample_offset {
@@ -277,7 +281,8 @@ impl RenderSettings {
         }
     }
 
-    /// Where a ray goes through the picture, in pixels: the one through cell (`i`, `j`) of pixel (`x`, `y`).
+    /// Where the ray of cell (`i`, `j`) of pixel (`x`, `y`) passes through the picture, in pixels from its upper left
+    /// corner.
     #[must_use]
     pub fn ray_place(&self, x: u32, y: u32, i: u32, j: u32) -> (f64, f64) {
         let cells = f64::from(self.samples);
@@ -292,7 +297,7 @@ impl RenderSettings {
     }
 }
 
-/// A number from 0 to 1 that looks random: two rounds of a multiplicative hash (splitmix64's finaliser).
+/// A pseudo-random number from 0 to below 1: two multiplicative rounds with the constants of splitmix64's finaliser.
 fn hash(x: u32, y: u32, stream: u64) -> f64 {
     let mut z = (u64::from(y) << 32 | u64::from(x)).wrapping_add(stream.wrapping_mul(0xd1b5_4a32_d192_ed03));
     z = (z ^ z >> 30).wrapping_add(0x9e37_79b9_7f4a_7c15).wrapping_mul(0xbf58_476d_1ce4_e5b9);

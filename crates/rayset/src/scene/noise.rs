@@ -3,31 +3,31 @@
 use super::{Pattern, Procedural, ProceduralSample};
 use crate::geometry::{Aabb, DVec3};
 
-/// An ellipsoid filled with fractal noise: octaves of Perlin's gradient noise (2002 form: quintic fade), each of twice
-/// the frequency and `roughness` of the strength of the one before; opacity rises from 0 where the sum exceeds a
-/// threshold, which rises toward the boundary of the ellipsoid.
+/// An ellipsoid filled with fractal noise: octaves of Perlin's gradient noise (2002 form, quintic fade), each with
+/// twice the frequency and `roughness` times the strength of the one before. The opacity is above 0 where the sum
+/// exceeds a threshold, which rises toward the boundary of the ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseCloud {
-    /// Half axes of the ellipsoid about the origin.
+    /// Semi-axes of the ellipsoid, which is centred at the origin.
     pub radii: DVec3,
-    /// Size of the coarsest lumps.
+    /// Size of the coarsest features.
     pub scale: f64,
-    /// Octaves, 1 to 8.
+    /// Number of octaves, 1 to 8.
     pub octaves: u32,
-    /// Strength of an octave over that of the one before, 0 to 1.
+    /// Strength of an octave relative to the one before, 0 to 1.
     pub roughness: f64,
     /// Greatest opacity, 0 to 1.
     pub opacity: f64,
-    /// How much of the ellipsoid is filled, 0 to 1.
+    /// How much of the ellipsoid the noise fills, 0 to 1.
     pub cover: f64,
-    /// Another number, another cloud.
+    /// Seed of the noise.
     pub seed: u32,
-    /// Its colour.
+    /// The colour.
     pub pattern: Pattern,
 }
 
 impl NoiseCloud {
-    /// The noise and its gradient, before the ellipsoid; about −1 to 1.
+    /// The fractal noise and its gradient, without the ellipsoid's threshold; about −1 to 1.
     fn fractal(&self, p: DVec3) -> (f64, DVec3) {
         let (mut sum, mut gradient) = (0.0, DVec3::ZERO);
         let (mut frequency, mut strength, mut total) = (1.0 / self.scale, 1.0, 0.0);
@@ -50,7 +50,7 @@ impl Procedural for NoiseCloud {
     }
 
     fn detail(&self) -> f64 {
-        // Half of the finest lumps.
+        // Half the size of the finest features.
         0.5 * self.scale / f64::from(1_u32 << (self.octaves - 1).min(7))
     }
 
@@ -67,7 +67,7 @@ impl Procedural for NoiseCloud {
     }
 
     fn sample(&self, p: DVec3) -> ProceduralSample {
-        /// Noise seldom leaves ± this.
+        /// The noise rarely leaves the range ± this.
         const RANGE: f64 = 0.6;
         let q = p / self.radii;
         let outward = q.length_squared();
@@ -79,7 +79,8 @@ impl Procedural for NoiseCloud {
             };
         }
         let (noise, slope) = self.fractal(p);
-        // The threshold is reached by all of the noise where cover is 1, by none at the boundary of the ellipsoid.
+        // With a cover of 1 practically all noise exceeds the threshold at the centre; at the boundary of the ellipsoid
+        // almost none does.
         let threshold = RANGE * (1.0 - 2.0 * self.cover * (1.0 - outward * outward));
         let threshold_slope = q / self.radii * (RANGE * 8.0 * self.cover * outward);
         let implicit = threshold - noise;
@@ -89,7 +90,7 @@ impl Procedural for NoiseCloud {
     }
 }
 
-/// Gradient noise at a place and its gradient.
+/// Gradient noise at a position, and its gradient.
 fn perlin(p: DVec3, seed: u32) -> (f64, DVec3) {
     let cell = p.floor();
     let f = p - cell;
@@ -111,7 +112,7 @@ fn perlin(p: DVec3, seed: u32) -> (f64, DVec3) {
     (value, slope)
 }
 
-/// One of the twelve directions to the edges of a cube, by a hash of the lattice point.
+/// One of the twelve directions from the centre of a cube to the middles of its edges, by a hash of the lattice point.
 fn corner_gradient(lattice: DVec3, seed: u32) -> DVec3 {
     const A: f64 = 1.0;
     const DIRECTIONS: [[f64; 3]; 12] = [

@@ -1,38 +1,39 @@
-//! Cameras that move: some frames are given, the others lie between them.
+//! Camera paths: cameras are given at some frames and interpolated at the others.
 
 use super::{Camera, Projection};
 use crate::geometry::DVec3;
 
-/// Widest field of view that a path may swing to, in radians.
+/// Widest field of view that interpolation may produce, in radians.
 const WIDEST: f64 = 179.0 / 180.0 * std::f64::consts::PI;
 
-/// Cameras at certain frames of a sequence. Between them, place, target, up and angle (or height) run along cubic Hermite
-/// curves whose slopes at a frame are those between its neighbours (Catmull and Rom 1974, for uneven distances).
+/// Cameras at certain frames of a sequence. Between them, position, target, up vector and field of view (or height)
+/// follow cubic Hermite curves whose slope at a frame is that between its neighbours (Catmull and Rom 1974, for uneven
+/// spacing).
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     keys: Vec<(u32, Camera)>,
 }
 
-/// Why cameras make no path.
+/// Why cameras do not form a path.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PathError {
-    /// No cameras.
+    /// There are no cameras.
     #[error("a path needs at least one camera")]
     Empty,
-    /// Frames that do not ascend.
+    /// Frames are not in ascending order.
     #[error("frame {0} does not come after the one before it")]
     Order(u32),
-    /// Perspective becomes orthographic, or the opposite.
+    /// The cameras are not all of the same projection.
     #[error("the camera of frame {0} is of another type than the first")]
     Projection(u32),
 }
 
 impl CameraPath {
-    /// A path through cameras, each with its frame, in ascending order and of one type.
+    /// A path through cameras with their frames, which must be in ascending order and of the same projection.
     ///
     /// # Errors
-    /// [`PathError`] where they are not.
+    /// [`PathError`] if they are not, or if there are none.
     pub fn new(keys: Vec<(u32, Camera)>) -> Result<Self, PathError> {
         let (_, first) = keys.first().ok_or(PathError::Empty)?;
         let kind = std::mem::discriminant(&first.projection);
@@ -45,14 +46,14 @@ impl CameraPath {
         }
     }
 
-    /// The first frame and the last.
+    /// The first and the last frame.
     #[must_use]
     pub fn ends(&self) -> (u32, u32) {
         let frame = |key: Option<&(u32, Camera)>| key.map_or(0, |key| key.0);
         (frame(self.keys.first()), frame(self.keys.last()))
     }
 
-    /// The camera of a frame; before the first and after the last it stands still.
+    /// The camera of a frame; constant before the first frame and after the last.
     #[must_use]
     pub fn camera(&self, frame: u32) -> Camera {
         let after = self.keys.partition_point(|key| key.0 <= frame).clamp(1, self.keys.len());
@@ -79,10 +80,10 @@ impl CameraPath {
         Camera { position, direction: target - position, up, projection }
     }
 
-    /// A quantity at `t` of the way between two keys.
+    /// A quantity at the fraction `t` of the interval between two keys.
     fn between(&self, from: usize, to: usize, t: f64, length: f64, of: impl Fn(&Camera) -> DVec3) -> DVec3 {
         let (a, b) = (of(&self.keys[from].1), of(&self.keys[to].1));
-        // Per frame, times the frames between the two.
+        // Slope per frame, times the number of frames between the two keys.
         let slope = |key: usize| {
             let (before, after) = (key.saturating_sub(1), (key + 1).min(self.keys.len() - 1));
             let frames = f64::from(self.keys[after].0 - self.keys[before].0);
@@ -96,7 +97,7 @@ impl CameraPath {
     }
 }
 
-/// Angle or height of a picture.
+/// The field of view or the height of the picture.
 fn extent(camera: &Camera) -> f64 {
     match camera.projection {
         Projection::Perspective { fovy } => fovy,

@@ -1,16 +1,16 @@
-//! Fields in closed form.
+//! Fields given in closed form.
 
 use std::fmt;
 
 use super::transfer::ColorMap;
 use crate::geometry::{Aabb, DVec3};
 
-/// A field at one place, local space.
+/// A field at one position, local space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProceduralSample {
     /// Opacity, 0 to 1.
     pub opacity: f64,
-    /// The implicit function: negative inside, 0 at the boundary.
+    /// Value of the implicit function: negative inside, 0 at the boundary.
     pub implicit: f64,
     /// Its gradient, which points outward.
     pub gradient: DVec3,
@@ -18,20 +18,20 @@ pub struct ProceduralSample {
     pub color: [f64; 3],
 }
 
-/// A volume object in closed form. A program may add its own.
+/// A volume object given in closed form. Programs can implement their own.
 pub trait Procedural: fmt::Debug + Send + Sync {
-    /// A box outside which the opacity is 0, local space; infinite where there is none.
+    /// A box outside which the opacity is 0, local space; infinite if the object is unbounded.
     fn bounds(&self) -> Aabb;
 
-    /// A length over which the field changes, local space: automatic steps are at most a fraction of it.
+    /// The length scale on which the field varies, local space: automatic steps are at most a fraction of it.
     fn detail(&self) -> f64;
 
-    /// The colour, where it is the same everywhere.
+    /// The colour, if it is the same everywhere.
     fn uniform_color(&self) -> Option<[f64; 3]> {
         None
     }
 
-    /// The field at a place. Must be a function of the place alone.
+    /// The field at a position. Must be a function of the position alone.
     fn sample(&self, p: DVec3) -> ProceduralSample;
 
     /// Names of attributes besides colour that the field has.
@@ -39,13 +39,13 @@ pub trait Procedural: fmt::Debug + Send + Sync {
         &[]
     }
 
-    /// The attribute of a place in [`attributes`](Self::attributes) at a place, in single precision as those of points.
-    /// Must be a function of the place alone.
+    /// The attribute with an index in [`attributes`](Self::attributes) at a position, in single precision like those of
+    /// points. Must be a function of the position alone.
     fn attribute(&self, _index: usize, _p: DVec3) -> f32 {
         0.0
     }
 
-    /// The field at many places; for fields that are faster so.
+    /// The field at many positions, for fields that can be evaluated faster this way.
     fn sample_all(&self, places: &[DVec3], out: &mut [ProceduralSample]) {
         for (sample, &p) in out.iter_mut().zip(places) {
             *sample = self.sample(p);
@@ -53,24 +53,24 @@ pub trait Procedural: fmt::Debug + Send + Sync {
     }
 }
 
-/// Colour over space.
+/// Colour as a function of position.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Pattern {
     /// The same everywhere, linear light.
     Uniform([f64; 3]),
-    /// Cubes of two colours in turn.
+    /// Cubes of two alternating colours.
     Checker {
         /// The two colours, linear light.
         colors: [[f64; 3]; 2],
-        /// Edge of a cube.
+        /// Edge length of a cube.
         size: f64,
     },
     /// A colour map along a direction.
     Gradient {
-        /// Values 0 and 1 of the place along the direction.
+        /// Position of the map's value 0.
         from: DVec3,
-        /// See `from`.
+        /// Position of the map's value 1.
         to: DVec3,
         /// The colours.
         map: ColorMap,
@@ -78,7 +78,7 @@ pub enum Pattern {
 }
 
 impl Pattern {
-    /// The colour at a place, linear light.
+    /// The colour at a position, linear light.
     #[must_use]
     pub fn color(&self, p: DVec3) -> [f64; 3] {
         match self {
@@ -88,7 +88,7 @@ impl Pattern {
         }
     }
 
-    /// The name of what it varies by, as an attribute: that of the pattern.
+    /// The name of the pattern's value as an attribute; empty for a uniform colour.
     #[must_use]
     pub fn attributes(&self) -> &'static [&'static str] {
         match self {
@@ -98,7 +98,7 @@ impl Pattern {
         }
     }
 
-    /// What it varies by: 0 and 1 in the cubes of a checker, the place along a gradient (0 at `from`, 1 at `to`).
+    /// The pattern's value: 0 or 1 in the cubes of a checker, the position along a gradient (0 at `from`, 1 at `to`).
     #[must_use]
     pub fn value(&self, p: DVec3) -> f64 {
         match self {
@@ -114,7 +114,7 @@ impl Pattern {
         }
     }
 
-    /// The one colour, where there is one.
+    /// The colour, if it is uniform.
     #[must_use]
     pub fn uniform(&self) -> Option<[f64; 3]> {
         if let Self::Uniform(color) = self { Some(*color) } else { None }

@@ -1,59 +1,60 @@
-//! Solids, hard or soft at their edges.
+//! Solids with hard or soft edges.
 
 use super::{Pattern, Procedural, ProceduralSample};
 use crate::geometry::{Aabb, DVec3};
 
-/// Shapes about the origin. Axes of revolution are y.
+/// Shapes centred at the origin, with y as the axis of revolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Form {
-    /// A ball.
+    /// A sphere.
     Sphere {
-        /// Its radius.
+        /// Radius.
         radius: f64,
     },
     /// A box.
     Box {
-        /// Its edges.
+        /// Edge lengths.
         size: DVec3,
     },
     /// A cylinder.
     Cylinder {
-        /// Its radius.
+        /// Radius.
         radius: f64,
-        /// From −height/2 to height/2.
+        /// Height: it extends from −height/2 to height/2.
         height: f64,
     },
     /// A cone with its tip up.
     Cone {
-        /// Radius of its base, at −height/2.
+        /// Radius of the base, at y = −height/2.
         radius: f64,
-        /// Its tip is at height/2.
+        /// Height: the tip is at y = height/2.
         height: f64,
     },
-    /// A ring.
+    /// A torus.
     Torus {
-        /// Radius of the circle in its middle.
+        /// Radius of the circle at the centre of the tube.
         major: f64,
-        /// Radius of its tube.
+        /// Radius of the tube.
         minor: f64,
     },
     /// Everything on the side that `normal` points away from.
     HalfSpace {
-        /// Outward normal, of length one.
+        /// Outward unit normal.
         normal: DVec3,
-        /// Its boundary's distance from the origin along the normal.
+        /// Distance of the boundary from the origin along the normal.
         offset: f64,
     },
     /// An ellipsoid.
     Ellipsoid {
-        /// Its half axes.
+        /// Semi-axes.
         radii: DVec3,
     },
 }
 
 impl Form {
-    /// Signed distance from the boundary, negative inside (of the ellipsoid: its first approximation), and its gradient.
+    /// Signed distance to the boundary, negative inside, and its gradient. For an ellipsoid, a first-order
+    /// approximation.
     #[must_use]
     pub fn distance(&self, p: DVec3) -> (f64, DVec3) {
         match *self {
@@ -73,7 +74,7 @@ impl Form {
             }
             Self::HalfSpace { normal, offset } => (p.dot(normal) - offset, normal),
             Self::Ellipsoid { radii } => {
-                // |p/r| − 1 over the length of its gradient.
+                // (|p/r| − 1) divided by the length of its gradient.
                 let (k0, k1) = ((p / radii).length(), (p / (radii * radii)).length());
                 if k1 == 0.0 {
                     return (-radii.min_element(), DVec3::Y);
@@ -93,7 +94,7 @@ impl Form {
             Self::Torus { major, minor } => DVec3::new(major + minor, minor, major + minor),
             Self::Ellipsoid { radii } => radii,
             Self::HalfSpace { normal, offset } => {
-                // Bounded on one side where the normal lies along an axis.
+                // Bounded on one side if the normal is parallel to an axis.
                 let mut bounds = Aabb::new(DVec3::NEG_INFINITY, DVec3::INFINITY);
                 for axis in 0..3 {
                     if normal[axis] == 1.0 {
@@ -108,7 +109,7 @@ impl Form {
         Aabb::new(-half, half)
     }
 
-    /// The smallest extent.
+    /// The smallest extent of the shape.
     fn thickness(&self) -> f64 {
         match *self {
             Self::Torus { minor, .. } => 2.0 * minor,
@@ -118,7 +119,7 @@ impl Form {
     }
 }
 
-/// Distance from a rectangle of half sizes `a`, `b` about the origin, and its gradient.
+/// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its gradient.
 fn rectangle_distance(x: f64, y: f64, a: f64, b: f64) -> (f64, [f64; 2]) {
     let (qx, qy) = (x.abs() - a, y.abs() - b);
     let (sx, sy) = (1_f64.copysign(x), 1_f64.copysign(y));
@@ -147,18 +148,18 @@ fn box_distance(p: DVec3, half: DVec3) -> (f64, DVec3) {
 }
 
 fn cone_distance(p: DVec3, radius: f64, height: f64) -> (f64, DVec3) {
-    // In the half-plane of the axis: the triangle from the tip along the slant to the rim of the base.
+    // In the half-plane through the axis, the cone is the triangle of axis, slant and base.
     let outward = DVec3::new(p.x, 0.0, p.z).normalize_or(DVec3::X);
     let x = (p.x * p.x + p.z * p.z).sqrt();
     let y = p.y + 0.5 * height;
     let slant = (radius * radius + height * height).sqrt();
-    // Outward normal of the slant, and the distances from its line and from the base.
+    // Outward normal of the slant, and the signed distances from its line and from the base.
     let (nx, ny) = (height / slant, radius / slant);
     let from_slant = (x - radius) * nx + y * ny;
     let (d, gx, gy) = if from_slant.max(-y) <= 0.0 {
         if from_slant > -y { (from_slant, nx, ny) } else { (-y, 0.0, -1.0) }
     } else {
-        // The nearest point of the outline.
+        // The nearest point of the triangle's outline.
         let along = (((x - radius) * -radius + y * height) / (slant * slant)).clamp(0.0, 1.0);
         let on_slant = (radius * (1.0 - along), height * along);
         let on_base = (x.clamp(0.0, radius), 0.0);
@@ -173,13 +174,13 @@ fn cone_distance(p: DVec3, radius: f64, height: f64) -> (f64, DVec3) {
 /// A solid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solid {
-    /// Its shape.
+    /// The shape.
     pub form: Form,
     /// Opacity inside, 0 to 1.
     pub opacity: f64,
-    /// Width over which the opacity falls to 0, half of it inside the boundary; 0 for a hard edge.
+    /// Width of the region over which the opacity falls to 0, half of it inside the boundary; 0 for a hard edge.
     pub edge: f64,
-    /// Its colour.
+    /// The colour.
     pub pattern: Pattern,
 }
 
@@ -190,7 +191,7 @@ impl Solid {
         Self { form, opacity: 1.0, edge: 0.0, pattern: Pattern::Uniform([1.0; 3]) }
     }
 
-    /// The same in another colour, linear light.
+    /// The same solid in a uniform colour, linear light.
     #[must_use]
     pub fn colored(self, color: [f64; 3]) -> Self {
         Self { pattern: Pattern::Uniform(color), ..self }
@@ -203,7 +204,7 @@ impl Procedural for Solid {
     }
 
     fn detail(&self) -> f64 {
-        // Silhouettes of hard edges are as fine as the steps.
+        // Silhouettes of hard edges are only as accurate as the step.
         let hard = self.form.thickness() / 16.0;
         let pattern = match &self.pattern {
             Pattern::Checker { size, .. } => *size,
@@ -269,7 +270,7 @@ mod tests {
             let (_, gradient) = form.distance(p);
             let slope = |axis: DVec3| (form.distance(p + axis * h).0 - form.distance(p - axis * h).0) / (2.0 * h);
             let numeric = DVec3::new(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z));
-            // Creases have no gradient: there the numeric one is shorter than it should be.
+            // At creases the gradient is undefined; there the numerical one is shorter than 1.
             if let Form::Ellipsoid { .. } = form {
                 prop_assume!(form.distance(p).0.abs() < 1e-2);
                 prop_assert!(gradient.dot(numeric.normalize()) > 0.99, "{gradient} {numeric}");

@@ -1,7 +1,7 @@
-//! Transfer functions: from density to opacity, from density or an attribute to colour.
+//! Transfer functions: map density to opacity, and density or an attribute to colour.
 //!
-//! Opacity is per `unit_distance`, one length for the whole scene: a step δ through opacity O absorbs 1 − exp(−σδ) with
-//! σ = −ln(1 − min(O, 1 − 1/4096)) / unit_distance. A density that is not positive is transparent.
+//! Opacity refers to `unit_distance`, one length for the whole scene: a step δ through opacity O absorbs 1 − exp(−σδ)
+//! with σ = −ln(1 − min(O, 1 − 1/4096)) / unit_distance. A density that is not positive is transparent.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -10,23 +10,23 @@ use super::colormap::Colormap;
 use super::{FARTHEST, SHORTEST};
 use crate::field::linear_from_srgb;
 
-/// Opacity is held below this, so that extinction stays finite.
+/// Opacity is limited to this, so that extinction stays finite.
 pub const MAX_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
 
-/// From density to opacity.
+/// Maps density to opacity.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum OpacityRule {
-    /// O = min(1, D): the paper's.
+    /// O = min(1, D), as in the paper.
     Clamp,
-    /// σ = κ·D: physics. O = 1 − exp(−σ·unit_distance).
+    /// Physical absorption with σ = κ·D: O = 1 − exp(−σ·unit_distance).
     Extinction(f64),
-    /// Straight lines between (density, opacity) pairs in ascending order; constant beyond the ends. Of pairs at one density
-    /// the last counts there and above, the first just below.
+    /// Piecewise linear through (density, opacity) pairs in ascending order; constant beyond the ends. If several pairs
+    /// share one density, the last applies at and above it, the first just below.
     Curve(Vec<(f64, f64)>),
 }
 
-/// What a colour map of a leaf is read with.
+/// The input of a leaf's colour map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum MapInput {
@@ -36,14 +36,14 @@ pub enum MapInput {
     Attribute(usize),
 }
 
-/// Colours over the numbers from 0 to 1.
+/// Colours for the numbers from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Palette {
-    /// One that has a name.
+    /// A named colour map.
     Named(Colormap),
-    /// (place, display-encoded colour) in ascending order from 0 to 1, straight lines between. Of stops at one place, an edge,
-    /// the last counts there and above, the first just below.
+    /// (place, display-encoded colour) pairs in ascending order of places from 0 to 1, interpolated linearly. If
+    /// several stops share one place, an edge, the last applies at and above it, the first just below.
     Stops(Arc<[(f64, [f64; 3])]>),
 }
 
@@ -67,7 +67,7 @@ impl Palette {
         }
     }
 
-    /// Its stops: (place, display-encoded colour), in ascending order.
+    /// The stops: (place, display-encoded colour), in ascending order.
     #[must_use]
     pub fn stops(&self) -> Cow<'_, [(f64, [f64; 3])]> {
         match self {
@@ -82,7 +82,7 @@ impl Palette {
 pub struct ColorMap {
     /// The colours.
     pub palette: Palette,
-    /// Values of the palette's two ends.
+    /// The values at the two ends of the palette.
     pub range: (f64, f64),
 }
 
@@ -104,7 +104,7 @@ impl ColorMap {
         let (low, high) = self.range;
         let apart = (high - low).abs();
         let in_range = low.abs() <= FARTHEST && high.abs() <= FARTHEST;
-        // Nearer than that, places in between would not be distinct numbers.
+        // Closer than that, values in between would not be distinct numbers.
         if !(in_range && apart >= SHORTEST && apart >= 1e-15 * low.abs().max(high.abs())) {
             return Err(TransferError::Range);
         }
@@ -122,19 +122,19 @@ impl ColorMap {
     }
 }
 
-/// Where a sample's colour comes from.
+/// How the colour of a sample is determined.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum ColorRule {
-    /// The same everywhere, linear light.
+    /// The same colour everywhere, linear light.
     Uniform([f32; 3]),
-    /// The points' own.
+    /// The colours of the points.
     Points,
     /// A colour map.
     Map {
         /// The map.
         map: ColorMap,
-        /// What is looked up.
+        /// The input value.
         input: MapInput,
     },
 }
@@ -155,13 +155,13 @@ pub enum TransferError {
     /// κ is out of range.
     #[error("the extinction coefficient must be a number from 0 to 1e18")]
     Extinction,
-    /// A curve is empty, not ascending, or leaves 0–1.
+    /// A curve is empty, not ascending, or has values out of range.
     #[error("an opacity curve needs ascending densities and opacities from 0 to 1, as in 0:0,1:0.5,4:1")]
     Curve,
-    /// The value range is empty or not finite.
+    /// The two ends of the value range are equal or out of range.
     #[error("the value range must be two different numbers from -1e18 to 1e18, as in 0:10")]
     Range,
-    /// A palette is empty, not ascending, or leaves 0–1.
+    /// A palette is empty, too long, not ascending, or has values outside 0–1.
     #[error("a palette needs ascending places from 0 to 1 and colours from 0 to 1")]
     Stops,
     /// The cloud has no such column.
@@ -170,10 +170,10 @@ pub enum TransferError {
 }
 
 impl OpacityRule {
-    /// Checks the numbers.
+    /// Checks the extinction coefficient or the curve.
     ///
     /// # Errors
-    /// [`TransferError`] that says which is out of range.
+    /// [`TransferError`] if it is out of range, or if a curve is empty or not ascending.
     pub fn check(&self) -> Result<(), TransferError> {
         match self {
             Self::Clamp => Ok(()),
@@ -187,7 +187,7 @@ impl OpacityRule {
         }
     }
 
-    /// Opacity at a density, held to [`MAX_OPACITY`].
+    /// Opacity at a density, at most [`MAX_OPACITY`].
     #[must_use]
     pub fn opacity(&self, density: f64, unit_distance: f64) -> f64 {
         if !(density > 0.0) {
@@ -201,7 +201,7 @@ impl OpacityRule {
         opacity.min(MAX_OPACITY)
     }
 
-    /// Opacity at a value of a grid: as at a density, but curves also know values that are not positive.
+    /// Opacity at a value of a grid: as at a density, except that curves also apply to values that are not positive.
     #[must_use]
     pub fn opacity_of_value(&self, value: f64, unit_distance: f64) -> f64 {
         match self {
@@ -210,7 +210,7 @@ impl OpacityRule {
         }
     }
 
-    /// Whether anything shows at any value of a range.
+    /// Whether the opacity is above 0 anywhere in a range of values.
     #[must_use]
     pub fn shows_between(&self, low: f64, high: f64) -> bool {
         match self {
@@ -223,17 +223,17 @@ impl OpacityRule {
         }
     }
 
-    /// Extinction σ at a density, per world unit of length.
+    /// Extinction σ at a density, per unit of length in world space.
     #[must_use]
     pub fn extinction(&self, density: f64, unit_distance: f64) -> f64 {
         if let Self::Extinction(kappa) = self {
-            // The same as by way of the opacity, without its loss of digits.
+            // Equal to the extinction computed from the opacity, but without its loss of precision.
             return (kappa * density.max(0.0)).min(max_extinction(unit_distance));
         }
         -(1.0 - self.opacity(density, unit_distance)).ln() / unit_distance
     }
 
-    /// The density at which the boundary of an object is said to lie: where it first has half its greatest opacity.
+    /// The density that defines the boundary of an object: where the opacity first reaches half its maximum.
     #[must_use]
     pub fn boundary_density(&self, unit_distance: f64) -> f64 {
         match self {
@@ -252,8 +252,8 @@ impl OpacityRule {
     }
 }
 
-/// The value of a curve: straight lines between its points, constant beyond the ends. Where points stand at one place, the
-/// last counts there.
+/// The value of a curve: piecewise linear, constant beyond the ends. If several points share one place, the last
+/// applies at it.
 #[must_use]
 pub fn curve_at(points: &[(f64, f64)], x: f64) -> f64 {
     let above = points.partition_point(|&(d, _)| d <= x);
@@ -264,17 +264,17 @@ pub fn curve_at(points: &[(f64, f64)], x: f64) -> f64 {
     }
 }
 
-/// The largest extinction there is.
+/// The extinction of [`MAX_OPACITY`], the largest possible.
 #[must_use]
 pub fn max_extinction(unit_distance: f64) -> f64 {
     -(1.0 - MAX_OPACITY).ln() / unit_distance
 }
 
 impl TransferFunction {
-    /// Checks the numbers.
+    /// Checks the opacity rule and the colour map.
     ///
     /// # Errors
-    /// [`TransferError`] that says which is out of range.
+    /// [`TransferError`] if one of them is invalid.
     pub fn check(&self) -> Result<(), TransferError> {
         self.opacity.check()?;
         if let ColorRule::Map { map, .. } = &self.color {

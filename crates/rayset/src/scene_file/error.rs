@@ -1,4 +1,4 @@
-//! What is wrong with a scene file, and where.
+//! Errors of scene files, with their places.
 
 use std::path::PathBuf;
 
@@ -13,25 +13,25 @@ pub struct SceneFileError {
     pub line: usize,
     /// Column, counted from 1 in characters.
     pub column: usize,
-    /// The way to the value, as `root.children[1].radius`; empty where it is the whole file.
+    /// Path of the value in the document, for example `root.children[1].radius`; empty for the document as a whole.
     pub key: String,
     /// What is wrong, what was expected and what to do.
     pub what: String,
 }
 
-/// Why there is no scene.
+/// Why a scene could not be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LoadError {
-    /// The operating system refused.
+    /// The file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The system's error.
         r#source: std::io::Error,
     },
-    /// Something in the file.
+    /// The contents of the file are invalid.
     #[error(transparent)]
     Content(#[from] SceneFileError),
 }

@@ -1,4 +1,4 @@
-//! The graph of a scene file.
+//! Builds the scene graph of a scene file.
 
 use std::collections::HashMap;
 use std::io::Read;
@@ -20,25 +20,26 @@ use crate::scene::{
     Transfer, check_transform,
 };
 
-/// Most moves of a node, and most transfer functions.
+/// Most transforms in a list, and most entries of a node's `transfers`.
 const MOST_MOVES: usize = 256;
 const MOST_TRANSFERS: usize = 16;
 
 /// Keys that every node may have.
 const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "material"];
 
-/// Nodes within nodes, names followed: more than a person would write, and few enough for any thread's stack.
+/// Deepest nesting of nodes, with references followed: deeper than anyone would write, but shallow enough for the stack
+/// of any thread.
 const DEEPEST: usize = 100;
-/// Children of an operator: no graph may stand for more places.
+/// Most children of an operator: no graph may have more places of nodes.
 const MOST_CHILDREN: usize = MOST_PLACES as usize;
-/// Longest name of a node.
+/// Longest name of a node in bytes.
 const LONGEST_NAME: usize = 256;
 
 const OPERATORS: [Operator; 4] =
     [Operator::Union, Operator::Intersection, Operator::Difference, Operator::Blend];
 const SOLIDS: [&str; 7] = ["sphere", "box", "cylinder", "cone", "torus", "halfSpace", "ellipsoid"];
 
-/// What `type` may be.
+/// The values of `type`.
 #[derive(Clone, Copy)]
 enum Type {
     Cloud,
@@ -48,23 +49,23 @@ enum Type {
     Noise,
 }
 
-/// Makes nodes, each that has a name once.
+/// Builds nodes; a node that has a name is built once and shared.
 pub(super) struct GraphReader<'a> {
-    /// Every node that has a name.
+    /// The definition of every node that has a name.
     named: HashMap<&'a str, Cursor<'a>>,
     made: HashMap<&'a str, Arc<Node>>,
-    /// Names of the nodes that are being made, outermost first.
+    /// Names of the nodes that are being built, outermost first.
     making: Vec<&'a str>,
     clouds: HashMap<PathBuf, Arc<Cloud>>,
     grids: HashMap<PathBuf, Arc<Grid>>,
-    /// Nodes around the one that is being made.
+    /// Number of nodes that enclose the one being built.
     depth: usize,
-    /// Of every node: the nodes below it, one within the other.
+    /// For every node, the number of levels of nodes below it.
     heights: HashMap<*const Node, usize>,
 }
 
 impl<'a> GraphReader<'a> {
-    /// Finds all names of a file.
+    /// Collects all names of a file.
     pub(super) fn new(file: &Object<'a>) -> Result<Self, SceneFileError> {
         let mut reader = Self {
             named: HashMap::new(),
@@ -113,7 +114,7 @@ impl<'a> GraphReader<'a> {
         Ok(())
     }
 
-    /// Makes a node.
+    /// Builds a node.
     pub(super) fn node(&mut self, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
         if self.depth == DEEPEST {
             return Err(at.error(format!("nodes are nested more than {DEEPEST} deep")));
@@ -124,7 +125,7 @@ impl<'a> GraphReader<'a> {
         self.measured(node?, at)
     }
 
-    /// A node that has been made, if the graph below it is not too high.
+    /// Records the height of a node that has been built; an error if it exceeds [`DEEPEST`].
     fn measured(&mut self, node: Arc<Node>, at: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
         let height = match &node.shape {
             Shape::Operator(_, children) => {
@@ -151,7 +152,7 @@ impl<'a> GraphReader<'a> {
         }
     }
 
-    /// The node of a name, wherever it is written.
+    /// The node with a name, wherever in the file it is defined.
     fn named_node(&mut self, name: &'a str, from: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
         if let Some(node) = self.made.get(name) {
             return Ok(node.clone());
@@ -184,7 +185,7 @@ impl<'a> GraphReader<'a> {
         Ok(node)
     }
 
-    /// A node used once more, perhaps moved.
+    /// A reference to a named node, optionally with a transform, transfer functions and a material of its own.
     fn reference(&mut self, at: &Cursor<'a>, reference: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
         let object = at.object(&["ref", "comment", "transform", "transfers", "material"])?;
         let shared = self.named_node(reference.text()?, reference)?;
@@ -270,7 +271,7 @@ impl<'a> GraphReader<'a> {
         Ok(made)
     }
 
-    /// Opens a grid file, once for all nodes that name it.
+    /// Opens a grid file, once for all nodes that refer to it.
     fn open_grid(&mut self, at: &Cursor<'a>) -> Result<Arc<Grid>, SceneFileError> {
         let path = at.document.beside(at.text()?);
         let key = data_file(at, &path)?;
@@ -283,7 +284,7 @@ impl<'a> GraphReader<'a> {
         Ok(grid)
     }
 
-    /// Opens a cloud file, once for all nodes that name it.
+    /// Opens a cloud file, once for all nodes that refer to it.
     fn open(&mut self, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
         let path = at.document.beside(at.text()?);
         let key = data_file(at, &path)?;
@@ -298,13 +299,13 @@ impl<'a> GraphReader<'a> {
     }
 }
 
-/// What a data file is known by, if it is a regular file that can be read.
+/// The key under which a data file is shared: its canonical path. An error if it is not a readable regular file.
 fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
     let known = regular_file::open(path).and_then(|_| path.canonicalize());
     known.map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))
 }
 
-/// The transfer function of a grid, over its values.
+/// Reads the transfer function of a grid, over its values.
 fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), SceneFileError> {
     let object = at.object(&["opacity", "color", "valueRange", "preset"])?;
     let preset = object.get("preset").map(|at| Preset::load(&at)).transpose()?;
@@ -333,7 +334,8 @@ fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), Sce
     Ok(())
 }
 
-/// Why a data file does not open, and what would: it may hold something else, or be a file to build from.
+/// The error for a data file that cannot be opened, with advice: the file may hold other data than its `type` says, or
+/// be raw data that has to be built first.
 fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
     let mut head = [0_u8; 8];
     let is_read = regular_file::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
@@ -346,7 +348,7 @@ fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> Scen
     })
 }
 
-/// What any node may have besides its shape.
+/// A node of a shape, with the optional keys that all nodes have: transform, transfer functions and material.
 fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> {
     let mut node = Node::new(shape);
     if let Some(at) = object.get("transform") {
@@ -363,7 +365,7 @@ fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> 
     Ok(node)
 }
 
-/// One or several moves, the first of which is made first.
+/// A transform, or a list of transforms that are applied in order.
 fn transform(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
     if at.value.is_list() {
         let mut sum = DAffine3::IDENTITY;
@@ -375,7 +377,7 @@ fn transform(at: &Cursor<'_>) -> Result<DAffine3, SceneFileError> {
     one_move(at)
 }
 
-/// A transform that a scene may hold, or why it may not.
+/// A transform, or an error if it is not allowed in a scene.
 fn moved(at: &Cursor<'_>, transform: DAffine3) -> Result<DAffine3, SceneFileError> {
     check_transform(&transform).map_err(|e| at.error(e.to_string()))?;
     Ok(transform)
@@ -432,7 +434,7 @@ fn material(at: &Cursor<'_>) -> Result<Material, SceneFileError> {
     })
 }
 
-/// A transfer function over what a node makes: opacity, colour or both.
+/// A transfer function applied to the output of a node: opacity, colour or both.
 fn transfers(at: &Cursor<'_>, node: &Node) -> Result<Vec<Transfer>, SceneFileError> {
     let object = at.object(&["input", "opacity", "color", "valueRange", "preset"])?;
     let preset = object.get("preset").map(|at| Preset::load(&at)).transpose()?;
@@ -454,7 +456,7 @@ fn transfers(at: &Cursor<'_>, node: &Node) -> Result<Vec<Transfer>, SceneFileErr
     }
 }
 
-/// What a transfer function of a node reads, and the range of values that it has.
+/// The input of a node's transfer function, and the range of its values.
 fn transfer_input(at: &Cursor<'_>, node: &Node) -> Result<(Channel, (f64, f64)), SceneFileError> {
     let channel = match at.text()? {
         "opacity" => Channel::Opacity,
@@ -527,7 +529,7 @@ fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(),
     Ok(())
 }
 
-/// Whether a value is a list of lists.
+/// Whether a value is a list that begins with a list, as a palette's stops do.
 fn is_stops(at: &Cursor<'_>) -> bool {
     at.value.as_list().and_then(|items| items.first()).is_some_and(Json::is_list)
 }
@@ -546,7 +548,7 @@ fn opacity(at: &Cursor<'_>) -> Result<OpacityRule, SceneFileError> {
     Err(at.expected("\"clamp\", {\"extinction\": 2.5} or a curve like [[0, 0], [1, 0.5]]"))
 }
 
-/// Points of values that do not descend, and opacities from 0 to 1.
+/// An opacity curve: values that never descend, each with an opacity from 0 to 1.
 fn curve(at: &Cursor<'_>) -> Result<Vec<(f64, f64)>, SceneFileError> {
     let mut curve: Vec<(f64, f64)> = Vec::new();
     for item in at.list(MOST_STOPS)? {
@@ -572,7 +574,7 @@ fn value_range(at: &Cursor<'_>) -> Result<(f64, f64), SceneFileError> {
     }
 }
 
-/// A palette by its name, or as a list of places and colours.
+/// A palette, given by name or as a list of places and colours.
 fn palette(at: &Cursor<'_>) -> Result<Palette, SceneFileError> {
     if let Some(name) = at.value.as_str() {
         return name
@@ -632,7 +634,7 @@ fn positive_vector(at: &Cursor<'_>) -> Result<DVec3, SceneFileError> {
     }
 }
 
-/// The shape of a solid, and the keys that it has of its own.
+/// The shape of a solid, and the keys that are specific to it.
 fn form(name: &str, at: &Cursor<'_>) -> Result<(&'static [&'static str], Form), SceneFileError> {
     let object = at.any_object()?;
     let length = |key: &str| object.require(key)?.positive();

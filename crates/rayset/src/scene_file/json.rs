@@ -1,5 +1,5 @@
-//! A JSON document in little memory: strings lie in the text where they can, lists and objects have no spare room, and
-//! the number of values is bounded.
+//! A JSON document in little memory: strings borrow from the text if possible, lists and objects have no spare
+//! capacity, and the number of values is limited.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -7,7 +7,7 @@ use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 
-/// Most values that a document may hold, those inside of others included.
+/// Most values that a document may contain, nested values included.
 pub(super) const MOST_VALUES: usize = 1 << 19;
 
 /// A value.
@@ -15,13 +15,13 @@ pub(super) const MOST_VALUES: usize = 1 << 19;
 pub(super) enum Json<'t> {
     Null,
     Bool(bool),
-    /// A number without sign, point or exponent.
+    /// A number without sign, decimal point or exponent.
     Whole(u64),
     /// Any other number.
     Number(f64),
     Text(Cow<'t, str>),
     List(Box<[Json<'t>]>),
-    /// Members in the order of the text.
+    /// Members in the order in which they appear in the text.
     Object(Box<[Member<'t>]>),
 }
 
@@ -31,7 +31,7 @@ pub(super) type Member<'t> = (Cow<'t, str>, Json<'t>);
 const _: () = assert!(size_of::<Json<'_>>() == 24, "a value is small");
 
 impl<'t> Json<'t> {
-    /// Reads a text that is one JSON value.
+    /// Parses a text that consists of one JSON value.
     pub(super) fn parse(text: &'t str) -> Result<Self, serde_json::Error> {
         let mut reader = serde_json::Deserializer::from_str(text);
         let left = Cell::new(MOST_VALUES);
@@ -64,7 +64,7 @@ impl<'t> Json<'t> {
         if let Self::List(items) = self { Some(items) } else { None }
     }
 
-    /// The member of an object with a key.
+    /// The value of a key of an object.
     pub(super) fn get(&self, key: &str) -> Option<&Self> {
         let Self::Object(members) = self else { return None };
         members.iter().find(|(name, _)| name == key).map(|(_, value)| value)
@@ -82,9 +82,9 @@ impl<'t> Json<'t> {
         matches!(self, Self::Object(_))
     }
 
-    /// Bytes of the value and everything inside it, as an allocator rounds them up.
+    /// Memory of the value and everything inside it in bytes, including the overhead of allocations.
     pub(super) fn bytes(&self) -> u64 {
-        /// What an allocation takes besides its content.
+        /// Overhead of an allocation in bytes.
         const BLOCK: u64 = 16;
         let owned =
             |text: &Cow<'_, str>| if let Cow::Owned(text) = text { text.len() as u64 + BLOCK } else { 0 };
@@ -100,7 +100,8 @@ impl<'t> Json<'t> {
             }
     }
 
-    /// The most values that lie beside the way to any one value: as many places are known at a time while it is read.
+    /// Upper bound of the cursors that exist at a time while the document is read: the members of all lists and objects
+    /// on the way from the root to a value, for the value for which they are most.
     pub(super) fn widest_way(&self) -> u64 {
         let below = |count: usize, inner: u64| count as u64 + inner;
         match self {
@@ -114,9 +115,9 @@ impl<'t> Json<'t> {
 }
 
 impl fmt::Display for Json<'_> {
-    /// What a person is told was found: in few words, however long the value is.
+    /// A short description for error messages, however long the value is.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        /// Longest text that is repeated in full.
+        /// Longest string that is repeated in full, in bytes.
         const LONGEST: usize = 60;
         match self {
             Self::Null => f.write_str("null"),
@@ -135,7 +136,7 @@ impl fmt::Display for Json<'_> {
     }
 }
 
-/// Reads one value, and counts it.
+/// Deserialises one value and counts it against the limit.
 struct OneValue<'c>(&'c Cell<usize>);
 
 impl<'t> DeserializeSeed<'t> for OneValue<'_> {
@@ -153,7 +154,7 @@ impl<'t> DeserializeSeed<'t> for OneValue<'_> {
     }
 }
 
-/// A key, borrowed from the text where it is written without escapes.
+/// A key, borrowed from the text if it is written without escapes.
 struct Key;
 
 impl<'t> DeserializeSeed<'t> for Key {

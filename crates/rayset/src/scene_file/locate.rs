@@ -1,4 +1,4 @@
-//! Where in a text a value of a JSON document stands.
+//! Finds the place of a value in the text of a JSON document.
 
 use std::collections::HashSet;
 
@@ -9,21 +9,21 @@ pub(super) enum Step<'k> {
     Index(usize),
 }
 
-/// A place in a text, counted from 1.
+/// A place in a text; line and column are counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place {
     pub(super) line: usize,
     pub(super) column: usize,
 }
 
-/// What of a member of an object is meant.
+/// The part of an object's member to locate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     Key,
     Value,
 }
 
-/// Finds the value at the end of a path in a text that is known to be JSON, or its key.
+/// The place of the value at the end of a path, or of its key, in a text that is known to be JSON.
 pub(super) fn locate(text: &str, path: &[Step<'_>], part: Part) -> Place {
     let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     for step in path {
@@ -38,7 +38,7 @@ pub(super) fn locate(text: &str, path: &[Step<'_>], part: Part) -> Place {
     place_of(text, scanner.key_at.filter(|_| part == Part::Key).unwrap_or(scanner.at))
 }
 
-/// The first key that stands twice in one object, if there is one, and its place.
+/// The first key that occurs twice in one object, if any, and the place of its second occurrence.
 pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
     let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     let mut open: Vec<HashSet<String>> = Vec::new();
@@ -77,7 +77,7 @@ fn place_of(text: &str, at: usize) -> Place {
 struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where the key of the value last entered stands.
+    /// Offset of the key of the value that was entered last.
     key_at: Option<usize>,
 }
 
@@ -88,7 +88,7 @@ impl Scanner<'_> {
         }
     }
 
-    /// Passes a string and returns what it says.
+    /// Skips a string and returns its decoded contents.
     fn string(&mut self) -> String {
         let start = self.at;
         self.at += 1;
@@ -104,7 +104,7 @@ impl Scanner<'_> {
         serde_json::from_slice(&self.bytes[start..self.at]).unwrap_or_default()
     }
 
-    /// Passes a whole value.
+    /// Skips a whole value.
     fn skip_value(&mut self) {
         self.skip_space();
         let mut depth = 0_usize;
@@ -130,7 +130,7 @@ impl Scanner<'_> {
         }
     }
 
-    /// Goes to a value inside the one that begins here; false if there is none.
+    /// Moves to a value inside the one that starts here; false if there is none.
     fn enter(&mut self, step: &Step<'_>) -> bool {
         self.skip_space();
         match (step, self.bytes.get(self.at)) {

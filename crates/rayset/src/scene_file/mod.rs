@@ -1,8 +1,8 @@
-//! Scene files: one strict, versioned form of JSON. `docs/scene.md` tells it to people, `docs/scene.schema.json` to
+//! Scene files: a strict, versioned JSON format. `docs/scene.md` describes it for people, `docs/scene.schema.json` for
 //! editors.
 //!
-//! A scene holds what decides pixels and nothing else: camera, image, lights, render settings and the graph. Memory and
-//! threads are for whoever renders it.
+//! A scene file contains what determines pixels and nothing else: camera, image, lights, render settings and the graph.
+//! Memory and threads are up to the program that renders it.
 
 mod error;
 mod graph;
@@ -26,7 +26,7 @@ use crate::scene::{
     BRIGHTEST, Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError,
 };
 
-/// Version of the form that this code reads.
+/// Version of the format that this code reads.
 pub const VERSION: u32 = 1;
 
 /// Most lights of a scene.
@@ -34,40 +34,44 @@ const MOST_LIGHTS: usize = 1024;
 /// Most cameras of an animation.
 const MOST_KEYS: usize = 16_384;
 
-/// What a scene file says.
+/// The contents of a scene file.
 #[derive(Clone, Debug)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct SceneFile {
-    /// The graph and its light.
+    /// The graph and its lighting.
     pub scene: Scene,
-    /// Where from; the whole scene, slightly from above, where the file does not say.
+    /// The camera; by default, one that shows the whole scene, slightly from above.
     pub camera: Camera,
-    /// Where from in a sequence of pictures, if the file says.
+    /// The camera path of an animation, if the file has one.
     pub path: Option<CameraPath>,
-    /// Size of the picture and everything else that decides pixels.
+    /// Size of the picture and all other settings that determine pixels.
     pub settings: RenderSettings,
-    /// From light to the picture's numbers.
+    /// Exposure and tone mapping.
     pub display_transform: DisplayTransform,
-    /// Files that it names: clouds, grids and colour-map presets.
+    /// Files that the scene refers to: clouds, grids and colour-map presets.
     pub files: Vec<PathBuf>,
-    /// An upper bound of the memory that reading took, for a plan of the whole process: most of it is free again.
+    /// An upper bound of the memory that reading took, in bytes, for the memory plan of the whole process; most of it
+    /// has been freed since.
     pub loading_bytes: u64,
 }
 
 impl SceneFile {
-    /// Reads a scene and opens the data it names, by paths relative to the file.
+    /// Reads a scene and opens the data files it refers to; relative paths are relative to the folder of the scene
+    /// file.
     ///
     /// # Errors
-    /// [`LoadError`] that names line, column, key and what was expected.
+    /// [`LoadError`] if the file cannot be read or is invalid; in the latter case it gives line, column, key and what
+    /// was expected.
     pub fn load(path: &Path) -> Result<Self, LoadError> {
         let text = read_text(path).map_err(|source| LoadError::Io { path: path.to_owned(), source })?;
         Ok(Self::parse(path, &text)?)
     }
 
-    /// Reads a scene from a text; `path` is where it is said to stand.
+    /// Reads a scene from a string. `path` is the file named in errors, and data files are opened relative to its
+    /// folder.
     ///
     /// # Errors
-    /// [`SceneFileError`] that names line, column, key and what was expected.
+    /// [`SceneFileError`] if the text is invalid, with line, column, key and what was expected.
     pub fn parse(path: &Path, text: &str) -> Result<Self, SceneFileError> {
         let document = Document { file: path, text, named: RefCell::default() };
         let value = document.parse()?;
@@ -89,7 +93,8 @@ impl SceneFile {
         let root_at = file.require("root")?;
         let mut graph = GraphReader::new(&file)?;
         let root = graph.node(&root_at)?;
-        // Before anything else walks the graph: one of few nodes can stand for more places than there is time for.
+        // Checked before anything else walks the graph: with sharing, a graph of few nodes can have more places than
+        // there is time to visit.
         root.check().map_err(|e| root_at.error(e.to_string()))?;
         let (settings, display_transform) = view::settings(&file)?;
         let bounds = root.bounds();
@@ -115,14 +120,14 @@ impl SceneFile {
     }
 }
 
-/// An upper bound of the memory that reading a scene takes.
+/// An upper bound of the memory that reading a scene takes, in bytes.
 fn loading_bytes(text: &str, value: &Json<'_>) -> u64 {
-    /// A place in a document, with the step to it.
+    /// A cursor with its step.
     const CURSOR_BYTES: u64 = 128;
-    /// What is remembered of a node: its name, itself, and how high it is.
+    /// What is stored for a node: its name, the node itself, and its height.
     const NODE_BYTES: u64 = 640;
     let nodes = text.matches("\"type\"").count() + text.matches("\"ref\"").count();
-    // Lists are doubled while they grow.
+    // Growing vectors double their capacity.
     2 * text.len() as u64 + 2 * value.bytes() + CURSOR_BYTES * value.widest_way() + NODE_BYTES * nodes as u64
 }
 

@@ -1,5 +1,5 @@
-//! Reading a JSON document strictly: every value is asked for by type, every key has to be known, and whatever is wrong
-//! says where it stands and what was expected.
+//! Strict reading of JSON documents: every value is requested with a type, every key has to be known, and every error
+//! says where it occurred and what was expected.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -13,16 +13,16 @@ use crate::field::linear_from_srgb;
 use crate::geometry::DVec3;
 use crate::scene::{BRIGHTEST, FARTHEST, SHORTEST};
 
-/// A document: its text, for places, and the file that it was read from.
+/// A document: its text, in which errors are located, and the file it was read from.
 pub(super) struct Document<'a> {
     pub(super) file: &'a Path,
     pub(super) text: &'a str,
-    /// Every file that was looked for at its word.
+    /// Paths of all files that the document refers to.
     pub(super) named: RefCell<BTreeSet<PathBuf>>,
 }
 
 impl<'a> Document<'a> {
-    /// The file that the scene names.
+    /// The path of a file that the document refers to, relative to the folder of the document.
     pub(super) fn beside(&self, name: &str) -> PathBuf {
         let path = self.file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name));
         self.named.borrow_mut().insert(path.clone());
@@ -32,13 +32,13 @@ impl<'a> Document<'a> {
     /// Parses the text.
     pub(super) fn parse(&self) -> Result<Json<'a>, SceneFileError> {
         let value = Json::parse(self.text).map_err(|e| {
-            // The parser says the place at the end, which the error says by itself.
+            // The parser's message ends with the place, which the error reports separately.
             let what = e.to_string();
             let what = what.split(" at line ").next().unwrap_or_default();
             let what = what.replace("EOF while parsing", "the text ends in the middle of");
             let what = match what.as_str() {
                 "recursion limit exceeded" => "lists and objects are nested more than 127 deep".to_owned(),
-                // The reader's own words: it is JSON, but too much.
+                // The reader's own error: the text is JSON, but has too many values.
                 _ if e.is_data() => what,
                 _ => format!("this is not JSON: {what}"),
             };
@@ -56,22 +56,22 @@ impl<'a> Document<'a> {
     }
 }
 
-/// A value and the way to it.
+/// A value and its path in the document.
 #[derive(Clone)]
 pub(super) struct Cursor<'a> {
     pub(super) document: &'a Document<'a>,
     pub(super) value: &'a Json<'a>,
-    /// The last step of the way here, and those before it; `None` at the whole.
+    /// The last step of the path, linked to those before it; `None` at the root.
     way: Option<Rc<Way<'a>>>,
 }
 
-/// The way from the whole of a document to a value in it. Neighbours share all but the last step.
+/// The path from the root of a document to a value in it. Values inside one list or object share all but the last step.
 struct Way<'a> {
     before: Option<Rc<Self>>,
     step: Step<'a>,
 }
 
-/// An object whose keys are all known.
+/// An object, with its members.
 #[derive(Clone)]
 pub(super) struct Object<'a> {
     pub(super) cursor: Cursor<'a>,
@@ -83,7 +83,7 @@ impl<'a> Cursor<'a> {
         Self { document, value, way: None }
     }
 
-    /// What is wrong with this value.
+    /// An error at this value.
     pub(super) fn error(&self, what: impl Into<String>) -> SceneFileError {
         self.error_of(Part::Value, what)
     }
@@ -93,13 +93,13 @@ impl<'a> Cursor<'a> {
         self.document.error_at(place.line, place.column, self.name(), what.into())
     }
 
-    /// As [`error`](Self::error), with what was found instead of what was expected.
+    /// An error at this value that says what was expected and what was found.
     pub(super) fn expected(&self, what: &str) -> SceneFileError {
         let found = self.value;
         self.error(format!("expected {what}, found {found}"))
     }
 
-    /// The steps from the whole to the value.
+    /// The steps from the root to the value.
     fn steps(&self) -> Vec<Step<'a>> {
         let steps = std::iter::successors(self.way.as_ref(), |way| way.before.as_ref()).map(|way| way.step);
         let mut steps: Vec<_> = steps.collect();
@@ -107,7 +107,7 @@ impl<'a> Cursor<'a> {
         steps
     }
 
-    /// The way to the value, as one would write it.
+    /// The path to the value in the notation of error messages.
     fn name(&self) -> String {
         let mut name = String::new();
         for step in self.steps() {
@@ -127,7 +127,7 @@ impl<'a> Cursor<'a> {
         Self { document: self.document, value, way: Some(way) }
     }
 
-    /// An object with no keys but those that are known.
+    /// An object, all of whose keys are among `known`.
     pub(super) fn object(&self, known: &[&str]) -> Result<Object<'a>, SceneFileError> {
         let object = self.any_object()?;
         for (key, value) in object.members {
@@ -144,7 +144,7 @@ impl<'a> Cursor<'a> {
         Ok(object)
     }
 
-    /// An object whose keys are looked at later.
+    /// An object whose keys are checked later.
     pub(super) fn any_object(&self) -> Result<Object<'a>, SceneFileError> {
         match self.value {
             Json::Object(members) => Ok(Object { cursor: self.clone(), members }),
@@ -152,7 +152,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// The items of a list that may hold so many.
+    /// The items of a list of at most `most` items.
     pub(super) fn list(&self, most: usize) -> Result<Vec<Self>, SceneFileError> {
         match self.value {
             Json::List(items) if items.len() > most => {
@@ -173,7 +173,7 @@ impl<'a> Cursor<'a> {
         self.value.as_bool().ok_or_else(|| self.expected("true or false"))
     }
 
-    /// A number within bounds, both included.
+    /// A number in a range, with both ends included.
     pub(super) fn number(&self, least: f64, most: f64) -> Result<f64, SceneFileError> {
         let fits = |v: &f64| (least..=most).contains(v);
         self.value.as_f64().filter(fits).ok_or_else(|| {
@@ -184,7 +184,7 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// A coordinate, or anything else that may have either sign.
+    /// A coordinate, or any other number of either sign.
     pub(super) fn any_number(&self) -> Result<f64, SceneFileError> {
         self.number(-FARTHEST, FARTHEST)
     }
@@ -194,7 +194,7 @@ impl<'a> Cursor<'a> {
         self.number(SHORTEST, FARTHEST)
     }
 
-    /// A whole number within bounds, both included.
+    /// A whole number in a range, with both ends included.
     pub(super) fn whole(&self, least: u32, most: u32) -> Result<u32, SceneFileError> {
         let whole = self.value.as_u64().and_then(|v| u32::try_from(v).ok());
         whole
@@ -218,7 +218,7 @@ impl<'a> Cursor<'a> {
         self.numbers::<3>().map(DVec3::from_array)
     }
 
-    /// A vector that is long enough to have a direction.
+    /// A vector that is long enough to define a direction.
     pub(super) fn direction(&self) -> Result<DVec3, SceneFileError> {
         let vector = self.vector()?;
         let length = vector.length();
@@ -232,7 +232,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// A colour: `"#c8b090"` as screens show it, or three numbers of linear light.
+    /// A colour: `"#c8b090"`, display-encoded (sRGB), or three numbers of linear light.
     pub(super) fn color(&self) -> Result<[f64; 3], SceneFileError> {
         const EXPECTED: &str = "a colour like \"#c8b090\" or [0.5, 0.4, 0.3] (linear light)";
         match self.value {
@@ -253,7 +253,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// One of a few words.
+    /// One of the given words.
     pub(super) fn one_of<T: Copy>(&self, words: &[(&str, T)]) -> Result<T, SceneFileError> {
         let names: Vec<&str> = words.iter().map(|(name, _)| *name).collect();
         let found = self.value.as_str().and_then(|text| words.iter().find(|(name, _)| *name == text));
@@ -281,7 +281,7 @@ impl<'a> Object<'a> {
         self.members.iter().map(|(key, value)| (&**key, self.cursor.inner(value, Step::Key(key))))
     }
 
-    /// What `read` makes of a value, or a default where there is none.
+    /// The value of a key, converted by `read`, or `default` if the key is missing.
     pub(super) fn read_or<T>(
         &self,
         key: &str,
@@ -292,9 +292,9 @@ impl<'a> Object<'a> {
     }
 }
 
-/// The word that is most like another, where one is like it at all.
+/// The known word that is closest to `word`, if any is close enough.
 pub(super) fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
-    /// Nobody mistypes a word of more letters, and comparing takes time with the square of them.
+    /// Longer words are hardly typing errors, and comparing words takes time quadratic in their length.
     const LONGEST: usize = 64;
     if word.len() > LONGEST {
         return None;
@@ -307,13 +307,13 @@ pub(super) fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
     (close.0 <= 1 + word.len() / 3).then_some(close.1)
 }
 
-/// A name as messages repeat it: the beginning of one that is too long.
+/// A name as messages show it: truncated if it is too long.
 pub(super) fn shortened(name: &str) -> &str {
     let end = name.char_indices().nth(60).map_or(name.len(), |(at, _)| at);
     &name[..end]
 }
 
-/// Some of many words, as messages list them.
+/// A list of words for messages, of which only the first are shown if there are many.
 pub(super) fn listed(words: &[&str]) -> String {
     const MOST: usize = 24;
     let some: Vec<&str> = words.iter().take(MOST).map(|word| shortened(word)).collect();
@@ -321,7 +321,7 @@ pub(super) fn listed(words: &[&str]) -> String {
     format!("{}{more}", some.join(", "))
 }
 
-/// Letters to insert, remove or exchange to turn one word into another (Levenshtein 1966).
+/// Levenshtein distance (1966): the number of letters to insert, delete or replace to turn one word into the other.
 fn edits(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

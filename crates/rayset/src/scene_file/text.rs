@@ -1,11 +1,11 @@
-//! The texts of scenes and presets, as files have them.
+//! Reads the text of scene and preset files.
 
 use std::io::Read;
 use std::path::Path;
 
 use crate::regular_file;
 
-/// Longest scene or preset that is read.
+/// Longest scene or preset file that is read, in bytes.
 const LONGEST_BYTES: u64 = 4 << 20;
 /// Reads the text of a scene or a preset.
 pub(super) fn read_text(path: &Path) -> std::io::Result<String> {

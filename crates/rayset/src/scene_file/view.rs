@@ -8,7 +8,7 @@ use crate::scene::{
     Camera, CameraPath, Projection, RenderSettings, SHORTEST, SampleOffset, Sampling, Shadows, Step,
 };
 
-/// Size of a picture where the file does not say.
+/// Default width and height of a picture in pixels.
 const SIZE: u32 = 512;
 
 pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTransform), SceneFileError> {
@@ -68,14 +68,15 @@ fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {
     }
 }
 
-/// Where the distance between samples is given, or would be.
+/// The place to which errors about the step refer: the key `step`, otherwise `rendering`, otherwise the whole file.
 pub(super) fn step_at<'a>(file: &Object<'a>) -> Cursor<'a> {
     let rendering = file.get("rendering").unwrap_or_else(|| file.cursor.clone());
     let step = rendering.any_object().ok().and_then(|rendering| rendering.get("step"));
     step.unwrap_or(rendering)
 }
 
-/// The length that opacities refer to: what the file says, else a hundredth of the scene's diagonal.
+/// The length that opacities refer to: the file's value, otherwise a hundredth of the diagonal of the scene, or 1 if
+/// the diagonal is not finite and positive.
 pub(super) fn unit_distance(file: &Object<'_>, bounds: &Aabb) -> Result<f64, SceneFileError> {
     let rendering = file.get("rendering").map(|at| at.any_object()).transpose()?;
     if let Some(at) = rendering.and_then(|rendering| rendering.get("unitDistance")) {
@@ -85,7 +86,7 @@ pub(super) fn unit_distance(file: &Object<'_>, bounds: &Aabb) -> Result<f64, Sce
     Ok(if !bounds.is_empty() && diagonal.is_finite() && diagonal > 0.0 { diagonal / 100.0 } else { 1.0 })
 }
 
-/// The cameras of a sequence.
+/// The camera path of an animation, if the file has one.
 pub(super) fn path(
     file: &Object<'_>,
     bounds: &Aabb,
@@ -107,7 +108,7 @@ pub(super) fn path(
     CameraPath::new(keys).map(Some).map_err(|e| keys_at.error(e.to_string()))
 }
 
-/// The camera that an object has.
+/// The camera of an object, or a default camera that frames `bounds`.
 pub(super) fn camera(
     file: &Object<'_>,
     bounds: &Aabb,

@@ -1,4 +1,4 @@
-//! Where the voxels of a volume lie in a file, plain or compressed, and whether they can all be there.
+//! Locates the voxels of a volume in a file, plain or compressed, and checks that the file can hold all of them.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -8,38 +8,38 @@ use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 
 use super::ReadError;
 
-/// Deflate says 258 bytes with no fewer than 2 bits: nothing that is compressed is longer by a larger factor.
+/// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.
 pub(super) const MOST_DEFLATED: u64 = 1032;
 
-/// The bytes of all voxels, as they stand in a file.
+/// The bytes of all voxels, as they are stored in a file.
 pub(super) struct Voxels {
     pub(super) path: PathBuf,
     pub(super) data: Box<dyn Read + Send>,
-    /// Bytes that must follow the voxels before `data` ends: 0 where the voxels are the last. `None` if `data` may go on.
+    /// Number of bytes that must follow the voxels in `data`: 0 if the voxels come last. `None` if anything may follow.
     pub(super) rest: Option<u64>,
 }
 
-/// How data are compressed.
+/// How the data are compressed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Compression {
-    /// One or several members, one after another.
+    /// One or several members in a row.
     Gzip,
     Zlib,
 }
 
-/// Where voxels begin in data that have been decompressed.
+/// Where the voxels begin in the decompressed data.
 #[derive(Clone, Copy)]
 pub(super) enum Begin {
-    /// Behind so many bytes.
+    /// After this number of bytes.
     After(u64),
-    /// So that so many bytes follow the last of them.
+    /// At the place from which exactly this number of bytes follow the last voxel.
     BeforeLast(u64),
 }
 
-/// What the voxels of a volume are looked for in.
+/// Where the voxels of a volume are expected.
 pub(super) struct Place<'a> {
     pub(super) path: &'a Path,
-    /// The first byte in the file.
+    /// Offset in the file of their first byte.
     pub(super) start: u64,
     /// Bytes of all voxels of the volume.
     pub(super) bytes: u64,
@@ -52,7 +52,7 @@ impl Place<'_> {
         ReadError::Data { path: self.path.to_owned(), offset, what }
     }
 
-    /// Voxels as they are.
+    /// Opens uncompressed voxels.
     pub(super) fn plain(self) -> Result<Voxels, ReadError> {
         let length = regular_file_bytes(self.path)?;
         let Self { start, bytes, .. } = self;
@@ -74,8 +74,8 @@ impl Place<'_> {
         Ok(Voxels { path: self.path.to_owned(), data, rest: None })
     }
 
-    /// Voxels in compressed data of at most `limit` bytes, to the end of which they are read, so that its checksum is
-    /// seen.
+    /// Opens voxels in compressed data of at most `limit` bytes. The data are read to their end, so that their checksum is
+    /// verified.
     pub(super) fn compressed(
         self,
         compression: Compression,
@@ -105,7 +105,7 @@ impl Place<'_> {
         let (before, rest) = match begin {
             Begin::After(before) => (before, self.rest),
             Begin::BeforeLast(behind) => {
-                // Only reading all of it says how long it is.
+                // The decompressed length is only known after reading all of it.
                 let all = io::copy(&mut open()?, &mut io::sink()).map_err(wrong)?;
                 let before = all.checked_sub(behind.saturating_add(self.bytes));
                 let short = || {
@@ -127,7 +127,7 @@ impl Place<'_> {
     }
 }
 
-/// What went wrong, in words that say more than the system's.
+/// A description of an error that is more specific than the system's.
 pub(super) fn what_of(error: &io::Error) -> String {
     if error.kind() == io::ErrorKind::UnexpectedEof {
         "the file ends before all voxels are there".into()
@@ -140,22 +140,23 @@ pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> ReadError {
     move |source| ReadError::Io { path: path.to_owned(), source }
 }
 
-/// Bytes of a file that can be read from any place: no pipe, device or folder.
+/// The length in bytes of a regular file; an error for a pipe, a device or a folder.
 pub(super) fn regular_file_bytes(path: &Path) -> Result<u64, ReadError> {
     let about = std::fs::metadata(path).map_err(io_error(path))?;
     if about.is_file() { Ok(about.len()) } else { Err(ReadError::NotRegular { path: path.to_owned() }) }
 }
 
-/// A reader from some byte of a file on.
+/// A buffered reader that starts at a byte of a file.
 pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<File>, ReadError> {
-    // Asked before it is opened: opening a pipe waits for its other end.
+    // Checked before it is opened: opening a pipe waits for its other end.
     regular_file_bytes(path)?;
     let mut file = File::open(path).map_err(io_error(path))?;
     file.seek(SeekFrom::Start(offset)).map_err(io_error(path))?;
     Ok(BufReader::with_capacity(1 << 16, file))
 }
 
-/// Bytes from the one at `start` up to behind the end of the `lines`th line from there on. `None` if there are fewer.
+/// The number of bytes in the `lines` lines that begin at byte `start`, including their ends. `None` if there are fewer
+/// lines.
 pub(super) fn skip_lines(path: &Path, start: u64, lines: u64) -> Result<Option<u64>, ReadError> {
     let mut file = data_at(path, start)?;
     let (mut left, mut bytes) = (lines, 0);

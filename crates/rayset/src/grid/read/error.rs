@@ -21,27 +21,27 @@ pub enum ReadError {
         /// The file.
         path: PathBuf,
     },
-    /// The file ends early, or is damaged.
+    /// The voxel data end early, are too long, or are damaged.
     #[error("{}, byte {offset} of the voxels: {what}", path.display())]
     Data {
         /// The file.
         path: PathBuf,
-        /// Bytes of voxels before.
+        /// Offset of the error in the bytes of the voxels.
         offset: u64,
         /// What is wrong.
         what: String,
     },
-    /// The header.
+    /// The header is invalid, or describes something that is not supported.
     #[error("{}, {place}: {what}", path.display())]
     Header {
         /// The file.
         path: PathBuf,
-        /// Line, key or byte.
+        /// The line, key or byte in the header.
         place: String,
         /// What is wrong, and what was expected.
         what: String,
     },
-    /// A format that is not known.
+    /// The file name does not have a known extension.
     #[error("{}: expected a name that ends in nrrd, nhdr, mha, mhd, nii, nii.gz or vti, or a --raw layout", path.display())]
     Format {
         /// The file.
@@ -50,7 +50,7 @@ pub enum ReadError {
 }
 
 impl ReadError {
-    /// Something of a header.
+    /// An error at a place of a header.
     pub(super) fn header(path: &Path, place: &str, what: &str) -> Self {
         Self::Header { path: path.to_owned(), place: place.to_owned(), what: what.to_owned() }
     }

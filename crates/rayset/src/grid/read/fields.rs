@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 use super::ReadError;
 use super::data::{data_at, io_error};
 
-/// No header is longer. This bounds what a file without line ends costs.
+/// Longest header in bytes. This bounds the memory for a file without line ends.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
 
-/// The lines of a text header, counted.
+/// Reads and counts the lines of a text header.
 pub(super) struct Lines {
     file: BufReader<File>,
     path: PathBuf,
     /// The number of the last line that was read; the first is 1.
     pub(super) number: u64,
-    /// Bytes read so far: behind the last line.
+    /// Bytes read so far, up to the end of the last line.
     pub(super) bytes: u64,
 }
 
@@ -25,7 +25,7 @@ impl Lines {
         Ok(Self { file: data_at(path, 0)?, path: path.to_owned(), number: 0, bytes: 0 })
     }
 
-    /// The next line without its end, which may be that of Unix or of Windows. `None` at the end of the file.
+    /// The next line without its line end (`\n` or `\r\n`). `None` at the end of the file.
     pub(super) fn next(&mut self) -> Result<Option<String>, ReadError> {
         self.number += 1;
         let room = MOST_HEADER_BYTES - self.bytes;
@@ -43,25 +43,25 @@ impl Lines {
         Ok((read > 0).then(|| text.trim_end_matches('\n').trim_end_matches('\r').to_owned()))
     }
 
-    /// "line 7", or "line 7, key".
+    /// The current place for messages: "line 7", or "line 7, key".
     pub(super) fn place(&self, key: &str) -> String {
         if key.is_empty() { format!("line {}", self.number) } else { format!("line {}, {key}", self.number) }
     }
 }
 
-/// Whitespace-separated finite numbers, exactly so many.
+/// Parses exactly `N` whitespace-separated finite numbers.
 pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     parsed(text).filter(|all: &[f64; N]| all.iter().all(|v| v.is_finite()))
 }
 
-/// Three counts of voxels.
+/// Parses three numbers of voxels.
 pub(super) fn counts(text: &str) -> Option<[u64; 3]> {
     parsed(text)
 }
 
-/// Whitespace-separated words, exactly so many, as what they stand for.
+/// Parses exactly `N` whitespace-separated values.
 pub(super) fn parsed<T: std::str::FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
-    // One more than wanted shows that there are too many; however many there are, no more are kept.
+    // One value more than expected shows that there are too many; further ones are not read.
     let all: Option<Vec<T>> =
         text.split_ascii_whitespace().take(N + 1).map(|word| word.parse().ok()).collect();
     all.and_then(|all| all.try_into().ok())

@@ -1,8 +1,9 @@
-//! MetaImage (ITK): `.mha` with its voxels, `.mhd` beside them; plain or zlib.
+//! MetaImage (ITK): `.mha` that contains its voxels, `.mhd` with the voxels in another file; plain or zlib.
 //!
-//! As in ITK's own library, `HeaderSize` counts from the start of the file that holds the voxels, whichever that is, and
-//! −1 says that they are its last bytes; `CompressedDataSize` ends compressed data, else the file does. Voxels behind
-//! the header, and compressed data, hold nothing else; a file of plain data beside the header may go on.
+//! As in ITK's own library, `HeaderSize` counts from the start of the file that holds the voxels, whichever that is, and −1
+//! means that the voxels are its last bytes. Compressed data end after `CompressedDataSize` bytes, or with the file if that
+//! is not given. Nothing may follow voxels in the file of the header, or compressed data; a separate file of plain voxels
+//! may continue.
 
 use std::path::Path;
 
@@ -15,17 +16,17 @@ use crate::geometry::{DAffine3, DMat3, DVec3};
 struct Header {
     size: Option<([u64; 3], String)>,
     stored: Option<Stored>,
-    /// `ElementSpacing`, which wins, and `ElementSize`.
+    /// `ElementSpacing`, which takes precedence, and `ElementSize`.
     spacing: Option<[f64; 3]>,
     element_size: Option<[f64; 3]>,
     offset: DVec3,
     matrix: DMat3,
-    /// Where spacing or directions were said last.
+    /// Where the spacing or the directions were last given.
     axes_place: String,
     big_endian: bool,
     compressed: bool,
     compressed_bytes: Option<u64>,
-    /// `HeaderSize` and its place.
+    /// `HeaderSize` and its place in the header.
     skip: Option<(i64, String)>,
 }
 
@@ -118,7 +119,7 @@ impl Header {
         })
     }
 
-    /// The voxels in a file whose first `least` bytes are the header.
+    /// Opens the voxels in a file whose first `least` bytes are the header.
     fn voxels(&self, path: &Path, least: u64, bytes: u64, rest: Option<u64>) -> Result<Voxels, ReadError> {
         let (skip, place) = self.skip.clone().unwrap_or_default();
         let start = match u64::try_from(skip) {
@@ -128,7 +129,7 @@ impl Header {
             Err(_) if self.compressed => {
                 return Err(ReadError::header(path, &place, "-1 is for voxels that are not compressed"));
             }
-            // In a file that is too short they are missed where they would be at the earliest.
+            // If the file is too short, the error is reported for the earliest place at which the voxels could begin.
             Err(_) => regular_file_bytes(path)?.saturating_sub(bytes).max(least),
         };
         let place = Place { path, start, bytes, rest };
@@ -140,7 +141,7 @@ impl Header {
     }
 }
 
-/// As ITK's library reads it: by the first letter.
+/// Parses a truth value by its first letter, as ITK's library does.
 fn truth(value: &str) -> Result<bool, &'static str> {
     match value.as_bytes().first() {
         Some(b'T' | b't' | b'1') => Ok(true),

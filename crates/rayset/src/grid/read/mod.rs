@@ -1,8 +1,9 @@
-//! Volumes as they come: NRRD, MetaImage, NIfTI, VTI, and raw files with a described layout. Voxels are read once, in
-//! order, x fastest; only slices that are being worked on are held.
+//! Readers of volumes: NRRD, MetaImage, NIfTI, VTI, and raw files with a given layout. Voxels are read once, in order, x
+//! fastest, in pieces of any size.
 //!
-//! Whether a file can hold the voxels that its header promises is asked before any is read. Compressed data are read to
-//! their end, so that their checksums are seen, and hold nothing behind the voxels but what the header says.
+//! Before any voxel is read, a file is checked to be large enough for the voxels that its header promises. Compressed data
+//! are read to their end, so that their checksums are verified, and must contain nothing after the voxels but what the
+//! header states.
 
 mod data;
 mod error;
@@ -24,32 +25,32 @@ use self::stored::Stored;
 use super::VoxelKind;
 use crate::geometry::{DAffine3, DVec3};
 
-/// The most voxels along an axis.
+/// Largest number of voxels along an axis.
 const MOST_VOXELS: u64 = 1 << 24;
 
 /// A volume that is being read.
 pub struct VolumeSource {
     /// Voxels along each axis.
     pub size: [u64; 3],
-    /// How they are stored, after reading.
+    /// The type in which they are stored after reading.
     pub kind: VoxelKind,
     /// A value is `scale`·stored + `offset`.
     pub scale: f64,
     /// See `scale`.
     pub offset: f64,
-    /// From voxel coordinates to the space of the file.
+    /// Transforms voxel coordinates (voxel centres at integers) to the space of the file.
     pub space_from_voxel: DAffine3,
     stored: Stored,
     big_endian: bool,
     voxels: Voxels,
     header_path: PathBuf,
-    /// Bytes of all voxels in the file, and of those read so far.
+    /// Bytes of all voxels as stored in the file, and of those read so far.
     bytes: u64,
     position: u64,
     scratch: Vec<u8>,
 }
 
-/// What a header says of the voxels.
+/// The description of the voxels in a header.
 #[derive(Clone)]
 struct Described {
     size: [u64; 3],
@@ -58,13 +59,13 @@ struct Described {
     scale: f64,
     offset: f64,
     space_from_voxel: DAffine3,
-    /// Where in the header the size is said, and where the axes are.
+    /// Where the header gives the size, and where the axes.
     size_place: String,
     axes_place: String,
 }
 
 impl Described {
-    /// Checks that this is a grid that can be built. Returns the bytes of its voxels.
+    /// Checks that a grid can be built from this. Returns the number of bytes of its voxels in the file.
     fn check(&self, path: &Path) -> Result<u64, ReadError> {
         let bytes = self.size.iter().try_fold(self.stored.bytes() as u64, |all, n| all.checked_mul(*n));
         if self.size.iter().any(|n| !(2..=MOST_VOXELS).contains(n)) {
@@ -91,10 +92,10 @@ impl Described {
 }
 
 impl VolumeSource {
-    /// Opens a volume by its name.
+    /// Opens a volume in the format of its file name extension.
     ///
     /// # Errors
-    /// [`ReadError`] where it cannot be opened, its header is wrong, or it cannot hold the voxels that its header
+    /// [`ReadError`] if it cannot be opened, its header is invalid, or it is too small for the voxels that its header
     /// promises.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
@@ -113,28 +114,28 @@ impl VolumeSource {
         Ok(Self { header_path: path.to_owned(), ..source? })
     }
 
-    /// Opens a file of nothing but voxels.
+    /// Opens a raw file, which contains nothing but voxels.
     ///
     /// # Errors
-    /// [`ReadError`] where it cannot be opened, or is shorter than its layout.
+    /// [`ReadError`] if it cannot be opened, its layout is invalid, or it is shorter than the layout requires.
     pub fn open_raw(path: &Path, layout: &RawLayout) -> Result<Self, ReadError> {
         raw::open(path, layout)
     }
 
-    /// Whether a name is that of a volume.
+    /// Whether a file name has the extension of a volume format.
     #[must_use]
     pub fn is_volume(path: &Path) -> bool {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
         [".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz", ".vti"].iter().any(|end| name.ends_with(end))
     }
 
-    /// The files that are read: that of the header, and that of the voxels, which may be the same.
+    /// The files that are read: the one with the header, and the one with the voxels, which may be the same.
     #[must_use]
     pub fn paths(&self) -> [&Path; 2] {
         [&self.header_path, &self.voxels.path]
     }
 
-    /// `bytes` are those that [`Described::check`] returned.
+    /// `bytes` is the value that [`Described::check`] returned.
     fn new(described: &Described, bytes: u64, voxels: Voxels) -> Self {
         Self {
             size: described.size,
@@ -152,11 +153,12 @@ impl VolumeSource {
         }
     }
 
-    /// Fills a buffer with the next voxels, little-endian, as [`VoxelKind`] has them. What is infinite or not a number
-    /// becomes 0. With the last voxel the end of the file is checked, and the checksums of compressed data.
+    /// Fills a buffer with the next voxels, little-endian, in the type [`kind`](Self::kind). Infinities and NaN become 0.
+    /// After the last voxel, the end of the file and the checksums of compressed data are checked.
     ///
     /// # Errors
-    /// [`ReadError::Data`] where the file ends early or late, is damaged, or holds what single precision does not.
+    /// [`ReadError::Data`] if the file ends early or late, is damaged, or has a finite number out of the range of single
+    /// precision.
     pub fn read(&mut self, voxels: &mut [u8]) -> Result<(), ReadError> {
         let (width, out_width) = (self.stored.bytes(), self.kind.bytes());
         let bytes = voxels.len() / out_width * width;
@@ -178,7 +180,8 @@ impl VolumeSource {
         if self.position == self.bytes { self.check_end() } else { Ok(()) }
     }
 
-    /// Whether what follows the voxels is what should. Checksums of compressed data are compared where they end.
+    /// Checks that exactly the expected bytes follow the voxels. The decoders verify checksums at the end of compressed
+    /// data.
     fn check_end(&mut self) -> Result<(), ReadError> {
         let Some(rest) = self.voxels.rest else { return Ok(()) };
         let found = io::copy(&mut (&mut self.voxels.data).take(rest.saturating_add(1)), &mut io::sink());

@@ -1,7 +1,8 @@
-//! NIfTI-1 (`n+1`), plain or gzip: the first volume of the file, with its sform, else its qform, else its spacing.
+//! NIfTI-1 (`n+1`), plain or gzip: the first volume of the file, placed by its sform, otherwise its qform, otherwise its
+//! spacing.
 //!
-//! As in the format's own library, a spacing that is not above 0 counts as 1. Voxels are scaled where `scl_slope` is
-//! finite and not 0. Behind the volume, the others of its series follow, and nothing else.
+//! As in the format's own library, a spacing that is not positive counts as 1. Voxels are scaled if `scl_slope` is finite
+//! and not 0. After the volume, the other volumes of its series must follow, and nothing else.
 
 use std::io::Read;
 use std::path::Path;
@@ -14,7 +15,7 @@ use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 
 const HEADER_BYTES: usize = 348;
 
-/// Where fields are.
+/// Byte offsets of the fields.
 const DIM: usize = 40;
 const DATATYPE: usize = 70;
 const PIXDIM: usize = 76;
@@ -28,7 +29,7 @@ const QOFFSET: usize = 268;
 const SROW: usize = 280;
 const MAGIC: usize = 344;
 
-/// Numbers of a header, in the byte order of the file.
+/// The fields of a header, in the byte order of the file.
 struct Fields<'a> {
     path: &'a Path,
     bytes: [u8; HEADER_BYTES],
@@ -53,7 +54,7 @@ impl Fields<'_> {
         f64::from(f32::from_le_bytes(self.array(at)))
     }
 
-    /// Numbers, one after another, all finite.
+    /// `N` consecutive numbers, all of which must be finite.
     fn finite<const N: usize>(&self, at: usize, name: &str) -> Result<[f64; N], ReadError> {
         let all = std::array::from_fn(|i| self.f32(at + 4 * i));
         match all.iter().position(|v| !v.is_finite()) {
@@ -143,7 +144,7 @@ fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {
     Ok(fields)
 }
 
-/// Voxels along each axis, and how many volumes there are.
+/// The number of voxels along each axis, and the number of volumes.
 fn size(fields: &Fields<'_>) -> Result<([u64; 3], u64), ReadError> {
     let dimensions = fields.i16(DIM);
     if !(3..=7).contains(&dimensions) {
@@ -155,12 +156,12 @@ fn size(fields: &Fields<'_>) -> Result<([u64; 3], u64), ReadError> {
         let at = DIM + 2 + 2 * axis;
         *n = u64::try_from(fields.i16(at)).map_err(|_| fields.wrong(at, "dim", "a size is negative"))?;
     }
-    // Four numbers of 16 bits: their product needs no more than 64.
+    // The product of four 16-bit numbers fits in 64 bits.
     let volumes = (4..=dimensions as usize).map(|axis| fields.i16(DIM + 2 * axis).max(1) as u64).product();
     Ok((size, volumes))
 }
 
-/// Where the voxels are, and where the header says so.
+/// The transform from voxels to space, and its place in the header.
 fn place(fields: &Fields<'_>) -> Result<(DAffine3, &'static str), ReadError> {
     if fields.i16(SFORM_CODE) > 0 {
         let all: [f64; 12] = fields.finite(SROW, "srow")?;
@@ -175,7 +176,7 @@ fn place(fields: &Fields<'_>) -> Result<(DAffine3, &'static str), ReadError> {
         let origin: [f64; 3] = fields.finite(QOFFSET, "qoffset")?;
         let [handed] = fields.finite(PIXDIM, "pixdim")?;
         let a = (1.0 - b * b - c * c - d * d).max(0.0).sqrt();
-        // The third axis is turned round where qfac, pixdim[0], is −1.
+        // The third axis is reversed if qfac, pixdim[0], is negative.
         let handed = if handed < 0.0 { -1.0 } else { 1.0 };
         let linear = DMat3::from_quat(DQuat::from_xyzw(b, c, d, a).normalize())
             * DMat3::from_diagonal(spacing * DVec3::new(1.0, 1.0, handed));

@@ -1,9 +1,9 @@
 //! NRRD (teem), attached or detached: raw and gzip encodings, three axes.
 //!
-//! Skips are those of the format's own library (teem, `formatNRRD.c` and `encodingGzip.c`): first `line skip` lines of the
-//! file as it is, then `byte skip` bytes, which are counted in the decompressed data where data are compressed. A
-//! `byte skip` of −1 says that the voxels are the last of the data, one of −n − 1 that n bytes follow them. Data behind
-//! the header, and compressed data, hold nothing else than this; a file of plain data beside the header may go on.
+//! Skipping follows the format's own library (teem, `formatNRRD.c` and `encodingGzip.c`): first `line skip` lines of the
+//! file as stored, then `byte skip` bytes, which are counted in the decompressed data if the data are compressed. A `byte
+//! skip` of −1 means that the voxels are at the end of the data, and −n − 1 that n bytes follow them. Nothing else may
+//! follow voxels in the file of the header, or in compressed data; a separate file of plain data may continue.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::geometry::{DAffine3, DMat3, DVec3};
 
 #[derive(Default)]
 struct Header {
-    /// The keys that were there, so that none comes twice, and where.
+    /// The keys seen so far, so that repeated ones are detected, and their places.
     keys: Vec<(&'static str, String)>,
     size: Option<[u64; 3]>,
     stored: Option<Stored>,
@@ -58,7 +58,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
 }
 
 impl Header {
-    /// Where a key was said; the key itself if it was not.
+    /// The place of a key in the header; the key itself if it is missing.
     fn place(&self, wanted: &'static str) -> String {
         self.keys.iter().find(|(key, _)| *key == wanted).map_or_else(|| wanted.into(), |(_, at)| at.clone())
     }
@@ -163,7 +163,7 @@ impl Header {
     }
 }
 
-/// The keys that matter, each with its other spellings.
+/// The keys that are used, each with its other spellings.
 const KEYS: [&[&str]; 11] = [
     &["dimension"],
     &["sizes"],
@@ -178,7 +178,7 @@ const KEYS: [&[&str]; 11] = [
     &["line skip", "lineskip"],
 ];
 
-/// Vectors like `(1,0,0) (0,1,0)`; `none` is left out.
+/// Vectors like `(1,0,0) (0,1,0)`; `none` is skipped.
 fn vectors(text: &str) -> Option<Vec<DVec3>> {
     let words = text.split_inclusive(')').map(str::trim).filter(|word| !word.is_empty() && *word != "none");
     words

@@ -1,4 +1,4 @@
-//! Files of nothing but voxels.
+//! Raw files, which contain nothing but voxels.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -8,8 +8,8 @@ use super::{Described, ReadError, Stored, VolumeSource};
 use crate::geometry::{DAffine3, DVec3};
 use crate::parse::ParseError;
 
-/// How a raw file is laid out: `256x256x128,u16`, then optionally `be` or `le`, `skip=512`, `spacing=1x1x2.5`. The file
-/// may go on behind the voxels.
+/// The layout of a raw file: `256x256x128,u16`, then optionally `be` or `le`, `skip=512` (bytes), `spacing=1x1x2.5`. The
+/// file may continue after the voxels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawLayout {
     size: [u64; 3],

@@ -1,8 +1,8 @@
-//! Numbers as they stand in files, and what they become in a grid.
+//! The types of numbers in files, and their conversion to those of a grid.
 
 use crate::grid::VoxelKind;
 
-/// How numbers stand in a file.
+/// The type of the numbers in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stored {
     I8,
@@ -25,7 +25,7 @@ impl Stored {
         }
     }
 
-    /// What it is kept as. Whole numbers of 32 bits and double precision lose digits.
+    /// The type to which it is converted. 32-bit integers and double precision are rounded to single precision.
     pub(super) fn kind(self) -> VoxelKind {
         match self {
             Self::U8 => VoxelKind::U8,
@@ -35,8 +35,8 @@ impl Stored {
         }
     }
 
-    /// Converts one number, both little-endian. What is infinite or not a number becomes 0. False if single precision
-    /// does not hold a finite number.
+    /// Converts one number; `from` and `to` are little-endian. Infinities and NaN become 0. Returns false if a finite number
+    /// is out of the range of single precision.
     pub(super) fn convert(self, from: &[u8], to: &mut [u8]) -> bool {
         let four = || [from[0], from[1], from[2], from[3]];
         let number = |v: f32| if v.is_finite() { v } else { 0.0 };
@@ -58,7 +58,8 @@ impl Stored {
         true
     }
 
-    /// The little-endian bytes of a number written as text. `None` if it is none, or out of range.
+    /// Parses a number and returns its little-endian bytes and their count. `None` if the text is not a number of this type,
+    /// or is out of range.
     pub(super) fn parse(self, text: &str) -> Option<([u8; 8], usize)> {
         let mut bytes = [0; 8];
         let mut put = |of: &[u8]| bytes[..of.len()].copy_from_slice(of);

@@ -1,7 +1,7 @@
-//! Runs and nodes, in the order of the file, laid out in pages; then the header, and the file gets its name.
+//! Lays out runs and nodes in pages, in file order; then writes the header and gives the file its name.
 //!
-//! The order of nodes in their pages is that in which they are finished: every group of siblings stands after all
-//! its descendants, so that a reference only ever points backwards.
+//! Nodes are stored in the order in which they are finished: every group of siblings comes after all its descendants, so
+//! that references only point backwards.
 
 use std::io::{self, BufWriter, Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -27,11 +27,11 @@ use crate::octree::page::RunHead;
 use crate::output::{OutputFile, OutputWriter};
 use crate::spill::Spill;
 
-/// Below this many points pages are smaller, so that the last ones waste less.
+/// Below this number of points, pages are smaller, so that the last ones waste less space.
 const SMALL_CLOUD_POINTS: u64 = 500_000;
 
 impl Ingested {
-    /// What the header will say of radius and weight.
+    /// The columns of radius and weight for the header.
     pub(super) fn columns(&self) -> (Column, Column) {
         let radius = settled(self.radius_range.0, self.radius_range.1);
         let weight = if self.layout.has_weight {
@@ -57,12 +57,12 @@ pub(super) struct Assembler {
     root: RootCell,
     identity: Identity,
     columns: ColumnLayout,
-    // The point page in the making.
+    // The point page that is being filled.
     heads: Vec<RunHead>,
     data: Vec<u8>,
     point_pages: u32,
     point_data_bytes: u64,
-    // Node pages wait in a spill, because point pages come first in the file.
+    // Node pages are stored temporarily in a spill, because point pages come first in the file.
     node_spill: Spill,
     node_page: Vec<u8>,
     nodes_in_page: usize,
@@ -75,7 +75,7 @@ pub(super) struct Assembler {
     temp_dir: PathBuf,
 }
 
-/// The growing file, through a buffer, or what is to be a cloud in memory.
+/// The output: a file, through a buffer, or the bytes of a cloud in memory.
 pub(super) enum Output {
     File { buffer: BufWriter<OutputWriter>, file: OutputFile },
     Memory(Cursor<Vec<u8>>),
@@ -93,7 +93,7 @@ impl Output {
         Self::Memory(Cursor::default())
     }
 
-    /// What was written in memory; nothing of a file.
+    /// The bytes written to memory; empty for a file.
     pub(super) fn into_bytes(self) -> Vec<u8> {
         match self {
             Self::File { .. } => Vec::new(),
@@ -168,7 +168,7 @@ impl Assembler {
         })
     }
 
-    /// Places runs one after another; returns where the first of them went.
+    /// Places runs in pages in order; returns the place of each.
     fn place_runs(&mut self, runs: &[DraftRun], data: &[u8]) -> Result<Vec<RunRange>, BuildError> {
         let mut places = Vec::with_capacity(runs.len());
         for run in runs {
@@ -241,7 +241,7 @@ impl Assembler {
         }
     }
 
-    /// Writes siblings side by side; returns where the first of them went.
+    /// Stores siblings next to each other in a page; returns the place of the first.
     fn place_siblings(&mut self, siblings: &[(u8, Node)]) -> Result<NodeRef, BuildError> {
         if siblings.is_empty() {
             return Ok(NodeRef::default());
@@ -259,7 +259,7 @@ impl Assembler {
         Ok(place)
     }
 
-    /// Puts the node page aside. Its number is known only at the end, so it is sealed then.
+    /// Writes the node page to the spill. Its page number is only known at the end, so it is sealed then.
     fn finish_node_page(&mut self) -> Result<(), BuildError> {
         self.node_page[..4].copy_from_slice(&(self.nodes_in_page as u32).to_le_bytes());
         let at = u64::from(self.node_pages) * self.page_bytes as u64;
@@ -274,7 +274,7 @@ impl Assembler {
         Ok(())
     }
 
-    /// Turns a piece into placed runs and nodes; returns its root.
+    /// Places the runs and nodes of a piece; returns its root, which is not stored yet.
     fn place_piece(&mut self, piece: &Piece) -> Result<(Node, Summary), BuildError> {
         let places = self.place_runs(&piece.runs, &piece.data)?;
         let mut done: Vec<Option<Node>> = vec![None; piece.nodes.len()];
@@ -377,7 +377,7 @@ impl Assembler {
             root_size: self.root.size,
             bounds: ingested.bounds.inflated(summary.position_error),
             radius,
-            // Summed up the tree, so that the order of the input does not show in the last digit.
+            // Summed up the tree, so that the last digit does not depend on the order of the input.
             radius_mean: match ingested.radius {
                 Some(radius) if ingested.count > 0 => radius.into(),
                 None if ingested.count > 0 => summary.radius_sum / ingested.count as f64,
@@ -401,17 +401,17 @@ impl Assembler {
     }
 }
 
-/// A digest of pages, with a further page.
+/// Extends a digest of pages by another page.
 fn with_page(digest: u32, page: &[u8]) -> u32 {
     crc32c::crc32c_append(digest, &stored_page_checksum(page).to_le_bytes())
 }
 
-/// Where the data of a page of `runs` runs starts.
+/// Offset in a page of `runs` runs at which their data start.
 fn data_start(runs: usize) -> usize {
     (PAGE_HEAD_BYTES + runs * RUN_HEAD_BYTES).next_multiple_of(4)
 }
 
-/// The range that consecutive places make.
+/// The range of consecutive places.
 fn range_of(places: &[RunRange]) -> RunRange {
     places.first().map_or(RunRange::default(), |first| RunRange { runs: places.len() as u32, ..*first })
 }
@@ -453,7 +453,7 @@ impl Assemble<Piece> for Assembler {
     }
 }
 
-/// A column that turned out to be the same everywhere is stored once.
+/// The kind of a column with this range: a single value is stored only once.
 fn settled(min: f32, max: f32) -> Column {
     if min == max { Column::Constant(min) } else { Column::Varying { min, max } }
 }

@@ -1,4 +1,4 @@
-//! Which columns of the sources make which columns of a record.
+//! Maps the columns of the sources to the columns of a record.
 
 use super::error::BuildError;
 use super::options::{BuildOptions, Rule};
@@ -6,12 +6,12 @@ use super::record::RecordLayout;
 use crate::octree::format::NAME_BYTES;
 use crate::points::{ColumnInfo, ColumnType, PointSource};
 
-/// What a record takes from where.
+/// The columns of a record, and the columns of the sources from which they come.
 pub(super) struct Columns {
     pub(super) layout: RecordLayout,
-    /// Names without repetition: what the sources are asked for.
+    /// Names of the columns to request from the sources, without repetition.
     pub(super) names: Vec<String>,
-    /// Places in `names`.
+    /// Index in `names`.
     pub(super) radius: Option<usize>,
     pub(super) weight: Option<usize>,
     pub(super) color: Option<[usize; 3]>,
@@ -22,7 +22,8 @@ pub(super) struct Columns {
 
 const COLORS: [&str; 3] = ["red", "green", "blue"];
 
-/// What radii are made of: as the options say, or else of the column `radius` where every source has one.
+/// The rule for radii: the one in the options, otherwise the column `radius` if every source has one, otherwise
+/// [`Rule::Auto`].
 pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.radius {
         Some(rule) => rule.clone(),
@@ -31,7 +32,7 @@ pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource
     }
 }
 
-/// What weights are made of: as the options say, or else of the column `weight` where every source has one.
+/// The rule for weights: the one in the options, otherwise the column `weight` if every source has one, otherwise 1.
 pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.weight {
         Some(rule) => rule.clone(),
@@ -82,7 +83,7 @@ impl Columns {
     }
 }
 
-/// A column as it is stored: of a type that holds what every source has, with their unit where all have the same.
+/// A column as it is stored: of the common type of all sources, and with their unit if it is the same for all.
 fn common(name: &str, sources: &[Box<dyn PointSource + '_>]) -> ColumnInfo {
     let infos: Vec<&ColumnInfo> = sources
         .iter()

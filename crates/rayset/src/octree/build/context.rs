@@ -1,4 +1,4 @@
-//! What every stage of one build shares.
+//! The state that all stages of a build share.
 
 use std::io;
 use std::path::PathBuf;
@@ -9,14 +9,14 @@ use super::options::BuildOptions;
 use crate::output::Destination;
 use crate::spill::Spill;
 
-/// What every stage of one build shares.
+/// The state that all stages of a build share.
 pub(super) struct Context<'a> {
     pub(super) place: Place<'a>,
     pub(super) options: &'a BuildOptions,
     pub(super) control: &'a BuildControl<'a>,
 }
 
-/// Where the cloud is made, and records wait.
+/// Where the cloud is built, and where records are stored temporarily.
 pub(super) enum Place<'a> {
     Disk { output: &'a Destination, temp_dir: PathBuf },
     Memory,
@@ -48,7 +48,7 @@ impl Context<'_> {
         self.control.cancel.is_cancelled()
     }
 
-    /// Ends the build where it is cancelled. Called every few thousand records.
+    /// An error if the build is cancelled. Called every few thousand records.
     pub(super) fn check(&self) -> Result<(), BuildError> {
         if self.is_cancelled() { Err(BuildError::Cancelled) } else { Ok(()) }
     }

@@ -1,8 +1,8 @@
-//! Who hears how a build gets on, and who may stop it.
+//! Progress reports and cancellation of a build.
 
 use crate::cancel::CancelToken;
 
-/// The parts of a build, for progress.
+/// The stages of a build, for progress reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stage {
@@ -14,13 +14,13 @@ pub enum Stage {
     Write,
 }
 
-/// Hears how a build gets on. Called from one thread at a time, a few times a second.
+/// Receives progress reports of a build. Called from one thread at a time.
 pub trait Progress: Sync {
-    /// `done` of `total` points (0 where unknown) have passed a stage.
+    /// `done` of `total` points (slices of voxels for a grid) have passed a stage; `total` is 0 if unknown.
     fn update(&self, stage: Stage, done: u64, total: u64);
 }
 
-/// Hears nothing.
+/// Ignores progress reports.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoProgress;
 
@@ -28,18 +28,19 @@ impl Progress for NoProgress {
     fn update(&self, _: Stage, _: u64, _: u64) {}
 }
 
-/// Who hears how a build gets on, and who may stop it.
+/// Progress reports and cancellation of a build.
 #[derive(Clone)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildControl<'a> {
-    /// Hears how it gets on.
+    /// Receives the progress reports.
     pub progress: &'a dyn Progress,
-    /// Stops it: the build then returns [`BuildError::Cancelled`](super::BuildError::Cancelled) and leaves no file behind.
+    /// Cancels the build, which then returns [`BuildError::Cancelled`](super::BuildError::Cancelled) and leaves no file
+    /// behind.
     pub cancel: CancelToken,
 }
 
 impl Default for BuildControl<'_> {
-    /// Nobody.
+    /// No progress reports, and a new token.
     fn default() -> Self {
         Self { progress: &NoProgress, cancel: CancelToken::new() }
     }

@@ -1,9 +1,9 @@
-//! How bright the colours of different sources are.
+//! The value ranges of the colours of different sources.
 
 use crate::points::{ColorDepth, ColumnType, Schema};
 
-/// Largest colours of the sources that do not state a depth, by the type of their numbers: tiles of one kind that belong
-/// together share a depth, even where one of them is dark; a table of 0 to 255 and a scan of 16 bits do not.
+/// Largest colour values of the sources that do not state a depth, by the type of their numbers: related tiles of the same
+/// type share a depth, even if one of them is dark, whereas a table of 0 to 255 and a 16-bit scan do not.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Depths {
     largest: [f32; GUESSED],
@@ -12,12 +12,12 @@ pub(super) struct Depths {
 const UNIT: u8 = 0;
 const BYTE: u8 = 1;
 const WORD: u8 = 2;
-/// Numbers from here on are of depths that are guessed: integers, single and double precision.
+/// From this number on, depths are guessed: those of integers, single and double precision.
 const FIRST_GUESSED: u8 = 3;
 const GUESSED: usize = 3;
 
 impl Depths {
-    /// The number that stands for the depth of a source.
+    /// The number that denotes the depth of a source in records.
     pub(super) fn number(schema: &Schema) -> u8 {
         match schema.color_depth {
             ColorDepth::Unit => UNIT,
@@ -35,7 +35,7 @@ impl Depths {
         }
     }
 
-    /// Takes note of a colour.
+    /// Includes a colour value in the largest one of its depth, if that is guessed.
     pub(super) fn include(&mut self, number: u8, value: f32) {
         if let Some(largest) =
             number.checked_sub(FIRST_GUESSED).map(|guessed| &mut self.largest[usize::from(guessed)])
@@ -45,7 +45,7 @@ impl Depths {
         }
     }
 
-    /// The factors that take colours to 0–1, by the numbers of their depths.
+    /// The factors that scale colours to 0–1, by the numbers of their depths.
     pub(super) fn factors(&self) -> [f32; FIRST_GUESSED as usize + GUESSED] {
         let guess = |max: f32| {
             if max <= 1.0 {

@@ -1,4 +1,4 @@
-//! Why a build fails, and what of its input it counts.
+//! Why a build fails, and counts of the records that it skips.
 
 use std::io;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use crate::container::OpenError;
 use crate::output::OutputError;
 use crate::points::ReadError;
 
-/// A number that is out of range.
+/// A kind of number that is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Quantity {
@@ -24,7 +24,7 @@ pub enum Quantity {
 impl Quantity {
     pub(super) const ALL: [Self; 4] = [Self::Position, Self::Radius, Self::SmallRadius, Self::Weight];
 
-    /// The option that would bring it into range.
+    /// The option that can bring it into range.
     #[must_use]
     pub fn option(self) -> &'static str {
         match self {
@@ -33,8 +33,8 @@ impl Quantity {
         }
     }
 
-    /// What the option should be instead of `present`: a power of ten that brings `farthest` well into range. `None` if
-    /// no number does.
+    /// A better value of the option than `present`: a power of ten that brings `farthest` well into range. `None` if there
+    /// is none.
     pub(super) fn factor(self, farthest: f64, present: f64) -> Option<f64> {
         let exponent = (farthest / present).log10();
         let by = if self == Self::SmallRadius { -6.0 - exponent.floor() } else { 6.0 - exponent.ceil() };
@@ -57,23 +57,23 @@ impl std::fmt::Display for Quantity {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct Skipped {
-    /// Position not finite, or too large.
+    /// Records whose position is not finite or is too large.
     pub position: u64,
-    /// Radius not a positive number in range.
+    /// Records whose radius is not a positive number in range.
     pub radius: u64,
-    /// Weight not finite, or too large.
+    /// Records whose weight is not finite or is too large.
     pub weight: u64,
 }
 
 impl Skipped {
-    /// All of them.
+    /// The number of all skipped records.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.position + self.radius + self.weight
     }
 }
 
-/// Why a build failed. Nothing is left under the name of the output, except what stood there before.
+/// Why a build failed. An existing file at the path of the output is unchanged, and no other is left there.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BuildError {
@@ -93,17 +93,17 @@ pub enum BuildError {
     /// The output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// A source has handed out a batch that is not what was asked of it: a defect of the source.
+    /// A source returned a batch that does not match the selected columns, which is a defect of the source.
     #[error(
         "input {input} handed out a batch of {columns} columns where {selected} were selected, or of columns that are not \
          as long as its positions"
     )]
     Source {
-        /// Which input, from 1.
+        /// The number of the input, from 1.
         input: usize,
-        /// Columns of the batch.
+        /// Number of columns of the batch.
         columns: usize,
-        /// Columns that were selected.
+        /// Number of columns that were selected.
         selected: usize,
     },
     /// No input was given.
@@ -112,14 +112,14 @@ pub enum BuildError {
     /// A named column is missing.
     #[error("input {input} has no column `{name}`; it has: {available}")]
     NoSuchColumn {
-        /// Which input, from 1.
+        /// The number of the input, from 1.
         input: usize,
-        /// The name asked for.
+        /// The requested name.
         name: String,
-        /// The columns there are.
+        /// The columns that the input has.
         available: String,
     },
-    /// An option out of its range.
+    /// An option is out of range.
     #[error("{option}: {what}")]
     Option {
         /// The option.
@@ -130,53 +130,53 @@ pub enum BuildError {
     /// An invalid record, under [`InvalidPolicy::Reject`](super::InvalidPolicy::Reject).
     #[error("record {index} of input {input}: {what}")]
     InvalidRecord {
-        /// Which input, from 1.
+        /// The number of the input, from 1.
         input: usize,
-        /// Which record of it, from 0.
+        /// The number of the record in the input, from 0.
         index: u64,
         /// What is wrong.
         what: String,
     },
-    /// Numbers that are finite and cannot be stored.
+    /// Numbers are finite but out of the range that can be stored.
     #[error(
         "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored: {}skip them if they stand \
          for missing values", factor.map_or(String::new(), |factor| format!("set {} to {factor:e}, or ", quantity.option()))
     )]
     OutOfRange {
-        /// Which numbers.
+        /// The kind of the numbers.
         quantity: Quantity,
-        /// How many records have such.
+        /// Number of records concerned.
         count: u64,
-        /// Records of the whole input.
+        /// Number of records of the whole input.
         records: u64,
-        /// The farthest out of range.
+        /// The value farthest out of range.
         farthest: f64,
-        /// What [`Quantity::option`] should be to bring them into range; `None` if no number does.
+        /// A value for [`Quantity::option`] that brings them into range; `None` if there is none.
         factor: Option<f64>,
     },
-    /// Not one record can be used.
+    /// No record of the input is valid.
     #[error(
         "none of the {records} records is valid: {} have no usable position, {} no positive radius, {} no finite \
          weight", skipped.position, skipped.radius, skipped.weight
     )]
     NothingValid {
-        /// Records of the whole input.
+        /// Number of records of the whole input.
         records: u64,
-        /// Why they are not.
+        /// The records by reason.
         skipped: Skipped,
     },
-    /// What was built in memory does not open: a defect of the builder.
+    /// The cloud built in memory cannot be opened, which is a defect of the builder.
     #[error(transparent)]
     Open(OpenError),
     /// The build was cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// The budget is too small.
+    /// The memory budget is too small.
     #[error("a memory budget of {given} bytes is too small: this build needs at least {needed}")]
     Memory {
-        /// The budget.
+        /// The budget in bytes.
         given: u64,
-        /// The smallest that would do.
+        /// The smallest sufficient budget in bytes.
         needed: u64,
     },
 }

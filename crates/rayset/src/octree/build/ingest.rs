@@ -1,4 +1,4 @@
-//! The first pass: every record is read once, checked, and written to a temporary file with what later passes need.
+//! The first pass: every record is read once, checked, and written to a temporary file with the data that later passes need.
 
 use super::columns::{Columns, radius_rule, weight_rule};
 use super::context::Context;
@@ -14,12 +14,13 @@ use crate::octree::layout::RootCell;
 use crate::points::{PointBatch, PointSource, Values};
 use crate::spill::{Spill, SpillWriter};
 
-/// Points read at a time.
+/// Number of points read at a time.
 const BATCH_POINTS: usize = 16 << 10;
-/// Largest coordinate, radius and weight; 1 over it is the smallest radius. Squares of these fit an `f32`.
+/// Largest absolute coordinate, radius and weight; its reciprocal is the smallest radius. Their squares are in the range of
+/// `f32`.
 pub(super) const LIMIT: f64 = 1e18;
 
-/// The records, and what the first pass learnt about them.
+/// The records, and the results of the first pass.
 pub(super) struct Ingested {
     pub(super) spill: Spill,
     pub(super) layout: RecordLayout,
@@ -29,10 +30,10 @@ pub(super) struct Ingested {
     pub(super) skipped: Skipped,
     pub(super) bounds: Aabb,
     pub(super) root: RootCell,
-    /// The radius that all points share; `None` if records have their own, or are to get one.
+    /// The radius that all points share; `None` if each record has its own, or one is still to be measured.
     pub(super) radius: Option<f32>,
     pub(super) radius_range: (f32, f32),
-    /// Factor on radii that are still to be measured.
+    /// Scale factor for radii that are still to be measured.
     pub(super) auto_scale: f64,
     pub(super) weight: f32,
     pub(super) weight_range: (f32, f32),
@@ -117,7 +118,7 @@ pub(super) fn run(
     })
 }
 
-/// All that pages depend on besides the records, so that files which differ in it differ in their identity.
+/// Everything besides the records on which pages depend, so that files that differ in it have different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
     format!(
         "radius {radius:?} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}",
@@ -130,7 +131,7 @@ fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns
     )
 }
 
-/// What the sources say in words; a reference system that they do not share is none.
+/// The descriptions of the sources, and their reference system if they all have the same.
 fn describe(sources: &[Box<dyn PointSource + '_>]) -> Metadata {
     let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
     let shared = sources.iter().all(|s| s.schema().crs == crs);
@@ -145,12 +146,12 @@ struct Tally<'a> {
     sum: RecordSum,
     count: u64,
     skipped: Skipped,
-    /// Finite numbers beyond what can be stored: how many, and the farthest of them.
+    /// Finite numbers out of range: their count, and the value farthest out of range.
     beyond: [(u64, f64); Quantity::ALL.len()],
     bounds: Aabb,
     radius_range: (f32, f32),
     weight_range: (f32, f32),
-    /// That of the source at hand.
+    /// The colour depth of the current source.
     depth: u8,
     depths: Depths,
     attribute_ranges: Vec<(f64, f64)>,
@@ -181,7 +182,7 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Checks record `i` of a batch; counts it, and encodes it into `record` if it is valid.
+    /// Checks and counts record `i` of a batch, and encodes it into `record` if it is valid.
     fn check(&mut self, batch: &PointBatch, i: usize, record: &mut Vec<u8>) -> Result<(), String> {
         let columns = self.columns;
         let p = batch.position[i].map(|v| v * self.options.length_scale);
@@ -261,8 +262,8 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Numbers too large to be stored are somebody's data in small units, not damage; and a cloud of nothing, made of
-    /// something, is no success.
+    /// Numbers out of range are probably valid data in unsuitable units, so they are an error. An input with records, none
+    /// of which is valid, is also an error.
     fn refuse_unusable(&self, records: u64) -> Result<(), BuildError> {
         if self.options.invalid != InvalidPolicy::SkipAll {
             for quantity in Quantity::ALL {
@@ -284,7 +285,8 @@ impl<'a> Tally<'a> {
     }
 }
 
-/// The root cell: a power of two that holds all positions, on a lattice on which run corners are exact.
+/// The root cell: a cube that contains all positions, with an edge that is a power of two, on a lattice on which run corners
+/// are exact.
 pub(super) fn root_cell(bounds: &Aabb, radius_max: f64) -> RootCell {
     if bounds.is_empty() {
         return RootCell { min: DVec3::ZERO, size: 1.0 };
@@ -292,7 +294,7 @@ pub(super) fn root_cell(bounds: &Aabb, radius_max: f64) -> RootCell {
     let reach = bounds.min.abs().max_element().max(bounds.max.abs().max_element());
     let extent = bounds.size().max_element();
     let radius = if radius_max.is_finite() && radius_max > 0.0 { radius_max.min(1e18) } else { 0.0 };
-    // Not so small that steps of 2⁻³² of it would fall below the resolution of an f64 at that distance.
+    // Large enough that steps of 2⁻³² of it do not fall below the resolution of an `f64` at that distance from the origin.
     let least = extent.max(radius * 1e-6).max(reach * 2_f64.powi(-20)).max(1e-18);
     let mut size = 2_f64.powi(least.log2().ceil() as i32);
     loop {

@@ -1,9 +1,9 @@
-//! From points to a cloud file, in bounded memory.
+//! Building a cloud from points, in bounded memory.
 //!
-//! [`run`] is the table of contents: records are read and checked (`ingest`), given a radius where they have none
-//! (`spacing`), put in the order of the file by buckets that fit in memory (`partition`), turned into runs and nodes
-//! (`subtree`), and laid out in pages (`assemble`). The result depends on the input and on [`BuildOptions`] apart
-//! from `memory_bytes`, `threads` and `temp_dir`, and on nothing else.
+//! [`run`] gives the overview: records are read and checked (`ingest`), given a radius if they have none (`spacing`), sorted
+//! into file order in buckets that fit in memory (`partition`), turned into runs and nodes (`subtree`), and laid out in
+//! pages (`assemble`). The result depends only on the input and on [`BuildOptions`] other than `memory_bytes`, `threads` and
+//! `temp_dir`.
 
 mod assemble;
 mod columns;
@@ -36,22 +36,22 @@ use super::file::Cloud;
 use crate::output::{Destination, OutputFile, remove_leftovers};
 use crate::points::PointSource;
 
-/// What a build did.
+/// The result of a build.
 #[derive(Clone, Debug)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildReport {
-    /// Points stored.
+    /// Number of points stored.
     pub points: u64,
-    /// Invalid records, by reason.
+    /// Skipped records, by reason.
     pub skipped: Skipped,
-    /// The header of the file written.
+    /// The header of the cloud.
     pub header: super::format::Header,
     /// Time of each stage.
     pub times: Vec<(Stage, Duration)>,
 }
 
-/// Builds a cloud in memory from `sources`, which together make one cloud. No file is made; the cloud is the same, byte
-/// for byte, as one that is built into a file.
+/// Builds one cloud from all `sources`, in memory. No file is created; the cloud is the same, byte for byte, as one that is
+/// built into a file.
 ///
 /// # Errors
 /// [`BuildError`].
@@ -67,10 +67,10 @@ pub fn run_in_memory(
     Ok((cloud, report))
 }
 
-/// Builds a cloud from `sources`, which together make one cloud, at `output`.
+/// Builds one cloud file from all `sources`, at `output`.
 ///
 /// # Errors
-/// [`BuildError`]; the output is then as it was before.
+/// [`BuildError`]; an existing file at `output` is then unchanged.
 pub fn run(
     sources: Vec<Box<dyn PointSource + '_>>,
     output: &Path,
@@ -82,7 +82,7 @@ pub fn run(
     destination.require_file()?;
     destination.refuse_inputs(sources.iter().filter_map(|source| source.path()))?;
     let temp_dir = options.temp_dir.clone().unwrap_or_else(|| destination.folder().to_owned());
-    // Before any work, so that what cannot be written is known at once.
+    // Before any work, so that an unwritable output is detected immediately.
     let file = OutputFile::create(&destination)?;
     remove_leftovers(&temp_dir, &destination);
     let context = Context { place: Place::Disk { output: &destination, temp_dir }, options, control };
@@ -92,7 +92,7 @@ pub fn run(
     Ok(report)
 }
 
-/// The stages, one after another.
+/// Runs the stages in order.
 fn build(
     context: &Context<'_>,
     sources: Vec<Box<dyn PointSource + '_>>,
@@ -116,7 +116,7 @@ fn build(
     Ok((output, BuildReport { points, skipped, header, times }))
 }
 
-/// Puts the records in the order of the file, bucket by bucket, and hands runs and nodes to the assembler.
+/// Sorts the records into file order, bucket by bucket, and passes runs and nodes to the assembler.
 fn order_and_pack(
     context: &Context<'_>,
     ingested: &Ingested,

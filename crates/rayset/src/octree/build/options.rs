@@ -1,4 +1,4 @@
-//! What can be said of a build.
+//! The options of a build.
 
 use std::path::PathBuf;
 
@@ -8,31 +8,33 @@ use crate::octree::format::{MAX_ATTRIBUTES, NAME_BYTES};
 use crate::points::PointSource;
 use crate::setters::setters;
 
-/// Where a number of each point comes from.
+/// Where the radius or weight of each point comes from.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Rule {
-    /// The same for every point.
+    /// The same number for every point.
     Number(f64),
-    /// A column of the input, by its name.
+    /// A column of the input, by name.
     Attribute(String),
-    /// Radius only: from the local spacing of the points.
+    /// For the radius only: measured from the local spacing of the points.
     Auto,
 }
 
-/// What to do with a record whose position, radius or weight is no usable number.
+/// What to do with records whose position, radius or weight cannot be used.
 ///
-/// A record is invalid where a coordinate is not finite, a radius is not a positive number, or a weight is not finite.
-/// Coordinates, radii and weights beyond 1e18 in size, and radii below 1e-18, are out of range: they cannot be stored.
+/// A record is invalid if a coordinate is not finite, its radius is not a positive number, or its weight is not finite.
+/// Coordinates, radii and weights whose absolute value exceeds 1e18, and radii below 1e-18, are out of range: they cannot be
+/// stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum InvalidPolicy {
-    /// Count invalid records and go on; stop where any is out of range, with the factor that would bring them into it.
+    /// Count and skip invalid records. If any record is out of range, fail with an error that states a scale factor that
+    /// brings it into range.
     #[default]
     Skip,
-    /// Count invalid records and those out of range, and go on.
+    /// Count and skip invalid records and those out of range.
     SkipAll,
-    /// Stop with an error that names the first such record.
+    /// Fail with an error that names the first such record.
     Reject,
 }
 
@@ -40,14 +42,14 @@ pub enum InvalidPolicy {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Precision {
-    /// Within this fraction of the smallest radius of the 128 points of a run.
+    /// With an error of at most this fraction of the smallest radius in a run of up to 128 points.
     Relative(f64),
-    /// As read, bit for bit.
+    /// Unchanged, bit for bit.
     Exact,
 }
 
 impl Default for Precision {
-    /// 1/4096 of the radius: the error of the density stays about 1e-5 of its maximum where supports overlap.
+    /// 1/4096 of the radius: the error of the density is about 1e-5 of its maximum where supports overlap.
     fn default() -> Self {
         Self::Relative(1.0 / 4096.0)
     }
@@ -57,34 +59,34 @@ impl Default for Precision {
 #[derive(Clone, Debug)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildOptions {
-    /// Radius of influence. `None`: the column `radius` where every input has one, else [`Rule::Auto`].
+    /// Radius of influence. `None`: the column `radius` if every input has one, otherwise [`Rule::Auto`].
     pub radius: Option<Rule>,
-    /// Factor on every radius, whatever `radius` is.
+    /// Scale factor for every radius, whatever `radius` is.
     pub radius_scale: f64,
-    /// Factor on every coordinate, and on radii that come from a column.
+    /// Scale factor for every coordinate, and for radii that come from a column.
     pub length_scale: f64,
-    /// Weight. `None`: the column `weight` where every input has one, else 1.
+    /// Weight. `None`: the column `weight` if every input has one, otherwise 1.
     pub weight: Option<Rule>,
-    /// Factor on every weight, whatever `weight` is.
+    /// Scale factor for every weight, whatever `weight` is.
     pub weight_scale: f64,
-    /// Further columns to keep.
+    /// Names of further columns to store.
     pub attributes: Vec<String>,
-    /// Whether to keep colours where every input has them.
+    /// Whether to store colours if every input has them.
     pub keep_color: bool,
     /// What to do with invalid records.
     pub invalid: InvalidPolicy,
     /// How exactly to store positions.
     pub precision: Precision,
-    /// Bytes of a page, a multiple of 4096 up to 262144. `None`: 32768, or 16384 below 500 000 points, or as many as a run
-    /// of so many columns needs.
+    /// Size of a page in bytes, a multiple of 4096 from 16384 to 262144. `None`: 32768, or 16384 for fewer than 500 000
+    /// points, or more if a run with all columns needs it.
     pub page_bytes: Option<u32>,
-    /// Memory to render with, stored in the file as a default.
+    /// Memory budget for rendering in bytes, stored in the file as a default.
     pub render_memory: Option<u64>,
-    /// Bytes that the build may allocate. Changes nothing in the file.
+    /// Memory budget of the build in bytes. Does not affect the file.
     pub memory_bytes: u64,
-    /// Threads. Changes nothing in the file.
+    /// Number of threads. Does not affect the file.
     pub threads: usize,
-    /// Where temporary files go; beside the output by default. Changes nothing in the file.
+    /// Folder of temporary files; by default that of the output. Does not affect the file.
     pub temp_dir: Option<PathBuf>,
 }
 
@@ -126,19 +128,19 @@ impl Default for BuildOptions {
     }
 }
 
-/// What the first pass takes besides the source that it reads: a batch of points and a buffer of records.
+/// Memory in bytes that the first pass needs besides its sources: a batch of points and a buffer of records.
 const READING_BYTES: u64 = 6 << 20;
 
-/// More threads than any machine has processors.
+/// Largest number of threads, more than any machine has processors.
 const MOST_THREADS: usize = 4096;
 
-/// Smallest `memory_bytes` a build with `threads` threads runs in.
+/// Smallest `memory_bytes` with which a build with `threads` threads can run.
 #[must_use]
 pub fn minimum_memory(threads: usize) -> u64 {
     (4 << 20) + (threads as u64) * (2 << 20)
 }
 
-/// Refuses options that are out of range.
+/// Checks that the options are in range.
 ///
 /// # Errors
 /// [`BuildError::NoInput`], [`BuildError::Option`], [`BuildError::Memory`].
@@ -153,7 +155,7 @@ pub(super) fn check_options(
     if options.threads > MOST_THREADS {
         return wrong("threads", format!("{} are more than {MOST_THREADS}", options.threads));
     }
-    // Sources are read one after another, before anything else takes much, but all are open.
+    // Sources are read one after another, before anything else needs much memory, but all are open at once.
     let reading: u64 = sources.iter().map(|s| s.memory_needed()).sum();
     let needed = minimum_memory(options.threads.max(1)).max(READING_BYTES + reading);
     if options.memory_bytes < needed {

@@ -1,7 +1,7 @@
-//! Ordering more records than fit in memory: count, plan, scatter into buckets, sort each in memory.
+//! Sorting more records than fit in memory: count, plan, scatter into buckets, and sort each bucket in memory.
 //!
-//! A stretch too large for memory is partitioned again: a subtree by the same scheme one level further down, a
-//! node's own list by the bits of its Hilbert codes and, where even these are equal, by the bytes of its records.
+//! A stretch that is too large for memory is partitioned again: a subtree by the same scheme from its own cell down, and a
+//! node's own list by the bits of its Hilbert codes and, if these are equal, by the bytes of its records.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,7 +15,7 @@ use super::record::{Key, KeyMaker};
 use crate::geometry::curve::MAX_LEVEL;
 use crate::spill::Spill;
 
-/// Records of one spill, `first` to `first + count`.
+/// The records `first` to `first + count` (exclusive) of a spill.
 #[derive(Clone, Copy)]
 pub(super) struct Region<'a> {
     spill: &'a Spill,
@@ -29,21 +29,21 @@ impl<'a> Region<'a> {
     }
 }
 
-/// Key and place of a record in a bucket.
+/// Key and index of a record in a bucket.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry {
     pub(super) key: Key,
     index: u32,
 }
 
-/// Records in memory, with their order.
+/// Records in memory, with their sorted order.
 pub(super) struct Records {
     bytes: Vec<u8>,
     entries: Vec<Entry>,
     stride: usize,
 }
 
-/// A stretch of ordered records.
+/// A stretch of sorted records.
 #[derive(Clone, Copy)]
 pub(super) struct Sorted<'a> {
     bytes: &'a [u8],
@@ -65,7 +65,7 @@ impl<'a> Sorted<'a> {
         Self { entries: &self.entries[range], ..*self }
     }
 
-    /// The first `own` records that a node at `level` keeps, and the stretch of each child.
+    /// The records that a node at `level` owns itself, which come first, and the stretch of each child.
     pub(super) fn split(&self, level: u32) -> (Self, [Self; 8]) {
         let own = self.entries.iter().take_while(|e| e.key.level() == level).count();
         let rest = self.slice(own..self.len());
@@ -86,16 +86,16 @@ impl Records {
     }
 }
 
-/// Turns ordered records into something, in parallel.
+/// Converts sorted records to pieces of output, in parallel.
 pub(super) trait Pack: Sync {
     type Piece: Send;
-    /// A node with everything below it.
+    /// Converts a node with everything below it.
     fn subtree(&self, cell: Cell, records: Sorted<'_>) -> Self::Piece;
-    /// A multiple of 128 points of one node's own list, or the rest of it.
+    /// Converts part of a node's own list: a multiple of 128 points, or the rest of it.
     fn own(&self, records: Sorted<'_>) -> Self::Piece;
 }
 
-/// Takes what was made, in the order of the file.
+/// Receives the pieces, in file order.
 pub(super) trait Assemble<P> {
     fn open(&mut self, cell: Cell);
     /// Part of the own list of the open node.
@@ -109,17 +109,17 @@ pub(super) struct Partition<'a> {
     stride: usize,
     keys: KeyMaker,
     threads: usize,
-    /// Most records loaded at once by one thread.
+    /// Largest number of records that one thread loads at once.
     cap: u64,
     stage: Stage,
     total: u64,
     done: AtomicU64,
 }
 
-/// Records sorted at once, at most: a sort cannot be cancelled, and takes so many records some milliseconds. More threads
-/// have something to do, too.
+/// Largest number of records sorted at once: a sort cannot be cancelled, and takes some milliseconds for this many records.
+/// A limit also gives more threads something to do.
 const MOST_SORTED: u64 = 1 << 18;
-/// Points in the own list of a node that a run may not divide.
+/// Own lists are passed on in multiples of this number of points, so that runs are full.
 const RUN: usize = crate::octree::layout::RUN_POINTS;
 
 impl<'a> Partition<'a> {
@@ -131,16 +131,16 @@ impl<'a> Partition<'a> {
         stage: Stage,
     ) -> Self {
         let threads = context.options.threads.max(1);
-        // A loaded record costs itself, its entry, and what is made of it; one bucket more than there are threads
-        // is alive. A third of the budget goes there, a quarter to the buffers of the scatter; the rest is for a
-        // second level of the same, where one stretch is too large.
+        // A loaded record needs memory for itself, its entry, and the output made from it; up to one bucket more than there
+        // are threads is alive. A third of the budget is for these, and a quarter for the buffers of the scatter; the rest
+        // is for a second level of the same if a stretch is too large.
         let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
         let cap = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
         let cap = cap.clamp(2 * LEAF_POINTS, MOST_SORTED);
         Self { context, stride, keys, threads, cap, stage, total, done: 0.into() }
     }
 
-    /// Orders the records of a region and passes them through `pack` to `out`.
+    /// Sorts the records of a region and passes them through `pack` to `out`.
     pub(super) fn run<P: Pack>(
         &self,
         region: Region<'_>,
@@ -178,7 +178,7 @@ impl<'a> Partition<'a> {
         self.follow(&plan, &spill, &firsts, pack, out)
     }
 
-    /// Goes through the events of a plan: buckets in parallel, results in order.
+    /// Executes the events of a plan: processes buckets in parallel, and passes on the results in order.
     fn follow<P: Pack>(
         &self,
         plan: &Plan,
@@ -217,7 +217,7 @@ impl<'a> Partition<'a> {
                     Event::Open(_) | Event::Close => {}
                 }
             }
-            // Packing ends early where the build is cancelled; what it made is then of no use.
+            // Packing ends early if the build is cancelled; its result is then incomplete and must not be used.
             self.context.check()?;
             Ok(Some(pieces))
         };
@@ -227,7 +227,7 @@ impl<'a> Partition<'a> {
             for event in &plan.events[starts[b]..starts[b + 1]] {
                 match event {
                     Event::Open(_) | Event::Close => structure(event, out)?,
-                    // A bucket that was not packed is one stretch too large for memory.
+                    // A bucket that was not packed is a single stretch that is too large for memory.
                     Event::Own { .. } => match next() {
                         Some(piece) => out.own(piece)?,
                         None => self.list(region(b), 0, &mut OwnList { pack, carry: Vec::new() }, out)?,
@@ -245,7 +245,7 @@ impl<'a> Partition<'a> {
         })
     }
 
-    /// Orders one node's own list, window of bits by window of bits, down to parts that fit in memory.
+    /// Sorts a node's own list, one window of bits after another, down to parts that fit in memory.
     fn list<P: Pack>(
         &self,
         region: Region<'_>,
@@ -268,7 +268,7 @@ impl<'a> Partition<'a> {
             return list.push(self, self.load(region)?, out);
         }
         if window >= CODE_WINDOWS + self.stride as u32 {
-            // Identical records: any order is the order.
+            // The records are identical, so any order is correct.
             let mut first = region.first;
             let end = region.first + region.count;
             while first < end {
@@ -284,7 +284,7 @@ impl<'a> Partition<'a> {
         })?;
         let counts: Vec<u64> = counts.into_iter().map(AtomicU64::into_inner).collect();
         if counts.contains(&region.count) {
-            // All are alike in this window: another copy of them would be the same.
+            // All records are equal in this window, so scattering them would change nothing.
             return self.list_part(region, window + 1, list, out);
         }
         let (spill, firsts) = self.scatter(region, &counts, |record| self.window(record, window))?;
@@ -296,7 +296,7 @@ impl<'a> Partition<'a> {
         Ok(())
     }
 
-    /// Bits of a record's place in its list: first the Hilbert code, then the bytes of the record.
+    /// The value of a window of a record's sort key in its list: first the Hilbert code, then the bytes of the record.
     fn window(&self, record: &[u8], window: u32) -> usize {
         if window < CODE_WINDOWS {
             (self.keys.key(record).code() >> (60 - 10 * (window + 1)) & 1023) as usize
@@ -346,7 +346,7 @@ impl<'a> Partition<'a> {
             .map_err(self.context.io("read temporary files in"))
     }
 
-    /// Copies the records of a region into a new spill, bucket after bucket; within a bucket in no order.
+    /// Copies the records of a region into a new spill, bucket by bucket; the order within a bucket is undefined.
     fn scatter(
         &self,
         region: Region<'_>,
@@ -372,7 +372,8 @@ impl<'a> Partition<'a> {
                 .write_at(bytes, at * self.stride as u64)
                 .map_err(self.context.io("write temporary files in"))
         };
-        // Buffers outlive the chunks, one set a thread; `chunks` has no thread state, so they wait in a pool.
+        // Buffers outlive the chunks, with one set per thread; `chunks` has no thread-local state, so they are kept in a
+        // pool.
         let pool: Mutex<Vec<Vec<Vec<u8>>>> = Mutex::new(Vec::new());
         let take = || pool.lock().unwrap_or_else(std::sync::PoisonError::into_inner).pop();
         pipeline::chunks(region.count, CHUNK_RECORDS, self.threads, |input, range| {
@@ -405,9 +406,9 @@ impl<'a> Partition<'a> {
     }
 }
 
-/// Records that a thread reads at a time.
+/// Number of records that a thread reads at a time.
 const CHUNK_RECORDS: u64 = 8192;
-/// Windows of ten bits of a Hilbert code of 60.
+/// Number of 10-bit windows of a 60-bit Hilbert code.
 const CODE_WINDOWS: u32 = 6;
 const WINDOW_CELLS: usize = 1024;
 
@@ -419,7 +420,7 @@ impl Records {
     }
 }
 
-/// An own list that arrives in parts: runs must not end where a part does.
+/// An own list that arrives in parts; runs must not be cut at the ends of parts.
 struct OwnList<'a, P: Pack> {
     pack: &'a P,
     carry: Vec<u8>,
@@ -468,7 +469,7 @@ impl<P: Pack> OwnList<'_, P> {
     }
 }
 
-/// Opens and closes nodes; stretches of points pass through it untouched.
+/// Opens and closes nodes; ignores stretches of points.
 fn structure<P>(event: &Event, out: &mut impl Assemble<P>) -> Result<(), BuildError> {
     match event {
         Event::Open(cell) => {

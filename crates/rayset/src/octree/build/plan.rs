@@ -1,37 +1,37 @@
-//! What the octree will look like, from counts alone: which nodes exist above a certain level, and which stretches of
-//! the ordered points belong to them. Stretches are grouped into buckets that fit in memory.
+//! Plans the octree from counts alone: which nodes exist above a certain level, and which stretches of the sorted points
+//! belong to them. Stretches are grouped into buckets that fit in memory.
 
 use super::record::{Key, KeyMaker};
 use crate::geometry::curve::MAX_LEVEL;
 
-/// A node with no more points than this is a leaf.
+/// A node with at most this number of points is a leaf.
 pub(super) const LEAF_POINTS: u64 = 4096;
 
-/// A node of the octree by its place.
+/// A cell of the octree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Cell {
     pub(super) level: u32,
-    /// Number among all cells of its level, in Hilbert order.
+    /// Index among all cells of its level, in Hilbert order.
     pub(super) number: u64,
 }
 
 impl Cell {
     pub(super) const ROOT: Self = Self { level: 0, number: 0 };
 
-    /// Which child of its parent it is.
+    /// The index of this cell among the children of its parent.
     pub(super) fn octant(self) -> u8 {
         (self.number & 7) as u8
     }
 }
 
-/// The octree's upper part, in the order of the file.
+/// An event in a traversal of the upper part of the octree, in file order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Event {
     /// An inner node begins.
     Open(Cell),
-    /// Points that are too wide for the children of the open node.
+    /// Points whose radii are too large for the children of the open node.
     Own { count: u64, bucket: u32 },
-    /// All points of a node whose inside is settled in memory.
+    /// All points of a node whose subtree is determined later, in memory.
     Subtree { cell: Cell, count: u64, bucket: u32 },
     /// The open node ends.
     Close,
@@ -43,16 +43,17 @@ pub(super) struct Bucket {
     pub(super) count: u64,
 }
 
-/// Counts of points by owner cell, for the levels from a base cell down.
+/// Counts of points by owner cell, for some levels from a base cell down.
 pub(super) struct Pyramid {
     base: Cell,
     depth: u32,
-    /// For each level from the base: one counter a cell. The last level also counts points owned deeper.
+    /// For each level from the base, one counter per cell. The last level also counts points owned by deeper cells.
     pub(super) counts: Vec<Vec<std::sync::atomic::AtomicU64>>,
 }
 
 impl Pyramid {
-    /// A pyramid deep enough that its last cells hold a few hundred of `count` points if these are spread evenly.
+    /// A pyramid deep enough, within its limits, that its last cells hold a few hundred of `count` points if these are
+    /// spread evenly.
     pub(super) fn new(base: Cell, count: u64, limit_bytes: u64) -> Self {
         let mut depth = 1;
         while depth < 6
@@ -89,8 +90,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Settles the upper tree and groups its stretches into buckets of at most `cap` points, single larger
-    /// stretches apart.
+    /// Determines the upper tree and groups its stretches into buckets of at most `cap` points; a larger stretch gets its
+    /// own bucket.
     pub(super) fn new(pyramid: Pyramid, cap: u64) -> Self {
         let own: Vec<Vec<u64>> = pyramid
             .counts
@@ -144,7 +145,7 @@ impl Plan {
         self.events.push(Event::Close);
     }
 
-    /// Puts a stretch into the current bucket, or a new one where it does not fit.
+    /// Puts a stretch into the current bucket, or into a new one if it does not fit.
     fn assign(&mut self, count: u64, cap: u64) -> u32 {
         match self.buckets.last_mut() {
             Some(bucket) if bucket.count + count <= cap => bucket.count += count,

@@ -1,19 +1,19 @@
-//! Points between input and pages: fixed-size records in temporary files, and the key that orders them.
+//! Points between input and pages: fixed-size records in temporary files, and their sort key.
 //!
-//! The order of the file is that of (curve prefix at the owner's level, owner's level, curve place, record bytes):
-//! a node's own points stand before those of its children, and records that tie are identical, so the order is the
-//! same whatever thread or bucket a record went through.
+//! The file order is that of (curve prefix at the owner's level, owner's level, position along the curve, record bytes): a
+//! node's own points come before those of its children, and records that compare equal are identical, so the order does not
+//! depend on threads or buckets.
 
 use crate::geometry::DVec3;
 use crate::geometry::curve::{MAX_LEVEL, hilbert};
 use crate::octree::layout::RootCell;
 use crate::points::ColumnType;
 
-/// Bits of a place along the curve.
+/// Number of bits of a position along the Hilbert curve.
 const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
-/// Where the fields of a record are: position (three `f64`), radius, weight (`f32`), colour (three `f32` and a byte that
-/// says of which depth they are, see [`Depths`](super::depths::Depths)), attributes in their own types. Nothing is aligned.
+/// The layout of a record: position (three `f64`), radius, weight (`f32`), colour (three `f32` and a byte for their depth,
+/// see [`Depths`](super::depths::Depths)), attributes in their own types. Nothing is aligned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
     pub(super) has_radius: bool,
@@ -26,22 +26,22 @@ const POSITION_BYTES: usize = 24;
 const COLOR_BYTES: usize = 13;
 
 impl RecordLayout {
-    /// Bytes of a record.
+    /// Size of a record in bytes.
     pub(super) fn stride(&self) -> usize {
         self.attribute_at(self.attributes.len())
     }
 
-    /// Where the weight is.
+    /// Byte offset of the weight.
     pub(super) fn weight_at(&self) -> usize {
         POSITION_BYTES + 4 * usize::from(self.has_radius)
     }
 
-    /// Where the first channel of the colour is.
+    /// Byte offset of the first channel of the colour.
     pub(super) fn color_at(&self) -> usize {
         self.weight_at() + 4 * usize::from(self.has_weight)
     }
 
-    /// Where an attribute is.
+    /// Byte offset of an attribute.
     pub(super) fn attribute_at(&self, index: usize) -> usize {
         let before: usize = self.attributes[..index].iter().map(|kind| kind.bytes()).sum();
         self.color_at() + COLOR_BYTES * usize::from(self.has_color) + before
@@ -60,7 +60,7 @@ pub(super) fn position(record: &[u8]) -> [f64; 3] {
     })
 }
 
-/// The `f32` at a place of a record.
+/// The `f32` at a byte offset of a record.
 pub(super) fn float(record: &[u8], at: usize) -> f32 {
     let b = &record[at..at + 4];
     f32::from_le_bytes([b[0], b[1], b[2], b[3]])
@@ -71,8 +71,8 @@ pub(super) fn radius(record: &[u8]) -> f32 {
     float(record, POSITION_BYTES)
 }
 
-/// Orders records as the file does, save for ties: curve prefix at the owner's level (60 bits), level (5), Hilbert
-/// code (60).
+/// The sort key of records, in file order except for ties: curve prefix at the owner's level (60 bits), level (5 bits),
+/// Hilbert code (60 bits).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key(u128);
 
@@ -92,17 +92,17 @@ impl Key {
         self.0 as u64 & ((1 << CURVE_BITS) - 1)
     }
 
-    /// Number, among all cells of `level`, of the cell that holds the point; for levels not below the owner's.
+    /// Index, among all cells of `level`, of the cell that contains the point.
     pub(super) fn cell_at(self, level: u32) -> u64 {
         self.code() >> (CURVE_BITS - 3 * level)
     }
 }
 
-/// Computes keys.
+/// Computes the keys of records.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KeyMaker {
     pub(super) root: RootCell,
-    /// The radius of all points, or `None` if the first column holds it.
+    /// The radius of all points, or `None` if it is stored in the records.
     pub(super) radius: Option<f32>,
 }
 
@@ -125,7 +125,7 @@ fn owner_level(radius: f32, root_size: f64) -> u32 {
     if ratio < 1.0 {
         return 0;
     }
-    // The exponent of a normal f64 is the floor of its binary logarithm.
+    // The exponent of a normal `f64` is the floor of its binary logarithm.
     let exponent = (ratio.to_bits() >> 52) as u32 - 1023;
     exponent.min(MAX_LEVEL)
 }

@@ -1,9 +1,9 @@
-//! A radius for points that have none, from how far apart they lie, out of core.
+//! Out-of-core estimation of radii from the local spacing, for points that have none.
 //!
-//! The octree is divided until a cell holds at most 1024 points. In each cell the distance to the eighth nearest
-//! neighbour is measured for up to 64 of its points; one and a half times the median is the radius of all points of
-//! the cell, so that about twenty supports overlap on a surface. A cell of fewer than 32 points measures nothing
-//! reliable and takes the geometric mean of all others. All of this is a function of the points alone.
+//! The octree is subdivided until a cell holds at most 1024 points. In each cell, the distance to the eighth nearest
+//! neighbour is measured for up to 64 of its points; 1.5 times the median is the radius of all points of the cell, so that
+//! about twenty supports overlap on a surface. A cell of fewer than 32 points gives no reliable measurement, so its points
+//! get the geometric mean of all measured radii. The result depends on the points alone.
 
 use super::context::Context;
 use super::control::Stage;
@@ -22,9 +22,9 @@ const PROBES: usize = 64;
 const NEIGHBOUR: usize = 8;
 const RADII_PER_DISTANCE: f64 = 1.5;
 
-/// Writes all records again, each with a radius.
+/// Rewrites all records, each with a radius.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
-    // Owners do not matter yet: with a vanishing radius every point is ordered by its Hilbert code alone.
+    // Owner cells do not matter yet: with a tiny radius, points are sorted by their Hilbert codes alone.
     let keys = KeyMaker { root: ingested.root, radius: Some(f32::MIN_POSITIVE) };
     let stride = ingested.layout.stride();
     let partition = Partition::new(context, stride, keys, ingested.count, Stage::Spacing);
@@ -34,7 +34,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     radii.finish(context, ingested)
 }
 
-/// Radii of a stretch of points, zero where unknown, and the records themselves.
+/// Radii of a stretch of points (zero if unknown), and the records themselves.
 pub(super) struct Measured {
     records: Vec<u8>,
     radii: Vec<f32>,
@@ -66,10 +66,11 @@ impl Measure {
     }
 }
 
-/// Median, over some of the points, of the distance to the eighth nearest; `None` if it is zero.
+/// The median, over a sample of the points, of the distance to the eighth nearest neighbour; `None` if it is zero or not
+/// finite.
 fn median_distance(records: Sorted<'_>) -> Option<f64> {
     let n = records.len();
-    // Cells at the deepest level may hold any number of coinciding points: a sample of them will do.
+    // Cells at the deepest level may hold any number of nearly coincident points: a sample of them suffices.
     let step = n.div_ceil(CELL_POINTS);
     let points: Vec<[f64; 3]> = (0..n).step_by(step).map(|i| record::position(records.record(i))).collect();
     let mut distances = Vec::with_capacity(PROBES);
@@ -101,7 +102,7 @@ impl Pack for Measure {
     }
 
     fn own(&self, records: Sorted<'_>) -> Measured {
-        // Only more coinciding points than fit in memory come this way.
+        // Only reached for more points in a cell of the deepest level than fit in memory.
         Self::copy(records, vec![0.0; records.len()])
     }
 }
@@ -152,7 +153,7 @@ impl<'a> Radii<'a> {
         Ok(())
     }
 
-    /// Gives the unknown radii their value, where there are any, and settles the totals.
+    /// Sets the unknown radii, if there are any, and computes the totals.
     fn finish(self, context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
         for (quantity, farthest) in [(Quantity::SmallRadius, self.least), (Quantity::Radius, self.most)] {
             let out = if quantity == Quantity::Radius { farthest > LIMIT } else { farthest < 1.0 / LIMIT };
@@ -194,7 +195,7 @@ impl<'a> Radii<'a> {
     }
 }
 
-/// The radius of a cloud too small or too degenerate to measure: a surface's spacing from its extent, or 1.
+/// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a surface of its extent, or 1.
 fn fallback(ingested: &Ingested) -> f64 {
     let extent = ingested.bounds.size().max_element();
     let spacing = extent / (ingested.count as f64).sqrt().max(1.0);

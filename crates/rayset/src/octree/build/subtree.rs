@@ -1,4 +1,4 @@
-//! Ordered records in memory become encoded runs and draft nodes; several threads do this at once.
+//! Converts sorted records in memory to encoded runs and draft nodes, in several threads at once.
 
 use super::ingest::Ingested;
 use super::options::Precision;
@@ -11,14 +11,14 @@ use crate::geometry::{Aabb, DVec3};
 use crate::octree::layout::{RUN_POINTS, RootCell};
 use crate::octree::page::{RunColumns, RunHead, encode_run};
 
-/// What a node record says about the points at and below it.
+/// The totals and bounds of a set of points, for node records and the header.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Summary {
     pub(super) influence: Aabb,
     pub(super) points: u64,
     pub(super) weight_sum: f64,
     pub(super) radius_sum: f64,
-    /// Sum of |weight| · (position − root corner), and of |weight|.
+    /// Sums of |weight| · (position − root corner), and of |weight|.
     pub(super) moment: DVec3,
     pub(super) mass: f64,
     pub(super) radius_min: f32,
@@ -55,7 +55,7 @@ impl Summary {
     }
 }
 
-/// A run and where its data is in the piece.
+/// A run, and the range of its data in the piece.
 #[derive(Clone, Debug)]
 pub(super) struct DraftRun {
     pub(super) head: RunHead,
@@ -63,18 +63,18 @@ pub(super) struct DraftRun {
     pub(super) summary: Summary,
 }
 
-/// A node whose runs are not yet placed.
+/// A node whose runs have not been placed in pages yet.
 #[derive(Clone, Debug)]
 pub(super) struct DraftNode {
     pub(super) level: u32,
-    /// Own runs, as a range of the piece's.
+    /// The node's own runs, as a range of those of the piece.
     pub(super) own: std::ops::Range<usize>,
-    /// Octant and index in the piece, ascending; children stand before their parents.
+    /// Octant and index in the piece of each child, in ascending order; children come before their parents.
     pub(super) children: Vec<(u8, usize)>,
     pub(super) summary: Summary,
 }
 
-/// What one stretch of records became; the last node is its root.
+/// The runs and nodes made from a stretch of records; the last node, if any, is the root.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Piece {
     pub(super) data: Vec<u8>,
@@ -90,14 +90,14 @@ pub(super) struct Packer {
     store_radius: bool,
     store_weight: bool,
     weight: f32,
-    /// Factors that take colours to 0–1, by depth.
+    /// Factors that scale colours to 0–1, by depth.
     color_factors: [f32; 6],
     precision: f64,
     cancel: CancelToken,
 }
 
 impl Packer {
-    /// Where `cancel` is cancelled, what is packed is no longer whole, and of no use.
+    /// If `cancel` is cancelled, the packed pieces are incomplete and must not be used.
     pub(super) fn new(
         ingested: &Ingested,
         keys: KeyMaker,
@@ -118,7 +118,7 @@ impl Packer {
         }
     }
 
-    /// Drafts a node and what is below it; returns its index.
+    /// Drafts a node and everything below it; returns its index in the piece.
     fn draft(&self, level: u32, records: Sorted<'_>, piece: &mut Piece) -> usize {
         let (own, below) = if records.len() as u64 <= LEAF_POINTS || level == MAX_LEVEL {
             (records, None)
@@ -126,7 +126,7 @@ impl Packer {
             let (own, children) = records.split(level);
             (own, Some(children))
         };
-        // A node's own runs stand before those of its children.
+        // A node's own runs come before those of its children.
         let first = piece.runs.len();
         self.encode_runs(own, piece);
         let own = first..piece.runs.len();
@@ -171,7 +171,7 @@ impl Packer {
                 let factor = self.color_factors[usize::from(r[at + 12])];
                 columns.color.push(std::array::from_fn(|c| {
                     let v = record::float(r, at + 4 * c) * factor;
-                    // A colour that is not a number becomes 0, as the cast of NaN does.
+                    // NaN becomes 0, by the cast.
                     (v.clamp(0.0, 1.0) * 255.0).round() as u8
                 }));
             }
@@ -231,7 +231,7 @@ impl Pack for Packer {
     }
 }
 
-/// Columns of a run, reused.
+/// The columns of a run; the buffers are reused.
 #[derive(Default)]
 struct Columns {
     position: Vec<[f64; 3]>,

@@ -1,4 +1,4 @@
-//! The table of chunks behind compressed points, decoded entry by entry.
+//! The chunk table that follows compressed points, decoded entry by entry.
 
 use std::fs::File;
 use std::io::Read;
@@ -12,39 +12,40 @@ use super::method::{Chunking, Method};
 use super::stretch::{Input, Stretch};
 use super::trouble::Trouble;
 
-/// Bytes of the table before its entries: version and number of entries.
+/// Size in bytes of the head of the table: version and number of entries.
 const HEAD_BYTES: u64 = 8;
-/// Contexts of the two numbers of an entry.
+/// The entropy-coding contexts of the two numbers of an entry.
 const POINTS: u32 = 0;
 const BYTES: u32 = 1;
 
-/// What the table says of a chunk.
+/// A chunk's entry in the table.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Entry {
-    /// Number of points, where chunks have numbers of their own; else 0.
+    /// Number of points if it varies between chunks, otherwise 0.
     pub(super) points: u64,
     pub(super) bytes: u64,
 }
 
-/// A table of chunks that is being decoded.
+/// A chunk table that is being decoded.
 pub(super) struct ChunkTable {
     coder: ArithmeticDecoder<Input>,
     numbers: IntegerDecompressor,
     has_points: bool,
-    /// Byte of the file where the table begins.
+    /// Byte offset in the file at which the table begins.
     place: u64,
     left: u32,
     last: Entry,
 }
 
-/// What was learnt of the chunks in going through the whole table.
+/// The result of reading the whole table.
 pub(super) struct Survey {
     /// Bytes of the largest chunk.
     pub(super) largest: u64,
 }
 
 impl ChunkTable {
-    /// Byte of the file where the table begins; `None` if the file has none, as where it was written to a pipe.
+    /// Byte offset in the file at which the table begins; `None` if the file has no table, for example because it was
+    /// written to a pipe.
     pub(super) fn find(file: &Arc<File>, header: &Header) -> Result<Option<u64>, Trouble> {
         let (first, end) = (header.points_start, header.file_bytes);
         let read = |at: u64| {
@@ -66,7 +67,7 @@ impl ChunkTable {
                 );
                 Err(Trouble::at(first, what))
             }
-            // A writer that could not go back left the place in the last bytes of the file.
+            // A writer that could not seek stores the place in the last bytes of the file.
             _ if end < first + 8 + HEAD_BYTES + 8 => Ok(None),
             _ => {
                 let place = u64::try_from(read(end - 8)?).ok().filter(|&place| is_place(place));
@@ -75,7 +76,7 @@ impl ChunkTable {
         }
     }
 
-    /// Reads the head of the table at a place that was found.
+    /// Reads the head of the table at the place returned by [`find`](Self::find).
     pub(super) fn open(file: &Arc<File>, place: u64, end: u64, has_points: bool) -> Result<Self, Trouble> {
         let mut input = Stretch::new(file, place, end).buffered();
         let mut head = [0; HEAD_BYTES as usize];
@@ -110,7 +111,7 @@ impl ChunkTable {
         Ok(Some(self.last))
     }
 
-    /// Goes through the whole table, and checks it against the header and the length of the file.
+    /// Reads the whole table, and checks it against the header and the length of the file.
     pub(super) fn survey(
         file: &Arc<File>,
         header: &Header,
@@ -122,7 +123,7 @@ impl ChunkTable {
         let chunks = u64::from(table.left);
         let room = place - (header.points_start + 8);
         let bad = |what: String| Err(Trouble::at(place, format!("{what}; the file is cut off or damaged")));
-        // Every chunk begins with a point as it is; only the one of a file without points can be empty.
+        // Every chunk begins with an uncompressed point; only the chunk of a file without points can be empty.
         let record_bytes = header.record_bytes as u64;
         if chunks > room / record_bytes + 1 {
             return bad(format!(

@@ -1,9 +1,8 @@
-//! Compressed points: chunk after chunk, each within its own bytes.
+//! Compressed points: chunk by chunk, each within its own range of bytes.
 //!
-//! The decompressor of the `laz` crate decodes records, but for what has GPS times in it (`gps_time`, `point14`), and
-//! knows nothing of the file: what it is given ends where the chunk ends, and the sizes that it allocates by are checked
-//! before. The table of chunks is decoded along with them, entry by entry, so that no number in it is ever a number of
-//! bytes of memory.
+//! The `laz` crate decodes the records, except for the items that contain GPS times (`gps_time`, `point14`). It knows
+//! nothing about the file: its input ends where the chunk ends, and the sizes by which it allocates are checked before. The
+//! chunk table is decoded along with the points, entry by entry, so that memory never depends on its number of entries.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -20,11 +19,11 @@ use super::point14::Point14;
 use super::stretch::{BUFFER_BYTES, Input, Stretch};
 use super::trouble::Trouble;
 
-/// Memory of the models of a point without extra bytes: 2.7 MB were counted where points are compressed one by one
-/// (format 5), and 3.4 MB in layers (format 10, all four scanner channels).
+/// Memory in bytes of the models of a point without extra bytes: 2.7 MB were measured for points that are compressed one by
+/// one (format 5), and 3.4 MB for layers (format 10, all four scanner channels).
 const MODELS_BYTES: u64 = 3 << 20;
 const LAYERED_MODELS_BYTES: u64 = 5 << 20;
-/// Memory of the model of an extra byte: 256 frequencies, their sums, a table and its bookkeeping.
+/// Memory in bytes of the model of an extra byte: 256 frequencies, their sums, a table and its bookkeeping.
 const EXTRA_BYTE_BYTES: u64 = 2816;
 
 enum Decoder {
@@ -40,7 +39,7 @@ impl Decoder {
         }
     }
 
-    /// Starts a chunk at the place of the input.
+    /// Starts a chunk at the current position of the input.
     fn start(&mut self, items: &[LazItem], layers: u32) -> Result<(), laz::LasZipError> {
         match self {
             Self::Sequential(decoder) => {
@@ -77,7 +76,7 @@ impl Decoder {
     }
 }
 
-/// A part of the compressed points that is decoded from its start.
+/// A part of the compressed points that can be decoded independently, from its start.
 #[derive(Clone, Copy)]
 struct Chunk {
     start: u64,
@@ -85,36 +84,36 @@ struct Chunk {
     points: u64,
 }
 
-/// The compressed points of a file, in their order.
+/// The compressed points of a file, in file order.
 pub(super) struct CompressedPoints {
     file: Arc<File>,
     method: Method,
     record_bytes: usize,
     decoder: Decoder,
-    /// `None` if the file has none, and its points can be decoded without.
+    /// `None` if the file has no table, and its points can be decoded without one.
     table: Option<ChunkTable>,
     /// The chunk that is being read.
     chunk: Chunk,
     /// Points of the chunk that are still to come.
     left: u64,
-    /// Byte behind the last chunk.
+    /// Byte offset of the end of the last chunk.
     end: u64,
-    /// Layers that are asked for, and those that the chunk was started with.
+    /// The selected layers, and those with which the chunk was started.
     layers: u32,
     started_layers: u32,
-    /// Room for a point that nobody wants.
+    /// Buffer for points that are decoded only to be skipped.
     spare: Vec<u8>,
     memory: u64,
 }
 
 impl CompressedPoints {
-    /// Checks what the file says of its chunks.
+    /// Reads and checks the chunk table, if there is one.
     pub(super) fn open(file: &Arc<File>, header: &Header, method: Method) -> Result<Self, Trouble> {
         let (mut start, mut end) = (header.points_start, header.points_end());
         let mut table = None;
         let mut largest = 0;
         if method.chunking != Chunking::One {
-            // The place of the table comes before the first chunk.
+            // The offset of the table is stored before the first chunk.
             start += 8;
             let variable = method.chunking == Chunking::Variable;
             if let Some(place) = ChunkTable::find(file, header)? {
@@ -161,22 +160,22 @@ impl CompressedPoints {
         Ok(points)
     }
 
-    /// Bytes that are held at once, at most. A chunk in layers is held whole.
+    /// Upper bound on the memory in bytes. A layered chunk is held as a whole.
     pub(super) fn memory_needed(&self) -> u64 {
         self.memory
     }
 
-    /// Chooses the layers that are decoded; the bytes of others are not meaningful.
+    /// Selects the layers that are decoded; fields of the others are undefined.
     pub(super) fn select(&mut self, layers: u32) {
         self.layers = layers;
     }
 
-    /// Byte of the file where the chunk begins that is being read.
+    /// Byte offset in the file of the chunk that is being read.
     pub(super) fn chunk_start(&self) -> u64 {
         self.chunk.start
     }
 
-    /// Fills `records` with the next points. `done` counts those that were decoded, also where an error follows.
+    /// Fills `records` with the next points. `done` counts the points that were decoded, even if an error follows.
     pub(super) fn read(&mut self, records: &mut [u8], done: &mut usize) -> Result<(), Trouble> {
         if self.left > 0 && self.layers & !self.started_layers != 0 {
             self.restart()?;
@@ -194,7 +193,7 @@ impl CompressedPoints {
         Ok(())
     }
 
-    /// Why a point of the chunk could not be decoded.
+    /// Converts an error of decoding a point of the chunk.
     fn trouble(&self, error: io::Error) -> Trouble {
         if error.kind() == io::ErrorKind::InvalidData && error.raw_os_error().is_none() {
             let what = format!("in the chunk that begins here, {error}; the file is damaged");
@@ -207,11 +206,11 @@ impl CompressedPoints {
         Trouble::from_io(error, self.chunk.end, &what)
     }
 
-    /// Goes to the start of the chunk.
+    /// Seeks to the start of the chunk, and starts decoding it.
     fn start(&mut self) -> Result<(), Trouble> {
         let Chunk { start, end, points } = self.chunk;
         let input = self.decoder.input();
-        // Where no table says the ends of chunks, one follows the other in what is buffered.
+        // Without a table of the ends of chunks, the next chunk continues in the buffered input.
         if input.get_ref().end() != end || input.stream_position().map_err(Trouble::Io)? != start {
             input.seek(SeekFrom::Start(start)).map_err(Trouble::Io)?;
             input.get_mut().set(start, end);
@@ -222,7 +221,7 @@ impl CompressedPoints {
         started.map_err(|e| Trouble::at(start, e.to_string()))
     }
 
-    /// Starts the chunk once more with the layers that are asked for now, and goes to where it was.
+    /// Restarts the chunk with the layers that are selected now, and decodes up to the current point.
     fn restart(&mut self) -> Result<(), Trouble> {
         let passed = self.chunk.points - self.left;
         self.start()?;
@@ -234,7 +233,7 @@ impl CompressedPoints {
         Ok(())
     }
 
-    /// The chunk after the present one.
+    /// The chunk after the current one.
     fn next_chunk(&mut self) -> Result<Chunk, Trouble> {
         let start = self.chunk.end;
         let mut end = self.end;
@@ -269,8 +268,8 @@ impl CompressedPoints {
         Ok(Chunk { start, end, points })
     }
 
-    /// What a layered chunk says before its layers: how many points it has, and the sizes of the layers, by which the
-    /// decompressor allocates. They must lie within the chunk.
+    /// Reads what precedes the layers of a layered chunk: the number of points, and the sizes of the layers, by which the
+    /// decompressor allocates. The layers must lie within the chunk.
     fn preamble(&mut self, start: u64, end: u64) -> Result<Preamble, Trouble> {
         let mut bytes = vec![0; self.method.preamble_bytes()];
         let mut stretch = Stretch::new(&self.file, start, end);
@@ -290,12 +289,12 @@ impl CompressedPoints {
             );
             return Err(Trouble::at(start, what));
         }
-        // Where there is a table, it says the end; no writer leaves a gap.
+        // If there is a table, it gives the end. Otherwise the layers end the chunk: no writer leaves a gap.
         let end = if self.table.is_some() { end } else { end - room + layers };
         Ok(Preamble { points, end })
     }
 
-    /// Bytes of the largest chunk of a file of layered chunks that has no table of them.
+    /// Size in bytes of the largest chunk of a file with layered chunks but no chunk table.
     fn largest_without_table(&mut self, mut points: u64) -> Result<u64, Trouble> {
         let (first, mut largest) = (self.chunk, 0);
         while points > 0 {

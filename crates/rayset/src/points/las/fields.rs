@@ -6,15 +6,15 @@ use super::header::Header;
 use super::words::text;
 use crate::points::{ColumnInfo, ColumnType, Values};
 
-/// Degrees of a unit of the scan angle of point formats 6 to 10.
+/// Unit of the scan angle of point formats 6 to 10, in degrees.
 const SCAN_ANGLE_DEGREES: f64 = 0.006;
-/// Bytes of a descriptor of extra bytes.
+/// Size in bytes of a descriptor of extra bytes.
 const DESCRIPTOR_BYTES: usize = 192;
 
-/// A column, and how its number comes out of a record.
+/// A column, and how its value is read from a record.
 pub(super) struct Field {
     pub(super) info: ColumnInfo,
-    /// Bits of the layers of compressed points that it needs.
+    /// Bits of the layers of compressed points that contain it.
     pub(super) layers: u32,
     rule: Rule,
 }
@@ -22,11 +22,11 @@ pub(super) struct Field {
 enum Rule {
     /// A number of the column's type.
     Plain { at: usize },
-    /// Some bits of a byte.
+    /// A bit field within a byte.
     Bits { at: usize, shift: u8, mask: u8 },
-    /// A signed 16-bit number of steps.
+    /// A signed 16-bit number of units of [`SCAN_ANGLE_DEGREES`].
     ScanAngle { at: usize },
-    /// A number of a type of its own, not a number where it is `no_data`, scaled and moved.
+    /// A number of type `kind`, with scale and offset applied; NaN if it equals `no_data`.
     Scaled { at: usize, kind: ColumnType, no_data: Option<[u8; 8]>, scale: f64, offset: f64 },
 }
 
@@ -68,7 +68,8 @@ impl Field {
     }
 }
 
-/// Whether a number of a type is the one that a descriptor gives as the 8 bytes of the widest type of its kind.
+/// Whether a number equals one that a descriptor stores in 8 bytes, as the widest type (unsigned, signed or float) of its
+/// kind.
 fn is_same(kind: ColumnType, bytes: &[u8], wide: [u8; 8]) -> bool {
     let size = kind.bytes();
     if !kind.is_integer() {
@@ -79,8 +80,8 @@ fn is_same(kind: ColumnType, bytes: &[u8], wide: [u8; 8]) -> bool {
     bytes[..size] == wide[..size] && wide[size..].iter().all(|&b| b == fill)
 }
 
-/// All columns of a file: those of its point format, in the order of the specification after the six of every format
-/// and the colours, and those of its extra bytes. Names differ.
+/// All columns of a file: the six that every format has, the colours, the other columns of its point format, and those of
+/// its extra bytes. Names are unique.
 pub(super) fn of_file(header: &Header, extra_bytes: Option<&[u8]>) -> Vec<Field> {
     let mut fields = of_format(header.format);
     let start = header.record_bytes - header.extra_bytes();
@@ -156,8 +157,8 @@ fn of_format(format: u8) -> Vec<Field> {
     fields
 }
 
-/// Columns that the descriptors of extra bytes name, from byte `at` of a record to its end. Descriptors of more bytes
-/// than a record has are left out, and so are bytes without meaning.
+/// The columns that descriptors of extra bytes define, from byte `at` of a record to byte `end`. Descriptors that exceed the
+/// record are ignored, and so are undocumented bytes.
 fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
     use ColumnType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
     const TYPES: [ColumnType; 10] = [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64];
@@ -166,8 +167,8 @@ fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
         let (code, options) = (descriptor[2], descriptor[3]);
         let (kind, length) = match code {
             1..=30 => (TYPES[usize::from(code - 1) % 10], usize::from(code - 1) / 10 + 1),
-            // Bytes without meaning, as many as the options say; the other codes are reserved, and nothing says how
-            // long what they stand for is.
+            // Undocumented bytes, whose number is in the options. All other codes are reserved, and their lengths are
+            // unknown.
             0 => {
                 at += usize::from(options);
                 continue;
@@ -189,7 +190,7 @@ fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
                 f64::from_le_bytes(bytes)
             };
             let no_data = (options & 1 != 0).then_some(wide);
-            // A scale that would make all numbers one, or none, was never meant.
+            // A scale of zero or a scale that is not finite cannot be intended.
             let scale = Some(float(112)).filter(|s| options & 8 != 0 && s.is_finite() && *s != 0.0);
             let offset = Some(float(136)).filter(|o| options & 16 != 0 && o.is_finite());
             let is_scaled = scale.is_some() || offset.is_some();
@@ -209,7 +210,7 @@ fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
     fields
 }
 
-/// The unit in a description that ends in it, in brackets, as in `Echo signal amplitude [dB]`; empty if there is none.
+/// The unit in brackets at the end of a description, as in `Echo signal amplitude [dB]`; empty if there is none.
 fn unit(description: &str) -> String {
     let inner = description.strip_suffix(']').and_then(|d| d.rsplit_once('['));
     inner.map_or_else(String::new, |(_, unit)| unit.trim().to_owned())

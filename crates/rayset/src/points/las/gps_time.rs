@@ -1,14 +1,14 @@
 //! The GPS times of compressed points.
 //!
 //! After LASzip (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, and its items GPSTIME11 version 2 and
-//! POINT14 versions 3 and 4). A time is taken as the integer that its bits are. Up to four sequences of times, as those
-//! of several scanners that take turns, are continued side by side: the difference to the last time of a sequence is
-//! coded as a multiple of the sequence's step and what is left over. A symbol says that the point belongs to another
-//! sequence than the last one did, and another symbol says how it continues that.
+//! POINT14 versions 3 and 4). The bits of a time are treated as an integer. Up to four sequences of times, for example of
+//! several scanners that take turns, are tracked in parallel: the difference to the last time of a sequence is coded as a
+//! multiple of the sequence's step and a remainder. If a point belongs to another sequence than the previous point, a symbol
+//! says so, and another symbol says how the point continues that sequence.
 //!
-//! A writer changes to the sequence that the time continues, once for a point. Data may say that it changes again and
-//! again, millions of times in a few bytes, for symbols that are certain cost next to nothing. So nothing here
-//! recurses, and the changes of a point are counted.
+//! A writer changes the sequence at most once per point. Damaged or malicious data may change it again and again, millions
+//! of times in a few bytes, because symbols that are almost certain cost almost nothing. Therefore nothing here recurses,
+//! and the number of changes per point is limited.
 
 use std::io::{self, Read};
 
@@ -17,63 +17,64 @@ use laz::decompressors::{IntegerDecompressor, IntegerDecompressorBuilder};
 use laz::models::{ArithmeticModel, ArithmeticModelBuilder};
 use laz::record::FieldDecompressor;
 
-/// Changes of the sequence for one point that are followed. Writers need one.
+/// Largest number of changes of the sequence for one point. Writers need one.
 const MOST_CHANGES: u32 = 4;
 
-/// Multiples of the step that have symbols of their own: 0 to 500 first, then -1 to -10. The two ends also stand for all
-/// that is beyond them.
+/// Multiples of the step that have symbols of their own: 0 to 500 first, then -1 to -10. The two extremes also represent all
+/// multiples beyond them.
 const LARGEST: i32 = 500;
 const SMALLEST: i32 = -10;
-/// Symbols of a sequence that has a step, behind those of its multiples.
+/// Symbols of a sequence that has a step, after those of the multiples.
 const SAME: u32 = (LARGEST - SMALLEST) as u32 + 1;
 const NEW: u32 = SAME + 1;
-/// Symbols of a sequence that has no step yet. The one that is 0 says that the time is the same.
+/// Symbols of a sequence that has no step yet. Symbol 0 means that the time is unchanged.
 const FIRST_STEP: u32 = 1;
 const NEW_WITHOUT_STEP: u32 = 2;
-/// Symbols of either kind behind the one for a new sequence: the next one, the one after it, and the one before it.
+/// Number of symbols, in both cases, after the one for a new sequence: for the next sequence, the one after it, and the
+/// previous one.
 const CHANGES: u32 = 3;
 
-/// What a difference is compared with, which decides by what statistics it is coded.
+/// The prediction of a difference, which selects the statistics with which it is coded.
 mod context {
-    /// Nothing: the sequence has no step.
+    /// No prediction: the sequence has no step.
     pub(super) const FIRST_STEP: u32 = 0;
-    /// The step.
+    /// One step.
     pub(super) const ONE: u32 = 1;
     /// 2 to 9 steps.
     pub(super) const FEW: u32 = 2;
     /// 10 to 499 steps.
     pub(super) const MANY: u32 = 3;
-    /// 500 steps, the most.
+    /// 500 steps, the maximum.
     pub(super) const MOST: u32 = 4;
     /// 1 to 9 steps back.
     pub(super) const BACK: u32 = 5;
-    /// 10 steps back, the most.
+    /// 10 steps back, the maximum.
     pub(super) const MOST_BACK: u32 = 6;
     /// No step, in a sequence that has one.
     pub(super) const NONE: u32 = 7;
-    /// The upper half of the last time, where a sequence begins.
+    /// The upper half of the last time, at the beginning of a sequence.
     pub(super) const UPPER_HALF: u32 = 8;
     pub(super) const COUNT: u32 = 9;
 }
 
-/// Times in sequence, each with the step between them.
+/// A sequence of times: its last time, and the step between times.
 #[derive(Clone, Copy, Default)]
 struct Sequence {
     time: i64,
-    /// 0 where there is none yet.
+    /// 0 if there is none yet.
     step: i32,
-    /// Differences since the last one of a single step that no multiple between the ends came near. After four, the
-    /// difference is the step.
+    /// Differences with a multiple of 0 or at either extreme since the last one of a single step. After four, the difference
+    /// becomes the step.
     misses: u8,
 }
 
-/// Decodes the times of a chunk, or those of one scanner channel where points are layered.
+/// Decodes the times of a chunk, or of one scanner channel of a layered chunk.
 pub(super) struct GpsTimes {
     sequences: [Sequence; 4],
-    /// Sequence of the last time, and the one that began last, modulo 4.
+    /// The sequence of the last time, and the one that began last, modulo 4.
     current: usize,
     newest: usize,
-    /// Added to symbols. Where points are layered, another layer says which times are the same, and no symbol does.
+    /// Added to symbols. In layered chunks there is no symbol for an unchanged time, which another layer indicates.
     left_out: u32,
     without_step: ArithmeticModel,
     multiple: ArithmeticModel,
@@ -81,12 +82,12 @@ pub(super) struct GpsTimes {
 }
 
 impl GpsTimes {
-    /// Times of points that are compressed one by one.
+    /// For points that are compressed one by one.
     pub(super) fn pointwise() -> Self {
         Self::new(0, 0)
     }
 
-    /// Times that differ from the one before, after a first one, as a layer has them.
+    /// For a layer, which has only the times that differ from the previous one; `first` is the first time.
     pub(super) fn layered(first: i64) -> Self {
         Self::new(first, 1)
     }
@@ -109,11 +110,11 @@ impl GpsTimes {
         }
     }
 
-    /// The bits of the next time.
+    /// Decodes the bits of the next time.
     ///
     /// # Errors
-    /// [`InvalidData`](io::ErrorKind::InvalidData) where the point changes its sequence more often than any writer has
-    /// it do, and what the decoder cannot read.
+    /// [`InvalidData`](io::ErrorKind::InvalidData) if the point changes its sequence more often than any writer does, and
+    /// the errors of the decoder.
     pub(super) fn next<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<i64> {
         for _ in 0..=MOST_CHANGES {
             let change = if self.sequences[self.current & 3].step == 0 {
@@ -130,7 +131,7 @@ impl GpsTimes {
         Err(io::Error::new(io::ErrorKind::InvalidData, what))
     }
 
-    /// Continues a sequence that has no step, or returns how many sequences further the time belongs.
+    /// Continues a sequence that has no step, or returns by how many sequences to advance to the one of the time.
     fn without_step<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<u32> {
         match decoder.decode_symbol(&mut self.without_step)? + self.left_out {
             0 => {}
@@ -145,7 +146,7 @@ impl GpsTimes {
         Ok(0)
     }
 
-    /// Continues a sequence that has a step, or returns how many sequences further the time belongs.
+    /// Continues a sequence that has a step, or returns by how many sequences to advance to the one of the time.
     fn with_step<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<u32> {
         let symbol = decoder.decode_symbol(&mut self.multiple)?;
         if symbol >= SAME {
@@ -184,7 +185,7 @@ impl GpsTimes {
         Ok(0)
     }
 
-    /// Begins a sequence in place of the oldest one.
+    /// Begins a new sequence, which replaces the oldest one.
     fn begin<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<()> {
         let upper = (self.sequences[self.current & 3].time >> 32) as i32;
         let upper = self.difference.decompress(decoder, upper, context::UPPER_HALF)?;

@@ -6,38 +6,38 @@ use std::path::Path;
 use super::stretch::Stretch;
 use crate::points::{Place, ReadError};
 
-/// Bytes of the header up to the end of what LAS 1.4 has; LAS 1.5 adds times that say nothing of the points' layout.
+/// Size in bytes of the header of LAS 1.4; LAS 1.5 adds times that do not affect the layout of the points.
 const KNOWN_BYTES: usize = 375;
 
-/// Bytes of a record of each point format without extra bytes.
+/// Record size of each point format in bytes, without extra bytes.
 const RECORD_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
-/// What the header says of the file, checked against itself and the length of the file where that is cheap.
+/// The contents of the header, as far as cheap checks allow consistent with itself and with the length of the file.
 #[derive(Debug)]
 pub(super) struct Header {
-    /// The 4 of LAS 1.4.
+    /// The minor version, such as 4 for LAS 1.4.
     pub(super) minor_version: u8,
     /// Point format, 0 to 10.
     pub(super) format: u8,
     pub(super) is_compressed: bool,
-    /// Bytes of a point, extra bytes included.
+    /// Size of a point record in bytes, including extra bytes.
     pub(super) record_bytes: usize,
     pub(super) count: u64,
-    /// Bytes of the header itself, after which the variable length records come.
+    /// Size of the header itself in bytes; the variable length records follow it.
     pub(super) header_bytes: u64,
-    /// First byte of the points.
+    /// Byte offset of the points.
     pub(super) points_start: u64,
     /// Number of variable length records.
     pub(super) records: u32,
-    /// First byte and number of the extended variable length records.
+    /// Byte offset and number of the extended variable length records.
     pub(super) extended: (u64, u32),
     pub(super) scale: [f64; 3],
     pub(super) offset: [f64; 3],
-    /// Whether the reference system is in WKT rather than in GeoTIFF keys.
+    /// Whether the reference system is given as WKT rather than as GeoTIFF keys.
     pub(super) has_wkt: bool,
     pub(super) system: [u8; 32],
     pub(super) software: [u8; 32],
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub(super) file_bytes: u64,
 }
 
@@ -102,7 +102,7 @@ impl Header {
                 return Err(bad(byte, format!("a scale or offset of {}, which is no number", numbers[axis])));
             }
         }
-        // A legacy count that is not zero goes before the 64-bit one, as the specification asks where they differ.
+        // A nonzero legacy count takes precedence over the 64-bit one, as the specification requires if they differ.
         let (legacy, is_14) = (u32_at(107), minor >= 4);
         Ok(Self {
             minor_version: minor,
@@ -123,12 +123,12 @@ impl Header {
         })
     }
 
-    /// Bytes of a point that its format does not explain.
+    /// Number of bytes of a point beyond those of its format.
     pub(super) fn extra_bytes(&self) -> usize {
         self.record_bytes - usize::from(RECORD_BYTES[usize::from(self.format)])
     }
 
-    /// Byte behind the last one that can belong to a point: extended records come after all points.
+    /// Upper bound on the byte offset of the end of the points: extended records come after all points.
     pub(super) fn points_end(&self) -> u64 {
         let (start, number) = self.extended;
         if number > 0 && start >= self.points_start { start.min(self.file_bytes) } else { self.file_bytes }

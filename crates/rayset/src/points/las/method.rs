@@ -1,39 +1,39 @@
-//! The LASzip record: how points are compressed.
+//! The LASzip record, which states how points are compressed.
 
 use laz::{LazItem, LazVlr};
 
 use super::header::Header;
 use super::quiet;
 
-/// Bytes of the record before its items, and of an item.
+/// Size in bytes of the record before its items, and of an item.
 const FIXED_BYTES: usize = 34;
 const ITEM_BYTES: usize = 6;
 
-/// How points come in chunks.
+/// How points are divided into chunks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Chunking {
-    /// All points are one chunk.
+    /// All points are in one chunk.
     One,
-    /// Each chunk but the last has as many points.
+    /// Every chunk but the last has this number of points.
     Fixed(u32),
-    /// Each chunk has a number of its own, which the table of chunks says.
+    /// Each chunk has its own number of points, which is in the chunk table.
     Variable,
 }
 
 /// How points are compressed.
 pub(super) struct Method {
     pub(super) chunking: Chunking,
-    /// Whether the fields of a chunk come one after the other rather than point by point.
+    /// Whether a chunk is stored field by field rather than point by point.
     pub(super) is_layered: bool,
     pub(super) items: Vec<LazItem>,
-    /// Layers of a chunk, if there are any.
+    /// Number of layers of a chunk, if it is layered.
     pub(super) layers: usize,
     pub(super) extra_bytes: usize,
     record_bytes: usize,
 }
 
 impl Method {
-    /// Reads the record, and checks that what it compresses are the points of the header.
+    /// Reads the record, and checks that its items match the point format of the header.
     pub(super) fn read(header: &Header, record: &[u8]) -> Result<Self, String> {
         let number = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
         if record.len() < FIXED_BYTES {
@@ -95,13 +95,14 @@ impl Method {
         })
     }
 
-    /// Bytes of a layered chunk before its layers: a point as it is, the number of points, and the layers' sizes.
+    /// Size in bytes of what precedes the layers of a chunk: an uncompressed point, the number of points, and the sizes of
+    /// the layers.
     pub(super) fn preamble_bytes(&self) -> usize {
         self.record_bytes + 4 + 4 * self.layers
     }
 }
 
-/// Type and bytes of the items that make up a point of the header's format.
+/// Type and size in bytes of the items that make up a point of the header's format.
 fn expected_items(header: &Header) -> Vec<(u16, u16)> {
     let mut items: Vec<(u16, u16)> = match header.format {
         0 => vec![(6, 20)],

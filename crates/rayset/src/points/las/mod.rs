@@ -1,15 +1,16 @@
 //! LAS 1.0 to 1.5 and LAZ, in batches.
 //!
-//! After the ASPRS LAS Specification 1.4 R15, and for compressed points after LASzip as its authors describe it (M.
-//! Isenburg, "LASzip: lossless compression of LiDAR data", 2013, and the layout of its record and tables in LASzip
-//! itself). Records are decompressed by the `laz` crate, but for what has GPS times in it, in which a few bytes would
-//! have it recurse until its stack overflows. What lies around them is read here, since a length in a file is a claim:
-//! each is checked against the file before anything is allocated or passed over by it. Memory does not grow with the
-//! file, its extended records or the number of its chunks. Only a chunk of points compressed in layers (point formats 6
-//! to 10) is held whole, which [`memory_needed`](PointSource::memory_needed) counts.
+//! Follows the ASPRS LAS Specification 1.4 R15 and, for compressed points, LASzip as its authors describe it (M. Isenburg,
+//! "LASzip: lossless compression of LiDAR data", 2013, and the layout of its record and tables in LASzip itself). The `laz`
+//! crate decompresses the records, except for the items with GPS times, for which a few bytes could make it recurse until
+//! its stack overflows. Everything around the records is read here, because a length in a file is only a claim: each is
+//! checked against the file before it is used to allocate or to skip. Memory does not grow with the file, its extended
+//! records or its number of chunks. Only a chunk of points compressed in layers (point formats 6 to 10) is held as a whole,
+//! which [`memory_needed`](PointSource::memory_needed) includes.
 //!
-//! Not read: waveforms, the hierarchy of COPC files (their points are read in the order of the file), and points of
-//! formats 6 to 10 that LASzip's compatibility mode disguises as others, which come as what they are disguised as.
+//! Not supported: waveforms, the hierarchy of COPC files (their points are read in file order), and LASzip's compatibility
+//! mode, in which points of formats 6 to 10 are stored as other formats; they are read in the format in which they are
+//! stored.
 
 mod chunk_table;
 mod compressed;
@@ -40,7 +41,7 @@ use self::stretch::Stretch;
 use self::trouble::Trouble;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 
-/// Bytes of records that are decoded at a time, or one record where it is longer.
+/// Bytes of records that are decoded at a time; a longer record is decoded on its own.
 const BLOCK_BYTES: usize = 128 << 10;
 
 /// The points of a LAS or LAZ file.
@@ -53,7 +54,7 @@ pub struct LasSource {
     points: Points,
     block: Vec<u8>,
     next: u64,
-    /// The decompressor panicked: what it holds is good for nothing.
+    /// The decompressor has panicked, and its state is unusable.
     is_broken: bool,
 }
 
@@ -63,10 +64,10 @@ enum Points {
 }
 
 impl LasSource {
-    /// Opens a file, reads its header and records, and checks what they say against the file.
+    /// Opens a file, reads its header and variable length records, and checks them against the file.
     ///
     /// # Errors
-    /// [`ReadError`] where the file cannot be opened, is cut off, or breaks its format.
+    /// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let failed = |source| ReadError::Io { path: path.to_owned(), source };
         // Opening a pipe would wait for its writer.
@@ -96,7 +97,7 @@ impl LasSource {
             Points::Plain(plain_points(path, &file, &header)?)
         };
         let fields = fields::of_file(&header, records.extra_bytes.as_deref());
-        // The specification wants 16-bit colours, and many writers store 8-bit ones.
+        // The specification requires 16-bit colours, but many writers store 8-bit ones.
         let schema = Schema {
             crs: words::reference_system(&header, &records),
             description: words::description(&header),
@@ -156,7 +157,7 @@ fn damaged(points: &CompressedPoints) -> Trouble {
     Trouble::at(points.chunk_start(), "the compressed points of the chunk that begins here are damaged")
 }
 
-/// The points of a file that are not compressed, which the file must hold.
+/// The points of an uncompressed file, after a check that the file is long enough for them.
 fn plain_points(path: &Path, file: &Arc<File>, header: &Header) -> Result<Stretch, ReadError> {
     let (start, end) = (header.points_start, header.points_end());
     let most = (end - start) / header.record_bytes as u64;

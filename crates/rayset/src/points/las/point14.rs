@@ -1,20 +1,21 @@
-//! Points of formats 6 to 10 up to their GPS times, compressed in layers.
+//! Points of formats 6 to 10 (the fields up to the GPS time), compressed in layers.
 //!
-//! The fields are those of the ASPRS LAS Specification 1.4 R15, and their compression is LASzip's item POINT14, versions
-//! 3 and 4 (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, which describes its means: adaptive
-//! arithmetic coding in contexts, and integers as what is left over from a prediction; and LASzip itself, which extended
-//! them to LAS 1.4). A chunk has nine layers, each an arithmetic code of its own, so that a reader can leave out what it
-//! does not want. The first one says, for each point, of what scanner channel it is, what of it differs from the last
-//! point of that channel, and where it is. A layer without bytes is a field that never changes.
+//! The fields are those of the ASPRS LAS Specification 1.4 R15, and their compression is LASzip's item POINT14, versions 3
+//! and 4 (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, which describes its methods: adaptive arithmetic
+//! coding with contexts, and integers as residuals of a prediction; and LASzip itself, which extended them to LAS 1.4). A
+//! chunk has nine layers, each a separate arithmetic code, so that a reader can skip those that it does not need. The first
+//! one gives, for each point, its scanner channel, which fields differ from the last point of that channel, and its x and y.
+//! An empty layer is a field that never changes.
 //!
-//! Each channel has statistics of its own, which begin at its first point. What they depend on besides:
+//! Each channel has its own statistics, which start at its first point. They also depend on:
 //!
-//! - *place among returns*: whether a return is the first of its pulse, the last, both or neither; of the last point,
-//!   with whether its time had changed, for what changes next, and of the point itself for classification and intensity;
-//! - *group of returns*: six groups of return number and number of returns, by which x and y are predicted, with
-//!   whether the time changed: most points of a new time follow the scan, and the others their pulse;
+//! - *place among returns*: whether a return is the first of its pulse, the last, both or neither; that of the last point,
+//!   together with whether its time had changed, for what changes next, and that of the point itself for classification and
+//!   intensity;
+//! - *group of returns*: six groups of return number and number of returns, by which x and y are predicted, together with
+//!   whether the time changed: most points with a new time follow the scan, and the others follow their pulse;
 //! - *depth*: how many returns of the pulse are still to come, by which z is predicted;
-//! - *spread*: how many bits the corrections of x and y took, which says what to expect of y and z.
+//! - *spread*: how many bits the corrections of x and y took, which predicts those of y and z.
 
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
@@ -26,9 +27,9 @@ use laz::record::LayeredFieldDecompressor;
 
 use super::gps_time::GpsTimes;
 
-/// Bytes of the fields.
+/// Size of the fields in bytes.
 const BYTES: usize = 30;
-/// Bits of the selection that ask for a layer, in the order of the layers. Nobody can leave out the first one.
+/// Bits of the selection that include a layer, in the order of the layers. The first layer cannot be skipped.
 const LAYERS: [u32; 9] = [
     DecompressionSelection::ALL,
     DecompressionSelection::Z,
@@ -41,8 +42,8 @@ const LAYERS: [u32; 9] = [
     DecompressionSelection::GPS_TIME,
 ];
 
-/// Bits of what differs from the last point of the channel. The two lowest are of the return number: the same, the next
-/// one, the one before, or another.
+/// Bits for the fields that differ from the last point of the channel. The two lowest are for the return number: unchanged,
+/// the next one, the previous one, or another.
 const RETURN_NUMBER: u32 = 3;
 const RETURNS: u32 = 1 << 2;
 const SCAN_ANGLE: u32 = 1 << 3;
@@ -50,7 +51,8 @@ const TIME: u32 = 1 << 4;
 const POINT_SOURCE: u32 = 1 << 5;
 const CHANNEL: u32 = 1 << 6;
 
-/// Group by number of returns and return number. Those that no pulse has are there, too, since files have them.
+/// Group by number of returns and return number. Combinations that no pulse can have are included, because they occur in
+/// files.
 const GROUPS: [[u8; 16]; 16] = [
     [0, 1, 2, 3, 4, 5, 3, 4, 4, 5, 5, 5, 5, 5, 5, 5],
     [1, 0, 1, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3],
@@ -71,14 +73,14 @@ const GROUPS: [[u8; 16]; 16] = [
 ];
 const GROUP_COUNT: usize = 6;
 
-/// The fields of a point but its channel.
+/// The fields of a point, except its channel.
 #[derive(Clone, Copy)]
 struct Point {
     position: [i32; 3],
     intensity: u16,
     return_number: u8,
     returns: u8,
-    /// The four of the classification, the direction of the scan and the edge of a flight line, from bit 0 on.
+    /// From bit 0 on: the four classification flags, the scan direction and the edge of a flight line.
     flags: u8,
     classification: u8,
     user_data: u8,
@@ -88,7 +90,7 @@ struct Point {
 }
 
 impl Point {
-    /// A point as LAS stores it, and its channel.
+    /// Unpacks a point from its LAS record, and its channel.
     fn unpack(b: &[u8; BYTES]) -> (Self, usize) {
         let axis = |at: usize| i32::from_le_bytes([b[at], b[at + 1], b[at + 2], b[at + 3]]);
         let point = Self {
@@ -131,12 +133,12 @@ impl Point {
     }
 }
 
-/// About the median of the last numbers, for each of which either the least or the greatest of five goes.
+/// Approximates a running median: each new number replaces either the smallest or the largest of five.
 #[derive(Clone, Copy)]
 struct Median {
     sorted: [i32; 5],
-    /// Which of the two goes next: the greatest until a number is not below the median, then the least until one is not
-    /// above.
+    /// Which of the two is replaced next: the largest until a number is not below the median, then the smallest until one is
+    /// not above it.
     drops_greatest: bool,
 }
 
@@ -156,7 +158,7 @@ impl Median {
     }
 }
 
-/// Statistics of symbols by context, made when they are first needed: most never are.
+/// Statistics of symbols by context, created when they are first needed: most never are.
 struct Models {
     symbols: u32,
     by_context: Vec<Option<ArithmeticModel>>,
@@ -183,7 +185,7 @@ fn corrections(bits: u32, contexts: u32) -> IntegerDecompressor {
 struct Layer {
     code: ArithmeticDecoder<Cursor<Vec<u8>>>,
     bytes: usize,
-    /// Whether the layer is wanted and has bytes.
+    /// Whether the layer is selected and not empty.
     is_read: bool,
 }
 
@@ -193,9 +195,9 @@ impl Layer {
     }
 }
 
-/// What is known of a scanner channel.
+/// The state of a scanner channel.
 struct Channel {
-    /// Its last point, or where it has none yet, that of the channel before.
+    /// Its last point or, if it has none yet, that of the previous channel.
     last: Point,
     time_changed: bool,
     changes: Models,
@@ -245,7 +247,7 @@ impl Channel {
         }
     }
 
-    /// What differs in the next point.
+    /// Decodes which fields differ in the next point.
     fn changes(&mut self, layer: &mut Layer) -> io::Result<u32> {
         let place = usize::from(self.last.is_first()) | usize::from(self.last.is_last()) << 1;
         self.changes.decode(place | usize::from(self.time_changed) << 2, layer)
@@ -302,7 +304,7 @@ impl Channel {
             1 => number + 1,
             2 => number + 15,
             _ if self.time_changed => self.return_number.decode(usize::from(number), xy)? as u8,
-            // Of the same pulse, so neither the same nor a neighbour.
+            // Within the same pulse, so it is neither the same number nor an adjacent one.
             _ => number + 2 + self.return_number_of_pulse.decode(0, xy)? as u8,
         };
         last.return_number = number & 15;
@@ -319,7 +321,7 @@ impl Channel {
             let step = self.step[axis].decompress(&mut xy.code, steps.get(), context)?;
             steps.add(step);
             self.last.position[axis] = self.last.position[axis].wrapping_add(step);
-            // For y: how many bits x took, in pairs.
+            // For y: the number of bits that x took, rounded down to even.
             context = is_single + (self.step[axis].k() & !1).min(20);
         }
         if z.is_read {
@@ -337,16 +339,16 @@ impl Channel {
 pub(super) struct Point14 {
     selection: u32,
     layers: [Layer; 9],
-    /// Those of which there were points.
+    /// The channels that have occurred.
     channels: [Option<Box<Channel>>; 4],
     current: usize,
-    /// Whether later fields are told the channel of every point, as from version 4 on. Version 3 tells it where the
-    /// channel changes, and channel 0 elsewhere.
+    /// Whether the channel of every point is passed to the later items, as from version 4 on. Version 3 passes it only if
+    /// the channel changes, and channel 0 otherwise.
     always_tells_channel: bool,
 }
 
 impl Point14 {
-    /// For points that were compressed by a version of the item, 3 or 4.
+    /// For points that were compressed with the given version of the item, 3 or 4.
     pub(super) fn of_version(version: u16) -> Self {
         Self {
             selection: DecompressionSelection::ALL,
@@ -411,7 +413,7 @@ impl<R: Read + Seek> LayeredFieldDecompressor<R> for Point14 {
         Ok(())
     }
 
-    /// Memory is taken as the sizes say, which the caller has compared with what is left of the chunk.
+    /// Allocates by the sizes of the layers, which the caller has checked against the rest of the chunk.
     fn read_layers(&mut self, source: &mut R) -> io::Result<()> {
         for (layer, bit) in self.layers.iter_mut().zip(LAYERS) {
             layer.is_read = layer.bytes > 0 && self.selection & bit != 0;

@@ -1,9 +1,9 @@
-//! Panics of the decompressor as values, without a word on standard error.
+//! Converts panics of the decompressor to values, without output on standard error.
 //!
-//! The decompressor trusts its input: damaged bytes make it index beyond tables, divide by zero or overflow. These
-//! panics are caught, and since a panic is reported before it is caught, a panic hook that keeps silent about them is
-//! put before the one of the program, once per process and only when a compressed file is read. It looks at a flag of
-//! the thread, so that every other panic is reported as it was.
+//! The decompressor trusts its input: damaged bytes make it index beyond tables, divide by zero or overflow. These panics
+//! are caught. Because a panic is reported before it is caught, a panic hook that suppresses their reports is installed in
+//! front of the program's own hook, once per process and only when a compressed file is read. It checks a thread-local flag,
+//! so that every other panic is still reported.
 
 use std::cell::Cell;
 use std::panic::{self, AssertUnwindSafe};
@@ -13,13 +13,13 @@ thread_local! {
     static SILENT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// What `call` returns, or `None` if it panics. The caller gives up what `call` was changing.
+/// The result of `call`, or `None` if it panics. The caller must then discard whatever `call` was modifying.
 pub(super) fn catch<T>(call: impl FnOnce() -> T) -> Option<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
         let report = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
-            // A thread that is ending has no flags any more, and is not in here either.
+            // A thread that is ending no longer has the flag, and is not in this function either.
             if !SILENT.try_with(Cell::get).unwrap_or(false) {
                 report(info);
             }

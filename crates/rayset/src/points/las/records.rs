@@ -1,4 +1,4 @@
-//! Variable length records, and extended ones: all are passed over, and the few that are needed are read.
+//! Variable length records, and extended ones: the few that are needed are read, and all others are skipped.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -9,19 +9,19 @@ use super::header::Header;
 use super::stretch::Stretch;
 use crate::points::{Place, ReadError};
 
-/// Longest record that is read. Nothing needed is longer where it is plain: ordinary records cannot be.
+/// Longest record that is read, in bytes. Ordinary records cannot be longer.
 const LONGEST: u64 = 64 << 10;
-/// Extended records that are looked at; points need none of them, and files have a handful.
+/// Largest number of extended records that are examined; points need none of them, and files have only a few.
 const EXTENDED_LOOKED_AT: u32 = 100_000;
-/// Bytes before the contents of a record: of an ordinary one, and of an extended one.
+/// Size in bytes of the head of a record: of an ordinary one, and of an extended one.
 const PREFIX: [u64; 2] = [54, 60];
 
-/// The contents of the records that are needed, each as the first record of its kind has it.
+/// The contents of the records that are needed, each from the first record of its kind.
 #[derive(Default)]
 pub(super) struct Records {
     /// How points are compressed.
     pub(super) laszip: Option<Vec<u8>>,
-    /// What the extra bytes of points mean.
+    /// The descriptors of the extra bytes of points.
     pub(super) extra_bytes: Option<Vec<u8>>,
     /// The reference system as WKT.
     pub(super) wkt: Option<Vec<u8>>,
@@ -30,7 +30,7 @@ pub(super) struct Records {
 }
 
 impl Records {
-    /// Goes through all records of a file.
+    /// Reads the records of a file.
     pub(super) fn read(path: &Path, file: &Arc<File>, header: &Header) -> Result<Self, ReadError> {
         let mut records = Self::default();
         let ordinary = (header.header_bytes, header.records);
@@ -42,7 +42,7 @@ impl Records {
         Ok(records)
     }
 
-    /// Goes through `number` records from byte `start`, which must all end before byte `end`.
+    /// Visits `number` records from byte `start` on, which must all end by byte `end`.
     fn walk(
         &mut self,
         path: &Path,
@@ -96,7 +96,7 @@ impl Records {
                     input.read_exact(&mut read).map_err(failed)?;
                     *contents = Some(read);
                 }
-                // Lengths are below those of files, which fit.
+                // A length is less than that of the file, which fits.
                 None => input.seek_relative(length as i64).map_err(failed)?,
             }
             at = next;
@@ -104,7 +104,7 @@ impl Records {
         Ok(())
     }
 
-    /// Where the contents of a record go; `None` if it is not needed.
+    /// Where to store the contents of a record; `None` if it is not needed.
     fn wanted(&mut self, user: &[u8], id: u16, extended: bool) -> Option<&mut Option<Vec<u8>>> {
         let place = match (user, id) {
             (b"laszip encoded", 22204) if !extended => &mut self.laszip,

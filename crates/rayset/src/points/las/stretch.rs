@@ -1,14 +1,14 @@
-//! A part of a file as a stream of its own: nothing beyond its end is ever read.
+//! A part of a file as a stream: nothing beyond its end is ever read.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
-/// Bytes of a read.
+/// Size of the read buffer in bytes.
 pub(super) const BUFFER_BYTES: usize = 64 << 10;
 
-/// The bytes of a file from a place to an end. Several of one file have places of their own; they are for one thread at
-/// a time, for the file has one cursor.
+/// A range of the bytes of a file. Several stretches of one file have positions of their own, but may only be used by one
+/// thread at a time, because the file has a single cursor.
 #[derive(Clone)]
 pub(super) struct Stretch {
     file: Arc<File>,
@@ -28,12 +28,12 @@ impl Stretch {
         BufReader::with_capacity(BUFFER_BYTES, self)
     }
 
-    /// Byte of the file behind the last one.
+    /// Byte offset in the file of the end of the stretch.
     pub(super) fn end(&self) -> u64 {
         self.end
     }
 
-    /// Goes to another part of the file. Behind a buffer, the buffer must be emptied.
+    /// Moves to another part of the file. If the stretch is buffered, the buffer must be emptied as well.
     pub(super) fn set(&mut self, at: u64, end: u64) {
         (self.at, self.end) = (at, end);
     }
@@ -55,7 +55,7 @@ impl Read for Stretch {
 }
 
 impl Seek for Stretch {
-    /// Places are bytes of the file, and `SeekFrom::End` counts from the end of the stretch.
+    /// Positions are byte offsets in the file; `SeekFrom::End` counts from the end of the stretch.
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let place = match to {
             SeekFrom::Start(place) => Some(place),

@@ -6,7 +6,7 @@ use std::io;
 #[derive(Debug)]
 pub(super) enum Trouble {
     Io(io::Error),
-    /// They are not what they should be, near a byte of the file.
+    /// They are invalid, near a byte of the file.
     Damaged {
         byte: u64,
         what: String,
@@ -18,7 +18,7 @@ impl Trouble {
         Self::Damaged { byte, what: what.into() }
     }
 
-    /// Tells what the system refused from what the data refused.
+    /// Distinguishes errors of the system from errors in the data.
     pub(super) fn from_io(error: io::Error, byte: u64, what: &str) -> Self {
         if error.raw_os_error().is_some() { Self::Io(error) } else { Self::at(byte, what) }
     }

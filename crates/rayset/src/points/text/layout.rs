@@ -1,19 +1,19 @@
-//! What precedes the points of a text file, and how its rows are to be read.
+//! Detects the layout of a text file: what precedes its points, and how its rows are read.
 
 use super::lines::Lines;
 use super::number::DecimalMark;
 use super::rows::{Separator, Splitter};
 use crate::points::{ReadError, roles};
 
-/// How the rows of a file are to be read, settled by its header and its first row.
+/// How the rows of a file are read, determined from its header and its first row.
 pub(super) struct Layout {
     pub(super) separator: Separator,
-    /// A name for each column; empty or `-` where it is of no interest.
+    /// A name for each column; empty or `-` for columns that are skipped.
     pub(super) names: Vec<String>,
     pub(super) axes: [usize; 3],
     /// Line of the header, if the names come from one.
     pub(super) header_line: Option<u64>,
-    /// The count that stands before the points, and its line.
+    /// The number of points stated before them, and its line.
     pub(super) count: Option<(u64, u64)>,
     /// The first row and the line on which it begins.
     pub(super) first: Vec<u8>,
@@ -29,7 +29,7 @@ struct Header {
     is_comment: bool,
 }
 
-/// The text of a comment; `None` if the line is none.
+/// The text of a comment; `None` if the line is not a comment.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii_start();
     if line.starts_with(b"#") || line.starts_with(b"//") {
@@ -39,7 +39,7 @@ pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     None
 }
 
-/// The number that a line holds alone.
+/// The count on a line that contains nothing else; `None` for other lines.
 pub(super) fn lone_count(line: &[u8]) -> Option<u64> {
     let digits = line.trim_ascii();
     let is_number = !digits.is_empty() && digits.iter().all(u8::is_ascii_digit);
@@ -47,7 +47,7 @@ pub(super) fn lone_count(line: &[u8]) -> Option<u64> {
 }
 
 impl Layout {
-    /// Reads up to the first row of numbers. `names` are those of the columns where they do not come from the file.
+    /// Reads up to the first row of numbers. `names` overrides the column names of the file.
     pub(super) fn find(lines: &mut Lines, names: Option<&[String]>) -> Result<Self, ReadError> {
         if let Some(names) = names {
             whole_axes(names).map_err(|axis| lines.fail(no_column(axis)))?;
@@ -76,7 +76,7 @@ impl Layout {
                 }
                 continue;
             }
-            // Which quotes open a value is not known before the separator is; of a whole record they are even.
+            // Which quotes open a value is unknown before the separator is; a whole record has an even number of them.
             let quotes = |part: &[u8]| part.iter().filter(|&&b| b == b'"').count();
             let mut open = quotes(&record);
             while open % 2 == 1 {
@@ -121,7 +121,7 @@ impl Layout {
         }
     }
 
-    /// Compares the first row with the names of its columns.
+    /// Checks the first row against the names of its columns.
     fn checked(
         lines: &Lines,
         separator: Separator,
@@ -164,7 +164,7 @@ impl Layout {
     }
 }
 
-/// Whether a row has `columns` values; a separator may follow the last.
+/// Whether a row has `columns` values; a separator may follow the last value.
 #[inline]
 pub(super) fn is_as_wide(row: &Splitter, columns: usize) -> bool {
     row.len() == columns || (row.len() == columns + 1 && row.ends_empty())
@@ -183,7 +183,7 @@ fn whole_axes(names: &[String]) -> Result<[usize; 3], &'static str> {
     Ok([x.ok_or("x")?, y.ok_or("y")?, z.ok_or("z")?])
 }
 
-/// Whether a line names x, y and z. Of a comment the first word must be one of them, for it may be a sentence.
+/// Whether a line names x, y and z. The first word of a comment must be one of them, because a comment may be a sentence.
 fn is_header(line: &[u8], is_comment: bool) -> bool {
     Separator::ALL.into_iter().any(|separator| {
         let names = Splitter::whole(separator, line).map(|row| row.names()).unwrap_or_default();
@@ -191,11 +191,11 @@ fn is_header(line: &[u8], is_comment: bool) -> bool {
     })
 }
 
-/// The separator with which `record` has numbers for x, y and z, and the names of the columns if there are any.
+/// The separator with which `record` has numbers for x, y and z, and the names of the columns, if given.
 ///
-/// The header and the rows may be separated differently, but where both can be the same they are. No row can be read
-/// both as separated by commas and as separated by blanks with decimal commas: between numbers separated by commas every
-/// blank is beside a comma, and a decimal comma has a digit on either side.
+/// The header and the rows may have different separators, but a common one is preferred. No row can be read both as
+/// separated by commas and as separated by blanks with decimal commas: in numbers separated by commas, every blank is next
+/// to a comma, whereas a decimal comma has a digit on either side.
 fn settle(
     record: &[u8],
     names: Option<&[String]>,
@@ -228,8 +228,8 @@ fn settle(
     Some((fits.0, Some(names)))
 }
 
-/// Whether the values at `axes` are numbers of one decimal mark, or say that they are missing. An empty value says so
-/// only where the columns have names.
+/// Whether the values at `axes` are numbers with the same decimal mark, or markers of missing values. An empty value counts
+/// as missing only if the columns have names.
 fn are_numbers(separator: Separator, row: &Splitter, axes: [usize; 3], may_be_empty: bool) -> bool {
     let mut mark = first_mark(separator);
     axes.into_iter().all(|axis| {
@@ -240,7 +240,7 @@ fn are_numbers(separator: Separator, row: &Splitter, axes: [usize; 3], may_be_em
     })
 }
 
-/// What is known of the decimal mark before any number: where commas separate values it is a point.
+/// The decimal mark before any number has been read: if commas separate values, it is a point.
 pub(super) fn first_mark(separator: Separator) -> DecimalMark {
     if separator == Separator::Comma { DecimalMark::Point } else { DecimalMark::Open }
 }

@@ -1,4 +1,4 @@
-//! Lines of a text file, in bounded memory and with their numbers.
+//! Reads and counts the lines of a text file, in bounded memory.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 
 use crate::points::{Place, ReadError};
 
-/// Longest record, so that a file without line ends or with a quote that is never closed costs bounded memory.
+/// Longest record in bytes, so that a file without line ends or with an unclosed quote needs bounded memory.
 pub(super) const RECORD_LIMIT: usize = 1 << 16;
 
 #[derive(Debug)]
 pub(super) struct Lines {
     path: PathBuf,
     input: BufReader<File>,
-    /// Number of the line read last, from 1.
+    /// Number of the line read last, starting at 1.
     number: u64,
 }
 
@@ -23,7 +23,7 @@ impl Lines {
         &self.path
     }
 
-    /// Opens a file, and passes over a byte-order mark.
+    /// Opens a file, and skips a byte-order mark.
     pub(super) fn open(path: PathBuf) -> Result<Self, ReadError> {
         let file = File::open(&path).map_err(|source| ReadError::Io { path: path.clone(), source })?;
         let mut lines = Self { path, input: BufReader::with_capacity(256 << 10, file), number: 0 };
@@ -38,9 +38,9 @@ impl Lines {
         Ok(lines)
     }
 
-    /// Appends the next line to `record` without its line end. False at the end of the file.
+    /// Appends the next line to `record` without its line end. Returns false at the end of the file.
     pub(super) fn append(&mut self, record: &mut Vec<u8>) -> Result<bool, ReadError> {
-        // Room for `\r\n`, which do not count.
+        // Room for `\r\n`, which does not count.
         let room = RECORD_LIMIT + 2 - record.len().min(RECORD_LIMIT);
         let read = (&mut self.input)
             .take(room as u64)
@@ -68,7 +68,7 @@ impl Lines {
         self.number
     }
 
-    /// Something wrong with the line read last.
+    /// An error on the line read last.
     pub(super) fn fail(&self, what: impl Into<String>) -> ReadError {
         self.fail_at(self.number, what)
     }

@@ -1,23 +1,23 @@
-//! XYZ, TXT, CSV, ASC, PTS: one point a record, with separators and header detected and columns nameable.
+//! XYZ, TXT, CSV, ASC, PTS: one point per record; separators and header are detected, and columns can be named.
 //!
-//! **Rows.** Values are separated by `;`, tabs, commas, or blanks (any number of blanks and tabs): the first of these
-//! with which the first row has numbers for x, y and z. What is settled by the first row holds for the whole file, and a
-//! row with another number of values is an error. A separator may follow the last value. Values may be quoted: `""` is a
-//! quote, and separators and line breaks within quotes are part of the value. A record has at most 64 KiB. Lines end with
-//! `\n` or `\r\n`. Empty lines, and lines that start with `#` or `//`, hold no point.
+//! **Rows.** Values are separated by `;`, tabs, commas, or blanks (any number of blanks and tabs): the first of these with
+//! which the first row has numbers for x, y and z. The layout of the first row applies to the whole file, and a row with
+//! another number of values is an error. A separator may follow the last value. Values may be quoted: within quotes, `""` is
+//! a quote, and separators and line breaks are part of the value. A record is at most 64 KiB long. Lines end with `\n` or
+//! `\r\n`. Empty lines, and lines that start with `#` or `//`, are skipped.
 //!
-//! **Numbers** are what Rust reads as `f64`, or have the exponents of Fortran, `1.0D+05`. Where values are not separated
-//! by commas the decimal mark may be a comma between digits; a file has one decimal mark, that of the first number that
-//! has any. `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing: NaN. Values of columns
-//! that nobody selected are not looked at, and may be any text.
+//! **Numbers** are what Rust parses as `f64`, or have Fortran exponents, `1.0D+05`. If values are not separated by commas,
+//! the decimal mark may be a comma between digits; a file has a single decimal mark, that of the first number that has one.
+//! `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing values and become NaN. Values of
+//! columns that are not selected are not parsed, and may be any text.
 //!
-//! **Names** come from the caller, else from a header, else from the number of columns: four are x y z intensity, six x y
-//! z red green blue, seven x y z intensity red green blue. A header is a line before the first row that names x, y and z
-//! (see [`roles`](super::roles)), or a comment that does, if its first name is one of the three. It has a name for each
-//! value of a row; columns without a name are left out.
+//! **Names** come from the caller, otherwise from a header, otherwise from the number of columns: four are x y z intensity,
+//! six x y z red green blue, seven x y z intensity red green blue. A header is a line before the first row that names x, y
+//! and z (see [`roles`](super::roles)), or a comment that does so and whose first name is one of the three. It has a name
+//! for each value of a row; columns with an empty name are skipped.
 //!
-//! **Counts.** A whole number alone on the line before the first row, as in PTS files, is the number of points that
-//! follow, and must be. Behind them may stand another count and as many points, and so on: all are one cloud.
+//! **Counts.** A whole number alone on a line before the first row, as in PTS files, is the number of points that follow,
+//! and must be correct. After them, another count and its points may follow, and so on: all belong to the same cloud.
 
 mod layout;
 mod lines;
@@ -38,24 +38,24 @@ pub struct TextSource {
     lines: Lines,
     separator: Separator,
     mark: DecimalMark,
-    /// Values of a row.
+    /// Number of values in a row.
     width: usize,
     axes: [usize; 3],
-    /// The place in a row of each column of the schema.
+    /// The index in a row of each column of the schema.
     places: Vec<usize>,
     schema: Schema,
     selected: Vec<usize>,
     scan: Option<Scan>,
-    /// The line read last, and whether it is yet to be used.
+    /// The line read last, and whether it has yet to be used.
     line: Vec<u8>,
     is_held: bool,
     row: Splitter,
-    /// Line on which the row begins, and on which the first did.
+    /// Lines on which the current row and the first row begin.
     row_line: u64,
     first_line: u64,
 }
 
-/// Points that follow a count.
+/// A count in the file, and the points that follow it.
 #[derive(Debug)]
 struct Scan {
     claimed: u64,
@@ -64,10 +64,10 @@ struct Scan {
 }
 
 impl TextSource {
-    /// Opens a file and settles its columns, from `names` if given.
+    /// Opens a file and determines its columns, from `names` if given.
     ///
     /// # Errors
-    /// [`ReadError`] where the file cannot be read, holds no data, or its columns do not include x, y and z.
+    /// [`ReadError`] if the file cannot be read, contains no data, or its columns do not include x, y and z.
     pub fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
         let mut lines = Lines::open(path.to_owned())?;
         let layout = Layout::find(&mut lines, names)?;
@@ -100,7 +100,7 @@ impl TextSource {
         })
     }
 
-    /// Takes the next row apart. False at the end of the file.
+    /// Reads and splits the next row. Returns false at the end of the file.
     fn next_row(&mut self) -> Result<bool, ReadError> {
         loop {
             if !std::mem::take(&mut self.is_held) {
@@ -149,7 +149,7 @@ impl TextSource {
         }
     }
 
-    /// Whether as many points came as the last count claims.
+    /// Checks that as many points were found as the last count claims.
     fn finish_scan(&self) -> Result<(), ReadError> {
         match &self.scan {
             Some(scan) if scan.found < scan.claimed => Err(self.lines.fail_at(
@@ -170,7 +170,7 @@ impl TextSource {
         self.lines.fail_at(self.row_line, what)
     }
 
-    /// Value `place` of the row.
+    /// Parses value `place` of the row.
     #[inline]
     fn number(&mut self, place: usize) -> Result<f64, ReadError> {
         let text = std::str::from_utf8(self.row.bytes(place));
@@ -206,7 +206,7 @@ impl PointSource for TextSource {
     }
 
     fn memory_needed(&self) -> u64 {
-        // A buffer to read through.
+        // The read buffer.
         256 << 10
     }
 

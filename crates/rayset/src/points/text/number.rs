@@ -1,31 +1,31 @@
-//! Numbers as tables hold them.
+//! Parsing the numbers of text tables.
 
-/// The mark between whole numbers and decimals. A file has one: that of the first number that has any.
+/// The decimal mark. A file has a single one: that of the first number that has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DecimalMark {
-    /// No number had one yet.
+    /// Not known yet: no number has had one.
     Open,
     Point,
     Comma,
 }
 
-/// Why a value is no number.
+/// Why a value is not a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NotANumber {
     Word,
-    /// It has the decimal mark that the file does not have, or both.
+    /// It has another decimal mark than the file, or both.
     OtherMark,
 }
 
 impl DecimalMark {
-    /// The number that `text`, without blanks around it, stands for.
+    /// Parses `text`, which has no blanks around it.
     ///
-    /// What [`str::parse`] reads, with a comma in place of the point (a digit on either side) where the file has
-    /// commas, with the exponents of Fortran (`1.0D+05`), and NaN for a missing value: nothing, `NA`, `N/A`, `null`.
+    /// Accepts what [`str::parse`] does, also with a comma between digits as the decimal mark if the file has commas, and
+    /// with Fortran exponents (`1.0D+05`). Missing values (an empty text, `NA`, `N/A`, `null`) become NaN.
     #[inline]
     pub(super) fn parse(&mut self, text: &str) -> Result<f64, NotANumber> {
         match text.parse::<f64>() {
-            // Infinities and NaN have no point, and whole numbers leave it open.
+            // Infinities and NaN have no point, and whole numbers leave the mark open.
             Ok(value) if *self == Self::Point || !text.contains('.') => Ok(value),
             Ok(value) => self.settle(Self::Point).map(|()| value),
             Err(_) => self.parse_unusual(text),
@@ -68,7 +68,7 @@ impl DecimalMark {
     }
 }
 
-/// Whether a value says that there is none.
+/// Whether a text marks a missing value.
 fn is_missing(text: &str) -> bool {
     text.is_empty() || ["NA", "N/A", "null"].iter().any(|word| text.eq_ignore_ascii_case(word))
 }

@@ -1,10 +1,10 @@
-//! Records taken apart into fields.
+//! Splitting records into fields.
 
 use std::borrow::Cow;
 
 use csv_core::{ReadRecordResult, Reader, ReaderBuilder};
 
-/// What stands between two values.
+/// The separator between two values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Separator {
     Semicolon,
@@ -15,7 +15,8 @@ pub(super) enum Separator {
 }
 
 impl Separator {
-    /// In the order in which they are tried: of two that a line could have, the first is the rarer within numbers.
+    /// In the order in which they are tried: if a line could have either of two, the one that is rarer within numbers comes
+    /// first.
     pub(super) const ALL: [Self; 4] = [Self::Semicolon, Self::Tab, Self::Comma, Self::Blank];
 
     fn byte(self) -> Option<u8> {
@@ -28,26 +29,26 @@ impl Separator {
     }
 }
 
-/// How far a record is taken apart.
+/// The state of splitting a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Progress {
     Complete,
-    /// A quote is open at the end of the line: the record goes on.
+    /// A quote is open at the end of the line, so the record continues.
     QuoteOpen,
     /// There is a carriage return within a line.
     CarriageReturn,
 }
 
-/// Takes records apart, line by line. Separators within quotes separate nothing, and a doubled quote is a quote.
+/// Splits records into fields, line by line. Separators within quotes belong to the value, and a doubled quote is a quote.
 #[derive(Debug)]
 pub(super) struct Splitter {
     /// `None` for blanks.
     parser: Option<Reader>,
-    /// The values of the record, without quotes and separators where there is a `parser`.
+    /// The values of the record, without quotes and separators if there is a `parser`.
     text: Vec<u8>,
     /// Start and end of each value in `text`.
     fields: Vec<(usize, usize)>,
-    /// Bytes of `text` in use, and how many of `ends` are known.
+    /// The number of bytes of `text` in use, and of known `ends`.
     written: usize,
     known: usize,
     ends: Vec<usize>,
@@ -59,7 +60,7 @@ impl Splitter {
         Self { parser, text: Vec::new(), fields: Vec::new(), written: 0, known: 0, ends: Vec::new() }
     }
 
-    /// A whole record at once, to try a separator; `None` if a quote stays open.
+    /// Splits a whole record at once, to try a separator; `None` if a quote is not closed.
     pub(super) fn whole(separator: Separator, record: &[u8]) -> Option<Self> {
         let mut splitter = Self::new(separator);
         (splitter.start(record) == Progress::Complete).then_some(splitter)
@@ -78,10 +79,11 @@ impl Splitter {
         self.split_blanks()
     }
 
-    /// Takes a further line of a record whose quote is open.
+    /// Continues a record whose quote is open with another line.
     pub(super) fn go_on(&mut self, line: &[u8]) -> Progress {
         let Some(parser) = &mut self.parser else { return Progress::Complete };
-        // The parser writes no more than it reads; and to give it nothing would be to say that the file ends.
+        // The parser writes no more than it reads. It must not be given an empty input, which would mean the end of the
+        // file.
         let room = line.len() + 1;
         if self.text.len() < self.written + room {
             self.text.resize(self.written + room, 0);
@@ -135,7 +137,7 @@ impl Splitter {
         Progress::Complete
     }
 
-    /// How many values the record has.
+    /// Number of values of the record.
     #[inline]
     pub(super) fn len(&self) -> usize {
         self.fields.len()
@@ -146,23 +148,23 @@ impl Splitter {
         self.fields.last().is_some_and(|_| self.bytes(self.len() - 1).is_empty())
     }
 
-    /// A value, without blanks and quotes around it. Panics beyond the end.
+    /// A value, without blanks and quotes around it. Panics if `index` is out of range.
     #[inline]
     pub(super) fn bytes(&self, index: usize) -> &[u8] {
         let (start, end) = self.fields[index];
         match self.text[start..end].trim_ascii() {
-            // A quote that does not begin its field, as after a blank, is left to us.
+            // The parser does not remove quotes that do not begin the field, for example after a blank.
             [b'"', inner @ .., b'"'] => inner.trim_ascii(),
             field => field,
         }
     }
 
-    /// The same as text, whatever the bytes are.
+    /// A value as text; invalid UTF-8 is replaced.
     pub(super) fn field(&self, index: usize) -> Cow<'_, str> {
         String::from_utf8_lossy(self.bytes(index))
     }
 
-    /// All values, as names: a line break or another control character is a blank.
+    /// All values, as names: line breaks and other control characters become blanks.
     pub(super) fn names(&self) -> Vec<String> {
         (0..self.len()).map(|i| self.field(i).replace(char::is_control, " ")).collect()
     }

@@ -1,7 +1,7 @@
-//! The part of the octree that a packet has not yet passed, nearest first.
+//! The part of the octree that a packet has not passed yet, nearest first.
 //!
-//! A node is opened only when a slab reaches it and rays that still go on may meet it, so nothing behind an opaque
-//! surface is ever asked for; and each node is opened once a packet, however many slabs there are.
+//! A node is opened only when a slab reaches it and live rays may meet it, so nothing behind an opaque surface is ever
+//! requested; and each node is opened once per packet, however many slabs there are.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -16,22 +16,23 @@ use crate::octree::node::{Node, NodePage};
 use crate::octree::page::PointPage;
 use crate::trace::access::{Access, Halt};
 
-/// More own runs of a node than this are kept as whole pages, so that a frontier stays small however wide the points.
+/// Nodes with more own runs than this add whole pages instead of single runs, so that a frontier stays small however
+/// large the points are.
 const MOST_SINGLE_RUNS: u32 = 512;
 
-/// Runs that lie along more samples of a packet than this are looked at point by point.
+/// Runs that extend over more samples of a packet than this are examined point by point.
 const MOST_SAMPLES_AT_ONCE: u64 = 64 * SLAB_SAMPLES as u64;
-/// More stretches of samples than this are not kept for a run.
+/// Most separate ranges of samples that are kept for a run.
 const MOST_RANGES: usize = 32;
 
 #[derive(Clone, Copy, Debug)]
 enum Item {
-    /// Its record has been seen; its children and points have not.
+    /// A node whose record has been read, but not its children and points.
     Node(Node),
     Runs(Runs),
 }
 
-/// One run of a page, or several that have not been looked at by themselves.
+/// One run of a page, or several runs that have not been examined individually.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Runs {
     pub(super) page: u32,
@@ -58,8 +59,8 @@ impl PartialOrd for Entry {
     }
 }
 impl Ord for Entry {
-    /// The heap yields its greatest entry, so nearer is greater. Ties may come in any order: runs are sorted again
-    /// before they are used.
+    /// The heap yields its greatest entry first, so nearer is greater. The order of ties does not matter: runs are
+    /// sorted before they are used.
     fn cmp(&self, other: &Self) -> Ordering {
         other.first.cmp(&self.first)
     }
@@ -69,7 +70,7 @@ impl Ord for Entry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct ActiveRuns {
     pub(super) runs: Runs,
-    /// First and last sample that it may reach.
+    /// First and last sample that they may reach.
     pub(super) first: u64,
     pub(super) last: u64,
 }
@@ -78,19 +79,19 @@ pub(super) struct ActiveRuns {
 #[derive(Default)]
 pub(super) struct Frontier {
     heap: BinaryHeap<Entry>,
-    /// Nodes looked at.
+    /// Number of nodes opened.
     opened: u64,
-    /// Own runs of these.
+    /// Number of own runs of these nodes.
     opened_runs: u64,
 }
 
-/// Bounds of influence of a run, a little wider than rounding can make it.
+/// Bounds of influence of a run, enlarged by more than the rounding error.
 pub(in crate::trace) fn run_bounds(cloud: &CloudPlacement, points: &PointPage<'_>, run: usize) -> Aabb {
     let head = points.head(run);
     head.position_bounds(cloud.root_cell).inflated(f64::from(head.radius_max()) * (1.0 + 1e-5))
 }
 
-/// Where a frontier is: one packet in one cloud.
+/// What a frontier belongs to: one packet in one cloud.
 #[derive(Clone, Copy)]
 pub(super) struct Place<'a> {
     pub(super) access: Access<'a>,
@@ -101,7 +102,7 @@ pub(super) struct Place<'a> {
 }
 
 impl Frontier {
-    /// Starts again at the root.
+    /// Restarts at the root.
     pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
         self.heap.clear();
         (self.opened, self.opened_runs) = (1, 0);
@@ -116,8 +117,8 @@ impl Frontier {
         self.heap.peek().map(|e| e.first)
     }
 
-    /// Opens everything that samples before `end` may need and moves its runs to `active`. What only samples reach that
-    /// do not matter is left for later.
+    /// Opens everything that samples before `end` may need and moves its runs to `active`. Nodes that only samples
+    /// without effect can reach are left for later.
     pub(super) fn advance(
         &mut self,
         place: Place<'_>,
@@ -152,7 +153,8 @@ impl Frontier {
         Ok(())
     }
 
-    /// A page of a node was absent: asks, in one batch, for all that this slab and the next will open.
+    /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and the next
+    /// `slabs_on_a_miss` slabs will open.
     fn request_ahead(&self, place: Place<'_>, node: &Node, end: u64) {
         let Place { access, cloud, packet, rays } = place;
         let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
@@ -167,8 +169,8 @@ impl Frontier {
         access.pages.hint(&cloud.pages, &pages, u64::MAX);
     }
 
-    /// Goes on from the nearest node ahead that the middle ray of the packet meets, down to where it meets it first,
-    /// through nothing but what is in memory; asks for the first page that is not.
+    /// Starts at the nearest node ahead that the packet's middle ray meets and descends to where the ray first meets
+    /// points, through nodes in memory only; requests the first page that is absent.
     pub(super) fn precache(&self, place: Place<'_>) {
         let Place { access, cloud, packet, .. } = place;
         let middle = packet.ray(packet.len() / 2);
@@ -230,10 +232,10 @@ impl Frontier {
         Ok(())
     }
 
-    /// Looks at the bounds of a node's own runs. Their pages are needed for that, and soon again for the points.
+    /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed again for the points.
     fn open_own(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
         let Place { access, cloud, packet, rays } = place;
-        // Runs belong to one node each, and hold a point at least.
+        // Each run belongs to one node and has at least one point.
         self.opened_runs += u64::from(node.own.runs);
         if self.opened_runs > cloud.header().points {
             return Err(cloud.broken(node.own.first_page).into());
@@ -261,7 +263,7 @@ impl Frontier {
     }
 }
 
-/// The pages of a node's own points, with the runs in each of them that are its own.
+/// Visits the pages of a node's own points, each with the range of runs that belong to the node.
 pub(in crate::trace) fn each_own_page(
     access: Access<'_>,
     cloud: &CloudPlacement,
@@ -287,8 +289,8 @@ pub(in crate::trace) fn each_own_page(
     Ok(())
 }
 
-/// The samples that the points of a run may reach, where these are few stretches of all that lie in its bounds: rays pass
-/// most points of a wide run by.
+/// Ranges of samples that the points of a wide run may reach, or `None` if there are too many. They may be much smaller
+/// than the range of its bounds, because rays miss most points of a wide run.
 fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
     let Place { cloud, packet, rays, .. } = place;
     let run = points.run(run);
@@ -297,11 +299,11 @@ fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Opt
         radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
     }
     let positions = run.positions(cloud.root_cell);
-    // Between the rays of a packet there may be any number of points that none of them meets.
+    // Between the rays of a packet there may be any number of points that no ray meets.
     let going = rays.ray_by_ray(packet);
     let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
         .filter_map(|(&position, &radius)| {
-            // Far more than rounding takes from a point where it is added to samples.
+            // Far larger than the rounding error when a point is added to samples.
             let reach = f64::from(radius) * (1.0 + 1e-4);
             going.samples_in(packet, &Aabb::new(position - reach, position + reach))
         })

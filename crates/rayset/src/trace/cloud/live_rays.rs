@@ -1,20 +1,20 @@
-//! The rays of a packet that still go on, and their samples that can still matter: which boxes they meet, and where.
+//! The live rays of a packet and those of their samples that still matter: which boxes they meet, and where.
 
 use crate::field::{LANES, Packet, RayColumns, SimdLevel, Slab};
 use crate::geometry::{Aabb, Beam};
 use crate::trace::node_samples::{Live, each_lane};
 
-/// Rays whose directions differ by more than this along some axis are tested one by one.
+/// Rays whose directions differ by more than this along any axis are tested individually.
 const MOST_SPREAD: f64 = 0.25;
 
 /// A set of rays of a packet.
 pub(super) struct RaySet {
     lanes: u64,
     beam: Beam,
-    /// Each ray by itself, where some are missing or they go to many sides: the bound of all of them may hold much that
-    /// none of them meets.
+    /// The rays individually, if the set is incomplete or its directions diverge: their common bound may then contain
+    /// much that no ray meets.
     each: Option<RayColumns>,
-    /// The least and the greatest step of them.
+    /// The smallest and the largest step of these rays.
     steps: (f64, f64),
     simd: SimdLevel,
 }
@@ -27,13 +27,13 @@ impl RaySet {
         if apart && lanes != 0 { set.ray_by_ray(packet) } else { set }
     }
 
-    /// The same rays, each by itself.
+    /// The same rays, tested individually.
     fn ray_by_ray(&self, packet: &Packet) -> Self {
         let each = (self.lanes != 0).then(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
         Self { each, steps: packet.step_range(self.lanes), ..*self }
     }
 
-    /// The samples that may lie in a box, or `None` if none does.
+    /// The samples that may lie in a box, or `None` if there are none.
     pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         let (first, last) = packet.samples_in(&self.beam, bounds)?;
         let Some(each) = &self.each else { return Some((first, last)) };
@@ -48,7 +48,7 @@ impl RaySet {
             near &= near - 1;
             (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
         }
-        // Samples of slack, as of the beam; single precision is far finer than one of them, where it is used at all.
+        // A slack of two samples, as for the beam; wherever single precision is used, it is far finer than one sample.
         let (least, most) = self.steps;
         let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
         let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
@@ -57,21 +57,21 @@ impl RaySet {
     }
 }
 
-/// Samples of a slab that can matter, where these are not all samples of the rays that go on.
+/// The samples of a slab that still matter, if these are not all samples of the live rays.
 struct LiveSamples {
     slab: Slab,
     live: Live,
-    /// Those of any ray.
+    /// The union over all rays.
     any: u32,
     rays: SomeRays,
 }
 
-/// Some rays of a packet, each by itself.
+/// Some rays of a packet, tested individually.
 struct SomeRays {
     mask: u64,
     lanes: Vec<u8>,
     columns: RayColumns,
-    /// One over the greatest and the least step of them.
+    /// Reciprocals of their largest and smallest step.
     inverse_steps: (f32, f32),
 }
 
@@ -86,7 +86,7 @@ impl SomeRays {
 }
 
 impl LiveSamples {
-    /// Whether any of them may lie in a box, whose samples of the whole packet are known.
+    /// Whether any of these samples may lie in a box. `first` and `last` are the packet's samples in the box.
     fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
         let from = first.max(self.slab.first) - self.slab.first;
         if last < self.slab.first || self.any & bits_between(from, last - self.slab.first) == 0 {
@@ -94,7 +94,7 @@ impl LiveSamples {
         }
         let crossing = self.rays.columns.cross(bounds, 0.0);
         let (slow, fast) = self.rays.inverse_steps;
-        // Samples of slack, as of the beam; single precision is far finer than one of them, where it is used at all.
+        // A slack of two samples, as for the beam; wherever single precision is used, it is far finer than one sample.
         let first_sample = self.slab.first as f32;
         let mut near = crossing.near & (u64::MAX >> (LANES - self.rays.lanes.len()));
         while near != 0 {
@@ -102,7 +102,7 @@ impl LiveSamples {
             near &= near - 1;
             let enter = crossing.enter_near[column] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
             let exit = crossing.exit_near[column] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
-            // Numbers below 0 become 0.
+            // Negative numbers become 0 in the cast.
             let bits = if exit < 0.0 { 0 } else { bits_between(enter as u64, exit as u64) };
             if bits & self.live.0[usize::from(self.rays.lanes[column])] != 0 {
                 return true;
@@ -118,24 +118,24 @@ pub(super) fn bits_between(first: u64, last: u64) -> u32 {
     if first > 31 { 0 } else { (u32::MAX >> (31 - last)) & (u32::MAX << first) }
 }
 
-/// Those rays of a packet that still go on, and those of their samples in the current slab that can matter.
+/// The live rays of a packet, and those of their samples in the current slab that still matter.
 pub(super) struct LiveRays {
     going: RaySet,
     now: Option<LiveSamples>,
 }
 
 impl LiveRays {
-    /// The samples of rays that go on that may lie in a box, or `None` if none does.
+    /// The samples of live rays that may lie in a box, or `None` if there are none.
     pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         self.going.samples_in(packet, bounds)
     }
 
-    /// The same rays, each tested by itself.
+    /// The same rays, tested individually.
     pub(super) fn ray_by_ray(&self, packet: &Packet) -> RaySet {
         self.going.ray_by_ray(packet)
     }
 
-    /// Whether none of the samples that can matter now lies in a box, whose samples of the whole packet are known.
+    /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's samples in the box.
     pub(super) fn misses_now(&self, bounds: &Aabb, range: (u64, u64)) -> bool {
         self.now.as_ref().is_some_and(|now| !now.meets(bounds, range))
     }
@@ -145,7 +145,7 @@ impl LiveRays {
         Self { going: RaySet::new(packet, packet.all(), simd), now: None }
     }
 
-    /// Turns to other rays of the same packet, and those of their samples that can matter.
+    /// Replaces the rays by others of the same packet, with those of their samples that still matter.
     pub(super) fn become_rays(
         &mut self,
         packet: &Packet,

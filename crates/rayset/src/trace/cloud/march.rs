@@ -1,4 +1,4 @@
-//! One packet on its way through one cloud, slab after slab.
+//! The march of one packet through one cloud, slab by slab.
 
 use super::frontier::{ActiveRuns, Frontier, Place, Runs, run_bounds};
 use super::live_rays::{LiveRays, bits_between};
@@ -9,20 +9,20 @@ use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
 
-/// One packet on its way through one cloud.
+/// The march of one packet through one cloud.
 pub(in crate::trace) struct CloudMarch {
     /// In the cloud's space.
     packet: Packet,
     frontier: Frontier,
     active: Vec<ActiveRuns>,
-    /// Nothing before a packet has begun.
+    /// `None` until a packet has begun.
     rays: Option<LiveRays>,
 }
 
-/// Memory to work in that all clouds of a thread share.
+/// Scratch memory shared by all clouds of a thread.
 pub(in crate::trace) struct CloudScratch {
     run: Box<DecodedRun>,
-    /// One for each set of channels that some cloud has.
+    /// One for each set of channels used by any cloud.
     fields: Vec<FieldSamples>,
 }
 
@@ -32,13 +32,13 @@ impl CloudScratch {
     }
 }
 
-/// What is asked of a cloud in a slab.
+/// What is requested of a cloud in a slab.
 #[derive(Clone, Copy)]
 pub(in crate::trace) struct Request<'a> {
     pub(in crate::trace) access: Access<'a>,
     pub(in crate::trace) slab: Slab,
     pub(in crate::trace) live: &'a Live,
-    /// Lanes that have not ended.
+    /// Lanes whose rays have not ended.
     pub(in crate::trace) going: u64,
     pub(in crate::trace) measure: Measure,
     pub(in crate::trace) required: RequiredOutputs,
@@ -46,12 +46,12 @@ pub(in crate::trace) struct Request<'a> {
 }
 
 impl CloudMarch {
-    /// With room for any packet; [`begin`](Self::begin) comes first.
+    /// Allocates a march for any packet; [`begin`](Self::begin) must be called first.
     pub(in crate::trace) fn new(packet: &Packet) -> Self {
         Self { packet: packet.clone(), frontier: Frontier::default(), active: Vec::new(), rays: None }
     }
 
-    /// Sets a packet at the root of a cloud.
+    /// Starts a packet at the root of a cloud.
     pub(in crate::trace) fn begin(
         &mut self,
         access: Access<'_>,
@@ -68,7 +68,7 @@ impl CloudMarch {
         Ok(())
     }
 
-    /// The first sample from `from` on at which there may be points.
+    /// The first sample at or after `from` at which there may be points.
     pub(in crate::trace) fn next_sample(&self, from: u64) -> Option<u64> {
         if self.active.iter().any(|run| run.last >= from) {
             return Some(from);
@@ -76,7 +76,7 @@ impl CloudMarch {
         self.frontier.next_sample().map(|sample| sample.max(from))
     }
 
-    /// Fills the lanes that points reach.
+    /// Evaluates a slab; fills the lanes that points reach.
     pub(in crate::trace) fn sample(
         &mut self,
         volume: &CloudVolume,
@@ -113,7 +113,7 @@ impl CloudMarch {
         Ok(())
     }
 
-    /// Adds all active runs to the samples of a slab, in the order of the file, one page retained at a time.
+    /// Adds all active runs to the samples of a slab, in the order of the file, with one page retained at a time.
     #[expect(clippy::too_many_arguments, reason = "the inner loop, and the room to work in")]
     fn gather(
         &mut self,
@@ -134,7 +134,7 @@ impl CloudMarch {
             let first = runs.first.max(slab.first) - slab.first;
             first < slab.samples as u64 && live & bits_between(first, runs.last - slab.first) != 0
         };
-        // Several stretches of the samples of one run are one run.
+        // A run with several ranges of samples is added only once.
         let mut before = None;
         let mut at = 0;
         while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
@@ -154,7 +154,7 @@ impl CloudMarch {
                     before = Some(active.runs);
                 }
                 for index in usize::from(first)..usize::from(end) {
-                    // One by itself has been looked at before.
+                    // A single run has been examined before.
                     let reaches = end - first == 1 || {
                         let samples = rays.samples_in(&self.packet, &run_bounds(cloud, &points, index));
                         samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)

@@ -1,5 +1,5 @@
-//! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`, by the rays that still go
-//! on, `live_rays`), how a packet comes through it (`march`), and what its field looks like (`shading`).
+//! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`, for the rays in
+//! `live_rays`), the march of a packet through it (`march`), and what its field looks like (`shading`).
 
 mod frontier;
 mod live_rays;

@@ -1,4 +1,4 @@
-//! Where a cloud is in the world and in memory: its spaces, its octree's pages, and the bounds of what they hold.
+//! Where a cloud is in the world and in memory: its spaces, the pages of its octree, and the bounds of its nodes.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,23 +14,23 @@ use crate::trace::RenderError;
 use crate::trace::access::{Access, Halt};
 use crate::working_set::{Object, PageFault, PageGuard, PagedFiles};
 
-/// A cloud where the graph puts it.
+/// A cloud, placed in the world by the graph.
 pub(in crate::trace) struct CloudPlacement {
     cloud: Arc<Cloud>,
     pub(in crate::trace) pages: Arc<Object>,
-    /// Number of its file among those of the render.
+    /// Index of its file among those of the render.
     pub(in crate::trace) file: u32,
     pub(in crate::trace) root_cell: RootCell,
     pub(in crate::trace) first_node_page: u32,
-    /// `None` if local space is the world's.
+    /// `None` if local space and world space are the same.
     local_from_world: Option<DAffine3>,
     world_from_local: DAffine3,
-    /// The least that a unit of the world becomes here, along any direction.
+    /// The smallest length in local space of a unit vector in world space.
     least_stretch: f64,
 }
 
 impl CloudPlacement {
-    /// `None` if the cloud's pages are in no working set.
+    /// `None` if the cloud's pages are not in a working set.
     pub(in crate::trace) fn new(
         cloud: &Arc<Cloud>,
         world_from_local: &DAffine3,
@@ -54,14 +54,14 @@ impl CloudPlacement {
         self.cloud.header()
     }
 
-    /// A packet as the cloud sees it.
+    /// A packet in the cloud's space.
     pub(in crate::trace) fn local(&self, packet: &Packet) -> Packet {
         self.local_from_world
             .as_ref()
             .map_or_else(|| packet.clone(), |map| packet.in_local_space(map, self.least_stretch))
     }
 
-    /// A ray as the cloud sees it: places along it keep their distance in the world.
+    /// A ray in the cloud's space, parametrised by distance in world space; its direction is not normalised.
     pub(in crate::trace) fn local_ray(&self, ray: &Ray) -> Ray {
         self.local_from_world.as_ref().map_or(*ray, |map| Ray {
             origin: map.transform_point3(ray.origin),
@@ -69,12 +69,12 @@ impl CloudPlacement {
         })
     }
 
-    /// What a length along a direction in the world is here.
+    /// Length in local space of a unit of world space along a direction.
     pub(in crate::trace) fn stretch_along(&self, direction_world: DVec3) -> f64 {
         self.local_from_world.as_ref().map_or(1.0, |map| map.transform_vector3(direction_world).length())
     }
 
-    /// The largest radius that any point has along any ray, world space.
+    /// The largest radius of any point along any direction, world space.
     pub(in crate::trace) fn largest_radius_world(&self) -> f64 {
         let stretch =
             if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
@@ -90,13 +90,13 @@ impl CloudPlacement {
         node.bounds(self.root_cell).transformed(&self.world_from_local)
     }
 
-    /// The pages of a node's own points, estimated: for hints, which may be wrong without harm.
+    /// The pages of a node's own points, estimated: for hints, where an error does no harm.
     pub(in crate::trace) fn own_pages(&self, node: &Node) -> Range<u32> {
         let own = node.own;
         if own.runs == 0 {
             return 0..0;
         }
-        // A page says itself how many runs it has; from outside only the mean is known.
+        // Only a page itself knows its number of runs; the estimate uses the mean.
         let header = self.header();
         let runs = (header.points / RUN_POINTS as u64).max(1);
         let runs_per_page = (runs / u64::from(header.point_pages).max(1)).max(1);
@@ -105,19 +105,19 @@ impl CloudPlacement {
         own.first_page..own.first_page.saturating_add(pages).saturating_add(1).min(self.first_node_page)
     }
 
-    /// The pages that are needed to open a node: of its own points and of its children's records.
+    /// The pages needed to open a node: those of its own points and of its children's records.
     pub(in crate::trace) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
         let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
         self.own_pages(node).chain(children)
     }
 
-    /// More nodes than a walk through the octree can meet; a walk that meets more is in a file that is no tree.
+    /// Upper bound of the nodes that a walk through the octree can meet; if there are more, the file is not a tree.
     pub(in crate::trace) fn most_nodes(&self) -> u64 {
         let header = self.header();
         header.nodes.min(u64::from(header.node_pages) * nodes_per_page(header.page_bytes as usize) as u64)
     }
 
-    /// A page that is whole but contradicts another.
+    /// The error for a page that is intact but contradicts another page.
     pub(in crate::trace) fn broken(&self, page: u32) -> RenderError {
         RenderError::Page(PageFault::Damaged {
             name: self.cloud.path().display().to_string(),
@@ -129,12 +129,12 @@ impl CloudPlacement {
 }
 
 impl Access<'_> {
-    /// A page of a cloud.
+    /// Retains a page of a cloud.
     pub(in crate::trace) fn retain(&self, cloud: &CloudPlacement, page: u32) -> Result<PageGuard, Halt> {
         self.retain_page(&cloud.pages, page)
     }
 
-    /// The root node of a cloud, or `None` if it is empty.
+    /// The root node of a cloud; `None` if the cloud is empty.
     pub(in crate::trace) fn root(&self, cloud: &CloudPlacement) -> Result<Option<Node>, Halt> {
         let header = cloud.header();
         if header.points == 0 {

@@ -1,4 +1,5 @@
-//! From a cloud's field to volume: what of its points a field carries, and what density, attributes and gradient become.
+//! From a cloud's field to a volume: which attributes of its points the field carries, and how density, attributes and
+//! gradient are shaded.
 
 use std::sync::Arc;
 
@@ -16,20 +17,20 @@ use crate::trace::node_samples::{
 };
 use crate::trace::transfer::ColorTable;
 
-/// Attributes are 0 where their weights sum to less than this times the largest weight.
+/// Attributes are 0 where the density is not above this fraction of the largest density of a single point.
 const LEAST_WEIGHT: f32 = 1e-12;
 
 enum Color {
     Uniform([f32; 3]),
     Points,
-    /// Of the density, or of an attribute of this number in the file.
+    /// By density, or by the attribute with this index in the file.
     Map {
         table: ColorTable,
         attribute: Option<usize>,
     },
 }
 
-/// How a cloud looks.
+/// How a cloud is shaded.
 pub(in crate::trace) struct CloudShading {
     pub(in crate::trace) kernel: Kernel,
     pub(in crate::trace) normalised: bool,
@@ -37,20 +38,21 @@ pub(in crate::trace) struct CloudShading {
     pub(in crate::trace) unit_distance: f64,
     pub(in crate::trace) material: [f32; MATERIAL],
     pub(in crate::trace) decoder: RunDecoder,
-    /// What its field carries. The colour, or what it is mapped from, comes first.
+    /// What the cloud's field carries. The colour, or the attribute it is mapped from, comes first.
     columns: AttributeColumns,
-    /// The channel of each of the program's attributes, where the cloud has it.
+    /// For each attribute of the program, its channel; `None` if the cloud does not have it.
     named: Vec<Option<usize>>,
     color: Color,
-    /// Density at the boundary.
+    /// The density that defines the boundary.
     boundary_density: f32,
     least_weight: f32,
-    /// From gradients in the cloud's space to vectors in the world that point to where the cloud thins, by columns.
+    /// Maps gradients in the cloud's space to vectors in world space that point to lower density; by columns.
     normal_map: [[f32; 3]; 3],
 }
 
 impl CloudShading {
-    /// Of an object that stands in the world so. Its field carries nothing but densities.
+    /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called, the field carries
+    /// densities only.
     pub(in crate::trace) fn new(
         object: &CloudObject,
         local_from_world: Option<&DAffine3>,
@@ -66,7 +68,7 @@ impl CloudShading {
                 Color::Map { table: ColorTable::new(map), attribute }
             }
         };
-        // Gradients come to the world by the transpose of the inverse.
+        // Gradients are transformed by the transpose of the inverse.
         let map = local_from_world.map_or(DMat3::IDENTITY, |map| map.matrix3.transpose());
         Self {
             kernel: object.kernel,
@@ -84,12 +86,12 @@ impl CloudShading {
         }
     }
 
-    /// The colour of all of it, if it is one.
+    /// The colour of the whole cloud, if it is uniform.
     pub(in crate::trace) fn uniform_color(&self) -> Option<[f32; 3]> {
         if let Color::Uniform(color) = self.color { Some(color) } else { None }
     }
 
-    /// Says what is wanted of it, and the names of the program's attributes. Nothing but densities comes before.
+    /// Sets the required outputs and the names of the program's attributes. Before this, only densities are carried.
     pub(in crate::trace) fn carry(&mut self, header: &Header, required: RequiredOutputs, names: &[Arc<str>]) {
         let mut columns = AttributeColumns::default();
         let mut scalar = None;
@@ -114,12 +116,12 @@ impl CloudShading {
         self.columns = columns;
     }
 
-    /// What the field has to carry for a node of which so much is wanted.
+    /// The channels that the field must carry for the required outputs.
     pub(in crate::trace) fn channels(&self, required: RequiredOutputs) -> Channels {
         Channels { gradient: required.normal || required.boundary, attributes: self.columns.channels() }
     }
 
-    /// From the field to opacity, colour and shading vector.
+    /// Converts the field to opacity, colour and shading vector.
     pub(in crate::trace) fn transfer(
         &self,
         field: &FieldSamples,
@@ -212,7 +214,7 @@ impl CloudShading {
         };
     }
 
-    /// An attribute: Σ v·ω·a / Σ v·ω.
+    /// The value of an attribute: Σ v·ω·a / Σ v·ω.
     fn mean(&self, field: &FieldSamples, lane: usize, channel: usize) -> SampleRow {
         let (density, sum) = (&field.density[lane].0, &field.attribute[channel][lane].0);
         let defined = |j: usize| density[j] > self.least_weight;
@@ -227,7 +229,7 @@ impl CloudShading {
         simd: SimdLevel,
         out: &mut NodeSamples,
     ) {
-        // Gradients come to the world by the transpose of the inverse; the shading vector points to where the cloud thins.
+        // Gradients are transformed by the transpose of the inverse; the shading vector points to lower density.
         let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
         let boundary = required.boundary.then_some((&field.density[lane], self.boundary_density));
         let distance =
@@ -243,8 +245,8 @@ impl CloudShading {
     }
 }
 
-/// Maps gradients to the world and makes them unit vectors; returns how far the boundary is, to first order, where the
-/// densities and that of the boundary are given.
+/// Transforms gradients to world space and normalises them. Returns the first-order distance to the boundary if
+/// densities and the boundary's density are given.
 #[inline(always)]
 fn to_world(
     m: &[[f32; 3]; 3],
@@ -269,13 +271,13 @@ fn to_world(
     distance
 }
 
-// Loops, not `map`: the compiler leaves closures out of functions that are compiled for other instruction sets.
+// Loops instead of `map`: the compiler does not inline closures into functions compiled for other instruction sets.
 
 #[inline(always)]
 fn optical_depth_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
     let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
     for (t, &d) in optical_depth.0.iter_mut().zip(&density.0) {
-        // A density that is negative or not a number absorbs nothing.
+        // A density that is negative or NaN absorbs nothing.
         *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
     }
     optical_depth

@@ -7,14 +7,14 @@ use crate::scene::CloudObject;
 use crate::trace::node_samples::MATERIAL;
 use crate::working_set::PagedFiles;
 
-/// A cloud in the world: where it is, and how it looks.
+/// A cloud in the world: its placement and its shading.
 pub(in crate::trace) struct CloudVolume {
     pub(in crate::trace) placement: CloudPlacement,
     pub(in crate::trace) shading: CloudShading,
 }
 
 impl CloudVolume {
-    /// `None` if the cloud's pages are in no working set.
+    /// `None` if the cloud's pages are not in a working set.
     pub(in crate::trace) fn new(
         object: &CloudObject,
         world_from_local: &DAffine3,

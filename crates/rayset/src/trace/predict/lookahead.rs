@@ -1,6 +1,6 @@
-//! What is ahead of the tile being traced. The picture is divided into look-ahead tiles of 32 × 32 pixels: the pages of those
-//! to come are hinted at as room allows, given up when their look-ahead tile has gone by without them, and retired when no
-//! later one can want them.
+//! Looks ahead of the tile being traced. The picture is divided into look-ahead tiles of 32 × 32 pixels. The pages of
+//! upcoming look-ahead tiles are hinted at as far as there is room, given up if their look-ahead tile has passed
+//! without using them, and retired once no later look-ahead tile can need them.
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,7 +16,7 @@ use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
 use crate::trace::world::World;
 use crate::working_set::{Object, PageClient};
 
-/// What is known of the picture being made: where rays will go.
+/// What is known about the picture being rendered and the rays to come.
 #[derive(Clone, Copy)]
 pub struct Lookahead<'a> {
     pub(in crate::trace) state: &'a LookaheadState,
@@ -25,25 +25,25 @@ pub struct Lookahead<'a> {
     pub(in crate::trace) pages: &'a PageClient,
 }
 
-/// The way that a render takes through its picture, and what has been seen ahead on it.
+/// The order in which a render visits its picture, and what has been found ahead.
 pub(in crate::trace) struct LookaheadState {
-    /// Every cloud of the graph, by its instruction, and what is expected of it.
+    /// Every cloud of the graph: the index of its instruction, and its expected effect on light.
     clouds: Vec<(usize, Expected)>,
     /// Bytes of the largest page.
     page_bytes: u64,
-    /// What the tiles cover.
+    /// The region that the tiles cover.
     region: Region,
     threads: usize,
     columns: u32,
     rows: u32,
-    /// Look-ahead tiles in the order in which tiles come to them; a look-ahead tile may come several times.
+    /// Look-ahead tiles in the order in which tiles reach them; a look-ahead tile may occur several times.
     order: Vec<(u32, u32)>,
-    /// For each tile, the place of its look-ahead tile in that order.
+    /// For each tile, the position of its look-ahead tile in `order`.
     of_tile: Vec<u32>,
-    /// Place where each look-ahead tile comes last.
+    /// For each look-ahead tile, its last position in `order`.
     last_place: Vec<u32>,
     queue: Mutex<Queue>,
-    /// Pages of the budget that the look-ahead tiles being traced do not need themselves.
+    /// Pages that fit the budget besides those that the look-ahead tiles being traced need.
     spare_pages: AtomicU64,
 }
 
@@ -54,26 +54,27 @@ struct PageId {
     page: u32,
 }
 
-/// Look-ahead tiles are known by their place along the curve.
+/// Pages found ahead. Look-ahead tiles are identified by their position in the order of the render.
 #[derive(Default)]
 struct Queue {
-    /// Next look-ahead tile to be looked at.
+    /// Next look-ahead tile to examine.
     next: u32,
-    /// NodeSamples for which pages were last retired.
+    /// Look-ahead tile for which pages were last retired.
     retired_at: u32,
-    /// Pages that are wanted and not yet hinted at: the look-ahead tile that wants each first, their order in that, the page.
+    /// Pages that are wanted but not yet hinted at: the first look-ahead tile that wants the page, the page's rank in
+    /// it, and the page.
     waiting: BTreeSet<(u32, u32, PageId)>,
-    /// Pages seen ahead that some look-ahead tile to come may meet.
+    /// Pages found ahead that some upcoming look-ahead tile may need.
     seen: HashMap<PageId, Seen>,
-    /// Pages seen so far, for their order.
+    /// Number of pages found so far, from which ranks are assigned.
     sights: u32,
-    /// The look-ahead tiles that have been looked at and not yet traced, and how many pages each wants.
+    /// The look-ahead tiles that have been examined but not yet traced, each with the number of pages it wants.
     demands: VecDeque<(u32, u64)>,
 }
 
-/// A page seen ahead.
+/// A page that has been found ahead.
 struct Seen {
-    /// Its place among those waiting.
+    /// Its key in `waiting`, if it is there.
     waits: Option<(u32, u32)>,
     /// The last look-ahead tile known to want it.
     wanted_by: u32,
@@ -82,7 +83,7 @@ struct Seen {
 }
 
 impl Queue {
-    /// Notes that a look-ahead tile wants a page.
+    /// Records that a look-ahead tile wants a page.
     fn want(&mut self, page: PageId, lookahead_tile: u32, use_by: u32) {
         self.sights += 1;
         let key = (lookahead_tile, self.sights);
@@ -98,7 +99,7 @@ impl Queue {
         self.waiting.insert((key.0, key.1, page));
     }
 
-    /// Takes the first waiting pages away.
+    /// Removes the first waiting pages.
     fn dealt_with(&mut self, count: usize) {
         for _ in 0..count {
             let Some((_, _, page)) = self.waiting.pop_first() else { return };
@@ -110,7 +111,7 @@ impl Queue {
 }
 
 impl LookaheadState {
-    /// The way through some tiles in their order, which is not empty.
+    /// The order given by some tiles, of which there must be at least one.
     pub(in crate::trace) fn new(world: &World, tiles: &[Tile], threads: usize) -> Self {
         let region = Region::around(tiles);
         let first = (region.columns.start / LOOKAHEAD_TILE_PIXELS, region.rows.start / LOOKAHEAD_TILE_PIXELS);
@@ -149,18 +150,19 @@ impl LookaheadState {
 }
 
 impl<'a> Lookahead<'a> {
-    /// Looks at so many look-ahead tiles beyond that of a tile, and hints at what there is room for.
+    /// Examines up to `tiles_ahead` look-ahead tiles beyond that of `tile`, and hints at their pages as far as there is
+    /// room.
     pub(super) fn scout(&self, tile: usize, tiles_ahead: u32) {
         if self.state.clouds.is_empty() {
             return;
         }
-        // One thread at a time; the others have tiles to trace.
+        // One thread at a time does this; the others have tiles to trace.
         let Ok(mut queue) = self.state.queue.try_lock() else { return };
         let here = self.state.of_tile[tile];
         self.retire(&mut queue, here);
         queue.next = queue.next.max(here);
         let until = here.saturating_add(1).saturating_add(tiles_ahead).min(self.state.order.len() as u32);
-        // Of those, this look-ahead tile and the next are looked at in any case, to know how much room they need.
+        // The current look-ahead tile and the next are examined even without room, to know how many pages they need.
         while queue.next < until
             && (self.hint(&mut queue, here) || queue.next <= here + 1)
             && self.look(queue.next, &mut queue)
@@ -169,20 +171,21 @@ impl<'a> Lookahead<'a> {
         }
     }
 
-    /// How many tiles a thread may deferred: as many as there is room for besides what is being traced. Where rays need
-    /// most of the budget at a time, going elsewhere meanwhile would only drive their pages out.
+    /// How many tiles a thread may defer: as many as there is room for besides those being traced. If rays need most of
+    /// the budget at a time, tracing other tiles meanwhile would only evict their pages.
     pub(in crate::trace) fn tiles_to_defer(&self) -> usize {
-        /// Enough to cover a slow disk.
+        /// Enough to hide the latency of a slow disk.
         const MOST: u64 = 32;
-        /// Pages that a tile may bring in before it is deferred once more.
+        /// Pages that a tile may bring in before it is deferred again.
         const PAGES_EACH: u64 = 4;
         let spare = self.state.spare_pages.load(Ordering::Relaxed);
         (spare / (PAGES_EACH * self.state.threads as u64)).min(MOST) as usize
     }
 
-    /// Hints at the pages that wait; false if there was no room for some.
+    /// Hints at the waiting pages; false if there was no room for some of them.
     fn hint(&self, queue: &mut Queue, here: u32) -> bool {
-        /// More than this part of the budget would leave too little for pages to be met again by later look-ahead tiles.
+        /// Hints may take one part in this many of the budget: more would leave too little for pages that later
+        /// look-ahead tiles use again.
         const MOST_OF_BUDGET: u64 = 4;
         let spare = self.spare(queue, here) * self.state.page_bytes;
         let most = spare.min(self.pages.share_bytes() / MOST_OF_BUDGET);
@@ -213,7 +216,7 @@ impl<'a> Lookahead<'a> {
         self.clouds().find(|(cloud, _)| cloud.file == file).map(|(cloud, _)| &cloud.pages)
     }
 
-    /// Tells the working set of pages, file by file.
+    /// Calls `tell` with some pages, grouped by file.
     fn by_file(&self, mut pages: Vec<PageId>, tell: impl Fn(&Arc<Object>, &[u32])) {
         pages.sort_unstable();
         for same_file in pages.chunk_by(|a, b| a.file == b.file) {
@@ -224,11 +227,12 @@ impl<'a> Lookahead<'a> {
         }
     }
 
-    /// Pages of the budget that the look-ahead tiles being traced do not need themselves.
+    /// Pages that fit the budget besides those that the look-ahead tiles being traced need.
     fn spare(&self, queue: &mut Queue, here: u32) -> u64 {
         let past = queue.demands.iter().take_while(|&&(lookahead_tile, _)| lookahead_tile < here).count();
         queue.demands.drain(..past);
-        // Columns are taken over page by page, and threads may be in different ones.
+        // The pages of one look-ahead tile are replaced gradually by those of the next, and threads may be in different
+        // ones.
         let columns = queue.demands.iter().take(self.state.threads).map(|&(_, pages)| pages);
         let budget = self.pages.share_bytes() / self.state.page_bytes;
         let spare = budget.saturating_sub(columns.sum());
@@ -236,7 +240,8 @@ impl<'a> Lookahead<'a> {
         spare
     }
 
-    /// Gives up the pages whose look-ahead tiles have gone by, one look-ahead tile late: other threads may still be there.
+    /// Gives up the pages whose look-ahead tiles have passed, one look-ahead tile late because other threads may still
+    /// be there.
     fn retire(&self, queue: &mut Queue, here: u32) {
         if here <= queue.retired_at {
             return;
@@ -261,7 +266,7 @@ impl<'a> Lookahead<'a> {
         self.by_file(finished, |object, pages| self.pages.retire(object, pages));
     }
 
-    /// Place along the curve of the last look-ahead tile whose rays may meet a box.
+    /// Position in `order` of the last look-ahead tile whose rays may meet a box.
     fn last_visit(&self, bounds: &Aabb) -> u32 {
         let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         for corner in 0..8 {
@@ -288,7 +293,7 @@ impl<'a> Lookahead<'a> {
             .unwrap_or(0)
     }
 
-    /// Lists the pages that a look-ahead tile wants; false if node pages were absent, which are then on their way.
+    /// Lists the pages that a look-ahead tile wants; false if node pages were absent, which are then hinted at.
     fn look(&self, at: u32, queue: &mut Queue) -> bool {
         let (i, j) = self.state.order[at as usize];
         let rays = self.rays_of(i, j);
@@ -315,7 +320,7 @@ impl<'a> Lookahead<'a> {
         complete
     }
 
-    /// Rays on the edges and within a look-ahead tile.
+    /// A lattice of rays over a look-ahead tile, its edges included.
     fn rays_of(&self, i: u32, j: u32) -> [Ray; LANES] {
         let Region { columns, rows } = &self.state.region;
         let x0 = ((columns.start / LOOKAHEAD_TILE_PIXELS + i) * LOOKAHEAD_TILE_PIXELS).max(columns.start);
@@ -332,20 +337,20 @@ impl<'a> Lookahead<'a> {
     }
 }
 
-/// The octree of a cloud as far as it is in memory, seen for one look-ahead tile.
+/// The part of a cloud's octree that is in memory, as seen by one look-ahead tile.
 struct View<'v, 'a> {
     ahead: &'v Lookahead<'a>,
     cloud: &'a CloudPlacement,
     queue: &'v mut Queue,
     at: u32,
     absent_nodes: Vec<u32>,
-    /// Pages wanted, each counted for every node that has points in it.
+    /// Number of pages wanted; a page is counted once for every node that has points in it.
     pages: u64,
     opened: u64,
 }
 
 impl View<'_, '_> {
-    /// A record, if its page is in memory.
+    /// A node record, if its page is in memory.
     fn node_at(&self, page: u32, index: u16) -> Option<Node> {
         let guard = self.ahead.pages.peek(&self.cloud.pages, self.cloud.first_node_page + page)?;
         NodePage::trusted(&guard).get(usize::from(index))
@@ -361,7 +366,7 @@ impl OctreeView for View<'_, '_> {
         let first = node.first_child;
         for k in 0..node.child_mask.count_ones() as u16 {
             match self.node_at(first.page, first.index + k) {
-                // What is no tree is for the rays to find out.
+                // A file that is not a tree is reported when rays reach it.
                 Some(child) if !child.is_child_of(node) || self.opened >= self.cloud.most_nodes() => return,
                 Some(child) => {
                     self.opened += 1;

@@ -1,4 +1,4 @@
-//! Bringing pages in before rays need them. A prediction can be wrong without harm to the picture.
+//! Prediction of the pages that rays will need. A wrong prediction does not change the picture.
 
 use std::sync::Arc;
 
@@ -8,39 +8,40 @@ mod probe;
 pub use lookahead::Lookahead;
 pub(super) use lookahead::LookaheadState;
 
-/// Turns known rays, or past accesses, into hints.
+/// Turns known rays or past accesses into hints at pages.
 pub trait Predictor: Send + Sync {
-    /// Called by a thread that is about to trace a tile, by its place in the order of the work.
+    /// Called by a thread that is about to trace the tile with index `tile` in the order of the work.
     fn ahead(&self, lookahead: Lookahead<'_>, tile: usize);
 
-    /// Where a packet meets a page that is absent: how many of the slabs that come next it asks for the pages of, in one
-    /// batch, before its tile is deferred until they are there. Where 0, it waits for each page as it comes to it.
+    /// When a packet needs a page that is absent: the number of following slabs whose pages are requested in the same
+    /// batch, before the packet's tile is deferred until the missing page has been read. If 0, the packet waits for
+    /// each page when it needs it.
     fn slabs_on_a_miss(&self) -> u64;
 
-    /// Whether a packet asks, after each slab, for the first absent page that comes next on the line of its samples.
+    /// Whether a packet requests, after each slab, the first absent page ahead on the line of its samples.
     fn follows_lines(&self) -> bool {
         false
     }
 
-    /// What to call it in reports.
+    /// The name used in reports.
     fn name(&self) -> &'static str;
 }
 
-/// What brings pages in before rays need them. It changes no picture.
+/// How pages are brought in before rays need them. The choice does not change the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Prediction {
-    /// Nothing: every page is read when it is needed.
+    /// No prediction: every page is read when it is needed.
     None,
-    /// The paper's predictor (its Algorithms 1 and 2): what lies ahead on the line of a packet's samples.
+    /// The paper's predictor (its Algorithms 1 and 2), which looks ahead on the line of a packet's samples.
     Line,
-    /// The rays of the next tiles are known, and the octree is walked ahead of them.
+    /// Walks the octree ahead of the rays of the next tiles, which are known.
     #[default]
     Packet,
 }
 
 impl Prediction {
-    /// The name: `none`, `line`, `packet`.
+    /// The name: `none`, `line` or `packet`.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.predictor().name()
@@ -55,7 +56,7 @@ impl Prediction {
     }
 }
 
-/// Predicts nothing: every page is read when it is needed.
+/// No prediction: every page is read when it is needed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoPredictor;
 
@@ -71,8 +72,9 @@ impl Predictor for NoPredictor {
     }
 }
 
-/// The paper's predictor (its Algorithms 1 and 2), for packets: past samples give a line; goes on along it through what is
-/// in memory, and asks for the first page that is not. A packet's line is that of the ray in its middle.
+/// The paper's predictor (its Algorithms 1 and 2), applied to packets: past samples define a line, which is followed
+/// through the nodes in memory; the first absent page on it is requested. The line of a packet is that of its middle
+/// ray.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinePredictor;
 
@@ -92,14 +94,14 @@ impl Predictor for LinePredictor {
     }
 }
 
-/// The rays of the next tiles are known: walks the octree ahead of them, a block of tiles at a time, and hints at the
-/// pages that they will meet before they end. Where that falls short, the packet that misses a page asks for what its
-/// own next slabs need, and its tile is deferred until that is there.
+/// The rays of the next tiles are known: walks the octree ahead of them, one look-ahead tile at a time, and hints at
+/// the pages they are expected to need before they end. If a page is still absent, the packet that misses it requests
+/// the pages of its own next slabs, and its tile is deferred until the missing page has been read.
 #[derive(Clone, Copy, Debug)]
 pub struct PacketPredictor {
-    /// Blocks of 32×32 pixels looked at ahead of the one that is traced; 0 for that one alone.
+    /// Look-ahead tiles of 32×32 pixels examined ahead of the current one; 0 for the current one only.
     pub tiles_ahead: u32,
-    /// Slabs whose pages a packet asks for at once where it misses one; 0 to wait for each page as it comes.
+    /// Following slabs whose pages a packet requests with one it misses; 0 to wait for each page when it is needed.
     pub slabs_on_a_miss: u64,
 }
 

@@ -1,4 +1,4 @@
-//! Sixty-four rays sent ahead of the rest, through node records alone, each as far as it is expected to go.
+//! Sixty-four probe rays that are traced ahead through node records only, each as far as it is expected to reach.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -9,21 +9,21 @@ use crate::octree::node::Node;
 use crate::scene::OpacityRule;
 use crate::trace::cloud::CloudShading;
 
-/// Rays on a lattice over a block of the picture, as one cloud sees them: directions have the length that a unit of the
-/// world has there, so that distances are the world's.
+/// A lattice of rays over a block of the picture, in the space of one cloud. The length of a direction is that of a
+/// unit of world space, so that distances are in world space.
 pub(super) struct ProbeRays {
     rays: RayColumns,
     beam: Beam,
-    /// Half the gap between neighbouring rays, at distance 0 and what a unit of distance adds to it.
+    /// Half the distance between diagonal neighbours: at distance 0, and its increase per unit of distance.
     gap: (f64, f64),
-    /// Distance at which each ray is expected to have ended.
+    /// Distance at which each ray is expected to end.
     ends: [f32; LANES],
-    /// Optical depth that each ray is expected to have passed.
+    /// Expected optical depth that each ray has accumulated.
     optical_depth: [f32; LANES],
 }
 
 impl ProbeRays {
-    /// Rays of an 8 × 8 lattice, row by row.
+    /// Takes the rays of an 8 × 8 lattice, row by row.
     pub(super) fn new(simd: SimdLevel, rays: &[Ray; LANES]) -> Self {
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|ray| beam.include(ray));
@@ -37,13 +37,13 @@ impl ProbeRays {
         }
     }
 
-    /// Distance at which the rays first meet a box, if they do.
+    /// Distance at which the rays first meet a box, if any does.
     fn first_meeting(&self, bounds: &Aabb) -> Option<f64> {
         self.beam.span(bounds).map(|(enter, _)| enter)
     }
 
-    /// What the rays make of a box that they first meet at a distance: near are those beside which, within half a gap,
-    /// there may be rays that meet it. Only rays that have not ended before it count.
+    /// Tests the rays against a box that they first meet at `distance`. Near are those from which rays within half the
+    /// gap may meet the box. Rays that are expected to end before it are left out.
     fn cross(&self, bounds: &Aabb, distance: f64) -> Crossing {
         let mut crossing = self.rays.cross(bounds, self.gap.0 + self.gap.1 * distance);
         let mut before_their_ends = 0;
@@ -55,7 +55,7 @@ impl ProbeRays {
         crossing
     }
 
-    /// Lets rays pass through a box of points; those that are expected to be opaque then end behind it.
+    /// Advances rays through a box of points; those that are then expected to be opaque end behind it.
     fn absorb(&mut self, crossing: &Crossing, extinction: f64, opaque_optical_depth: f32) {
         let mut lanes = crossing.through;
         while lanes != 0 {
@@ -68,7 +68,7 @@ impl ProbeRays {
         }
     }
 
-    /// Wants, nearest first, the nodes that the rays are expected to reach.
+    /// Reports, nearest first, the nodes that the rays are expected to reach.
     pub(super) fn explore(&mut self, root: Node, expected: &Expected, terrain: &mut impl OctreeView) {
         let mut heap = BinaryHeap::new();
         let mut found = vec![root];
@@ -93,19 +93,19 @@ impl ProbeRays {
     }
 }
 
-/// What scouts travel through.
+/// The octree as the probe rays see it.
 pub(super) trait OctreeView {
-    /// Bounds of influence of all below a node.
+    /// Bounds of influence of all points below a node.
     fn bounds(&self, node: &Node) -> Aabb;
 
-    /// The children of a node, as far as they are in memory.
+    /// Appends the children of a node that are in memory.
     fn children(&mut self, node: &Node, found: &mut Vec<Node>);
 
-    /// A node that rays are expected to reach.
+    /// Called for each node that rays are expected to reach.
     fn want(&mut self, node: &Node);
 }
 
-/// A node ahead of the rays.
+/// A node ahead of the rays, with the distance at which they meet it.
 struct Ahead {
     distance: f64,
     node: Node,
@@ -123,27 +123,27 @@ impl PartialOrd for Ahead {
     }
 }
 impl Ord for Ahead {
-    /// Nearer is greater.
+    /// Reversed, so that the heap yields the nearest node first.
     fn cmp(&self, other: &Self) -> Ordering {
         other.distance.total_cmp(&self.distance)
     }
 }
 
-/// What nodes of a cloud are expected to do to light, from their records alone.
+/// The expected effect of a cloud's nodes on light, from their records only.
 pub(super) struct Expected {
     transfer: OpacityRule,
     unit_distance: f64,
     /// ∫ω dV of a point of radius one.
     point_integral: f64,
     normalised: bool,
-    /// Optical depth behind which nothing is expected to be seen.
+    /// Optical depth behind which nothing is expected to be visible.
     opaque_optical_depth: f32,
 }
 
 impl Expected {
     pub(super) fn new(shading: &CloudShading, stop_transmittance: f32) -> Self {
-        /// How much more than enough is taken for enough: densities are uneven, and a page read in vain costs less
-        /// than one that is waited for.
+        /// Safety factor on the optical depth: densities vary, and a page that is read in vain costs less than one that
+        /// has to be waited for.
         const MARGIN: f32 = 1.2;
         Self {
             transfer: shading.opacity.clone(),
@@ -154,7 +154,8 @@ impl Expected {
         }
     }
 
-    /// Extinction in world units of the mean density of all points below a node, within their bounds of influence.
+    /// Extinction, per unit of world space, of the mean density of all points below a node, averaged over their bounds
+    /// of influence.
     fn extinction(&self, node: &Node, bounds: &Aabb) -> f64 {
         let radius = (f64::from(node.radius_min) * f64::from(node.radius_max)).sqrt();
         let point = if self.normalised { 1.0 } else { self.point_integral * radius.powi(3) };

@@ -1,7 +1,7 @@
-//! The reference renderer: the same rays, samples, operators and light as the ray tracer, one sample at a time, over
-//! brute-force fields in `f64`. Slow by design; it shares no code with what it is compared with beyond the description of the
-//! scene and the closed forms of procedural fields. Its steps are given to it. Fields of clouds may come from elsewhere: then
-//! it is the discrete ray tracer that another engine's samples are compared in.
+//! The reference renderer: the same rays, samples, operators and lighting as the ray tracer, one sample at a time, over
+//! brute-force fields in `f64`. It is slow by design and shares no code with the ray tracer except the scene
+//! description and the closed forms of procedural fields. The step is a parameter. The fields of clouds may be supplied
+//! from outside; the renderer is then the discrete ray tracer with which samples of another engine are compared.
 
 mod maps;
 mod tree;
@@ -18,52 +18,52 @@ use crate::scene::{
     Shape, Transfer,
 };
 
-/// A pixel in linear light, premultiplied, and its opacity.
+/// A pixel: premultiplied colour in linear light, and opacity.
 pub type ReferencePixel = [f64; 4];
 
-/// What a field is sampled for.
+/// The purpose for which a field is sampled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// What is seen along a ray.
+    /// What is visible along a ray.
     Opacity,
-    /// What of a light reaches a sample.
+    /// How much of a light reaches a sample.
     Shadow,
 }
 
-/// The field of a cloud from somewhere else: another engine that is to make the same picture.
+/// The field of a cloud, supplied by another engine that is to produce the same picture.
 pub trait PointField {
-    /// A ray sets out, in the space of the cloud; samples on it follow, in this order.
+    /// Announces a ray, in the cloud's space; the samples on it follow in this order.
     fn ray(&self, _ray: &Ray, _purpose: Purpose) {}
 
-    /// The field at a place in the space of the cloud. Attributes are those of all columns of its file, colours first, as
-    /// [`AttributeColumns`] numbers them; none where the point reaches nothing.
+    /// The field at a position in the cloud's space. Attributes are those of all columns of the cloud's file, colours
+    /// first, numbered as by [`AttributeColumns`]; empty if no point reaches the position.
     fn sample(&self, q: DVec3, purpose: Purpose) -> ReferenceSample;
 }
 
-/// Where the field of a cloud comes from.
+/// The source of a cloud's field.
 enum Loaded<'a> {
     Points(ReferenceField),
     Given(&'a dyn PointField),
 }
 
-/// The same, for one ray.
+/// The source of a cloud's field, for one ray.
 enum Along<'a> {
-    /// The points that reach it.
+    /// The points that reach the ray.
     Near(ReferenceField),
     Given(&'a dyn PointField, Purpose),
     Nothing,
 }
 
-/// A scene whose clouds are in memory, point by point.
+/// A scene whose clouds are in memory, as lists of points, or supplied from outside.
 pub struct ReferenceRenderer<'a> {
     scene: &'a Scene,
     clouds: Vec<(*const Node, Loaded<'a>)>,
     grids: Vec<(*const Node, Vec<f32>)>,
-    /// Attributes that transfer functions read.
+    /// Names of the attributes that transfer functions read.
     names: Vec<Arc<str>>,
 }
 
-/// Why the reference renderer has no scene.
+/// Why the reference renderer could not load a scene.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReferenceError {
@@ -72,17 +72,17 @@ pub enum ReferenceError {
     File(#[from] ScanError),
 }
 
-/// A node at one place.
+/// The output of a node at one position.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     opacity: f64,
     color: [f64; 3],
-    /// Unit or zero, world space.
+    /// Of length one or zero, world space.
     normal: DVec3,
-    /// Signed distance to the boundary that the normal belongs to, world space.
+    /// Signed distance to the boundary that the normal belongs to, world space; negative inside.
     boundary: f64,
     material: [f64; 6],
-    /// By their places in [`ReferenceRenderer::names`].
+    /// In the order of [`ReferenceRenderer::names`].
     attributes: [f64; MOST_ATTRIBUTES],
 }
 
@@ -95,7 +95,7 @@ const NOTHING: Sample = Sample {
     attributes: [0.0; MOST_ATTRIBUTES],
 };
 
-/// What of a graph one ray can meet: fields with far points left out, and maps to them.
+/// The part of a graph that one ray can meet: fields without the points that are out of its reach.
 enum Seen<'a> {
     Cloud { object: &'a CloudObject, field: Along<'a> },
     Grid { object: &'a GridObject, voxels: &'a [f32] },
@@ -111,10 +111,10 @@ struct SeenNode<'a> {
 }
 
 impl<'a> ReferenceRenderer<'a> {
-    /// Reads all clouds of a scene.
+    /// Reads all clouds and grids of a scene.
     ///
     /// # Errors
-    /// [`ReferenceError`] where a file cannot be read or is damaged.
+    /// [`ReferenceError`] if a file cannot be read or is damaged.
     pub fn load(scene: &'a Scene) -> Result<Self, ReferenceError> {
         let names = scene.root.attributes_read();
         let mut reference_renderer = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
@@ -122,10 +122,10 @@ impl<'a> ReferenceRenderer<'a> {
         Ok(reference_renderer)
     }
 
-    /// The same, with fields from somewhere else for the clouds of a scene.
+    /// As [`load`](Self::load), but with fields supplied from outside for the clouds of the scene.
     ///
     /// # Errors
-    /// [`ReferenceError`] where a grid cannot be read.
+    /// [`ReferenceError`] if a grid cannot be read.
     pub fn with_fields(
         scene: &'a Scene,
         mut field: impl FnMut(&CloudObject) -> &'a dyn PointField,
@@ -169,10 +169,10 @@ impl<'a> ReferenceRenderer<'a> {
         }
     }
 
-    /// Renders one pixel with a given step on all rays, world space.
+    /// Renders one pixel with the same step, in world space, on all rays.
     ///
     /// # Errors
-    /// [`CameraError`] where the camera makes no rays.
+    /// [`CameraError`] if the camera is invalid.
     pub fn pixel(
         &self,
         camera: &Camera,
@@ -194,10 +194,10 @@ impl<'a> ReferenceRenderer<'a> {
         })
     }
 
-    /// Shading vector of a ray's samples, weighted by what they add to the ray; not normalised.
+    /// Sum of the shading vectors of a ray's samples, weighted by their contribution to the ray; not normalised.
     ///
     /// # Errors
-    /// [`CameraError`] where the camera makes no rays.
+    /// [`CameraError`] if the camera is invalid.
     pub fn normal(
         &self,
         camera: &Camera,
@@ -222,7 +222,8 @@ impl<'a> ReferenceRenderer<'a> {
         Ok(sum)
     }
 
-    /// Every sample of a ray before `end` that is not transparent, front to back, and what is left of the light.
+    /// Visits every sample of a ray before `end` that is not transparent, front to back; returns the remaining
+    /// transmittance.
     fn march(
         &self,
         settings: &RenderSettings,
@@ -250,7 +251,7 @@ impl<'a> ReferenceRenderer<'a> {
         transmittance
     }
 
-    /// Where the samples of a ray lie that may meet anything.
+    /// Distances of the samples of a ray that may lie within the bounds of the scene.
     fn lattice(&self, ray: &Ray, sample_offset: f64, step: f64) -> impl Iterator<Item = f64> + use<> {
         let (enter, exit) = self.scene.root.bounds().clip(ray).unwrap_or((0.0, -f64::INFINITY));
         let first = ((enter / step - sample_offset).floor() - 1.0).max(0.0);
@@ -259,7 +260,7 @@ impl<'a> ReferenceRenderer<'a> {
             .take_while(move |t| *t <= exit + step)
     }
 
-    /// What of the light passes a sample.
+    /// Transmittance of one sample.
     fn passed(&self, sample: &Sample, step: f64) -> f64 {
         let extinction = -(1.0 - sample.opacity.min(MAX_OPACITY)).ln() / self.scene.unit_distance;
         (-extinction * step).exp()
@@ -377,7 +378,7 @@ impl<'a> ReferenceRenderer<'a> {
         Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
     }
 
-    /// The attributes that are read anywhere, as one object has them; 0 where it does not.
+    /// The values of all attributes that are read anywhere, for one object; 0 for those it lacks.
     fn attributes(&self, mut of: impl FnMut(&str) -> Option<f64>) -> [f64; MOST_ATTRIBUTES] {
         let mut attributes = [0.0; MOST_ATTRIBUTES];
         for (value, name) in attributes.iter_mut().zip(&self.names) {
@@ -427,7 +428,7 @@ impl<'a> ReferenceRenderer<'a> {
         Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
     }
 
-    /// Light on a sample.
+    /// The light that a sample scatters toward the origin of the ray.
     fn lit(
         &self,
         settings: &RenderSettings,
@@ -458,7 +459,7 @@ impl<'a> ReferenceRenderer<'a> {
                 }
             };
             let reaching = if light.throws_shadows() && distance > 0.0 {
-                // Behind a boundary that is at most two steps away a sample is lit as if it lay on it.
+                // A sample at most two steps behind a boundary is lit as if it lay on the boundary.
                 let depth = -sample.boundary;
                 let on_boundary = depth > 0.0 && depth <= 2.0 * step;
                 let place = if on_boundary { q + sample.normal * depth } else { q };
@@ -490,18 +491,17 @@ impl<'a> ReferenceRenderer<'a> {
     }
 }
 
-/// The normal and the signed distance of a boundary in the world, from the implicit function and its gradient in local
-/// space.
+/// Normal and signed distance of a boundary in world space, from the implicit function and its gradient in local space.
 fn surface(node: &SeenNode<'_>, implicit: f64, gradient: DVec3) -> (DVec3, f64) {
     let to_world: DMat3 = node.local_from_world.matrix3.transpose();
     let gradient = to_world * gradient;
     let length = gradient.length();
-    // What single precision cannot hold is no direction.
+    // A gradient too small for single precision has no direction.
     let normal = if length >= f64::from(f32::MIN_POSITIVE) { gradient / length } else { DVec3::ZERO };
     (normal, implicit / length)
 }
 
-/// The table of operators.
+/// Applies an operator to samples of its children, by the table of operators.
 fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
     match operator {
         Operator::Union => samples.iter().skip(1).fold(samples[0], |a, b| {

@@ -1,22 +1,22 @@
-//! The tree of rays under a pixel: what reflects and what refracts, ray by ray and sample by sample.
+//! The tree of rays of a pixel: reflection and refraction, ray by ray and sample by sample.
 
 use super::{Purpose, ReferenceRenderer};
 use crate::geometry::{DAffine3, DVec3, Ray};
 use crate::scene::{Lighting, Material, RenderSettings};
 
-/// What reflects less of its pixel's light shows its own colour.
+/// If the reflected light contributes less than this to the pixel, the sample shows its own colour.
 const LEAST_REFLECTED: f64 = 1.0 / 256.0;
-/// What less passes of is not followed.
+/// Rays that contribute less than this to the pixel are not followed.
 const LEAST_PASSED: f64 = 1.0 / 4096.0;
 
-/// A ray of the tree.
+/// A ray of the tree, with its state.
 pub(super) struct Course {
     ray: Ray,
-    /// What part of its light reaches the pixel.
+    /// Fraction of the ray's light that reaches the pixel.
     weight: f64,
-    /// Refractive index of where it begins.
+    /// Refractive index at the ray's origin.
     index: f64,
-    /// Normal of the boundary at which it begins.
+    /// Normal of the boundary at the ray's origin.
     normal: DVec3,
     depth: u32,
 }
@@ -27,7 +27,7 @@ impl Course {
     }
 }
 
-/// Samples that follow each other and reflect.
+/// Consecutive samples that reflect.
 struct Mirror {
     weight: f64,
     place: DVec3,
@@ -36,7 +36,7 @@ struct Mirror {
 }
 
 impl ReferenceRenderer<'_> {
-    /// The light of a ray and of all that follow from it, and what of the background is seen.
+    /// The light of a ray and of all rays that follow from it, and the fraction of the background that is visible.
     pub(super) fn follow(
         &self,
         settings: &RenderSettings,
@@ -52,9 +52,9 @@ impl ReferenceRenderer<'_> {
         let mut transmittance = 1.0;
         let mut mirror: Option<Mirror> = None;
         let mut index = course.index;
-        // Of the last sample inside: distance, normal, distance to the boundary, reflectance.
+        // For the last sample inside: distance along the ray, normal, distance to the boundary, reflectance.
         let mut inside = (0.0, course.normal, 0.0, 0.0);
-        // One more beyond the last, where nothing is.
+        // One sample more after the last, in empty space.
         let samples: Vec<f64> = self.lattice(ray, sample_offset, step).collect();
         let beyond = samples.last().map_or(sample_offset * step, |last| last + step);
         for t in samples.into_iter().chain([beyond]) {
@@ -131,7 +131,7 @@ impl ReferenceRenderer<'_> {
         (light.to_array(), transmittance)
     }
 
-    /// What is seen in samples that reflect, times their weight.
+    /// The light reflected by consecutive samples, multiplied by their weight.
     fn reflected(
         &self,
         settings: &RenderSettings,
@@ -157,7 +157,7 @@ impl ReferenceRenderer<'_> {
     }
 }
 
-/// The direction behind a boundary; `None` if all light is reflected.
+/// The refracted direction; `None` for total internal reflection.
 fn bent(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
     let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
     Some(direction.refract(normal, ratio)).filter(|bent| *bent != DVec3::ZERO)

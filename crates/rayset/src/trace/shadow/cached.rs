@@ -1,9 +1,10 @@
-//! Shadows from tables of the light's own rays: each tile a pure function of scene, light and tile, made when it is
-//! first wanted, evicted like any page and made again to the same bits.
+//! Shadows from deep shadow maps, which are traced from the light. Each tile of a map is a pure function of scene,
+//! light and tile; it is computed when first needed, evicted like any page, and recomputed to the same bits.
 //!
-//! Between rays a table can only blend: it knows edges of shadows to a cell. Where the rays around a sample differ so much
-//! that its pixel would show it, the sample is left to a ray of its own, a small part of all where shadows are larger than
-//! cells. The decision is a function of sample and tile alone, so no execution setting changes it.
+//! Between its rays a map can only interpolate: it resolves shadow edges to one cell. If the rays around a sample
+//! differ so much that the difference would be visible in its pixel, the sample gets a shadow ray of its own; where
+//! shadows are larger than cells these are a small fraction of all samples. The decision is a function of sample and
+//! tile only, so it does not depend on execution settings.
 
 use super::map::{TILE_CELLS, Texel};
 use super::place::{lit_place, toward};
@@ -20,10 +21,10 @@ use crate::trace::march::March;
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY, each_lane};
 use crate::working_set::PageGuard;
 
-/// Rays of a light along an edge of a tile.
+/// Rays along an edge of a tile.
 const CORNERS: u32 = TILE_CELLS + 1;
 
-/// Looks shadows up between the rays of a light, and makes the tiles that are missing.
+/// Looks up shadows by interpolation between the rays of a light; computes missing tiles.
 pub(super) struct DeepShadowLookups<'a> {
     maker: TileMaker<'a>,
 }
@@ -39,8 +40,8 @@ impl<'a> DeepShadowLookups<'a> {
         Self { maker }
     }
 
-    /// Fills the rows of the samples that count. Returns those, a bit for each, that the table does not decide: the rays
-    /// around them differ, for an edge of a shadow passes between.
+    /// Fills the rows of the contributing samples. Returns a bit for each sample that the map does not decide, because
+    /// the rays around it differ: the edge of a shadow passes between them.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
         &mut self,
@@ -55,7 +56,7 @@ impl<'a> DeepShadowLookups<'a> {
         rows: &mut [SampleRow],
     ) -> Result<[u32; LANES], Halt> {
         let mut undecided = [0_u32; LANES];
-        // The tile looked at last stays retained: neighbours mostly share it.
+        // The tile of the last look-up stays retained: neighbouring samples mostly share it.
         let mut last: Option<(u32, PageGuard)> = None;
         let mut lanes = shares.lanes();
         while lanes != 0 {
@@ -86,25 +87,28 @@ impl<'a> DeepShadowLookups<'a> {
     }
 }
 
-/// How much the rays around a sample may differ in what they give its pixel, as a part of what the light gives at best.
+/// Largest difference that the rays around a sample may make to its pixel, as a fraction of the light's largest
+/// contribution.
 const LARGEST_DOUBT: f32 = 1.0 / 64.0;
-/// A boundary is taken as flat from ray to ray up to this tangent of its angle to the plane across the light.
+/// A boundary is extrapolated as a plane up to this slope against the plane across the light's rays; steeper slopes are
+/// clamped.
 const STEEPEST: f64 = 8.0;
 
-/// How a sample is looked up.
+/// Parameters of a sample's look-up.
 struct Lookup {
-    /// Distance along the ray through the sample.
+    /// Distance along the light's ray through the sample.
     distance: f64,
-    /// By how much the distance grows from ray to ray, along rows and columns.
+    /// Increase of the distance from ray to ray, along rows and columns.
     slope: (f64, f64),
-    /// What part of the light that arrives is scattered, before colours.
+    /// Fraction of the arriving light that is scattered, before colours.
     scattered: f32,
 }
 
 impl Lookup {
-    /// As an exact shadow ray does, the look-up leaves out what lies within the sample offset. Of a boundary each ray is looked up
-    /// where it meets the tangent plane: all are as far before the boundary as the sample, and none sees it as its own
-    /// shadow. Half a cell is what a boundary may be nearer than its tangent plane.
+    /// Like an exact shadow ray, the look-up ignores what lies within the sample offset of the sample. At a boundary,
+    /// each ray is looked up where it meets the boundary's tangent plane, so that all rays are equally far in front of
+    /// the boundary and it does not shadow itself. The distance is reduced by half a cell, in case the boundary is
+    /// nearer than its tangent plane.
     fn new(
         light: &Light,
         packet: &Packet,
@@ -116,7 +120,7 @@ impl Lookup {
         let distance = texel.distance - packet.sample_offset(lane) * packet.step_world();
         let normal = node.normal_at(lane, j);
         let Some((toward, _)) = toward(light, place).filter(|_| normal != DVec3::ZERO) else {
-            // Without a shading vector nothing is scattered.
+            // Without a shading vector no light is scattered.
             return Self { distance, slope: (0.0, 0.0), scattered: 0.0 };
         };
         let cosine = normal.dot(toward);
@@ -125,13 +129,13 @@ impl Lookup {
             return Self { distance, slope: (0.0, 0.0), scattered };
         }
         let gradient = (normal / cosine - toward).clamp_length_max(STEEPEST);
-        // Light that only grazes the boundary is next to none.
+        // Light at grazing incidence contributes almost nothing.
         let gradient = if gradient.is_finite() { gradient } else { DVec3::ZERO };
         let slope = (gradient.dot(texel.next.0), gradient.dot(texel.next.1));
         Self { distance: distance - 0.5 * texel.size(), slope, scattered }
     }
 
-    /// What is left of the light on the rays around: (0, 0), (1, 0), (0, 1), (1, 1).
+    /// Transmittance of the rays around the sample: (0, 0), (1, 0), (0, 1), (1, 1).
     fn corners(&self, page: &[u8], texel: &Texel) -> [f32; 4] {
         [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, k)| {
             let ray = (texel.cell.1 + k) * CORNERS + texel.cell.0 + i;
@@ -142,20 +146,20 @@ impl Lookup {
     }
 }
 
-/// Bilinear.
+/// Bilinear interpolation.
 fn between([a, b, c, d]: [f32; 4], (u, v): (f64, f64)) -> f32 {
     let (u, v) = (u as f32, v as f32);
     let (low, high) = (a + (b - a) * u, c + (d - c) * u);
     (low + (high - low) * v).clamp(0.0, 1.0)
 }
 
-/// By how much the rays differ.
+/// Difference between the largest and the smallest value.
 fn spread(corners: [f32; 4]) -> f32 {
     let (least, most) = corners.iter().fold((1.0_f32, 0.0_f32), |(a, b), &x| (a.min(x), b.max(x)));
     most - least
 }
 
-/// Traces the rays of a light.
+/// Traces the rays of a light to make tiles.
 struct TileMaker<'a> {
     world: &'a ShadowWorld,
     march: March<'a>,
@@ -164,7 +168,7 @@ struct TileMaker<'a> {
 }
 
 impl TileMaker<'_> {
-    /// Makes a tile.
+    /// Computes a tile.
     fn make(
         &mut self,
         access: Access<'_>,
@@ -217,8 +221,8 @@ impl TileMaker<'_> {
         Ok(())
     }
 
-    /// Appends the samples of a slab to the curve of a ray. A sample takes its light between the middles of the gaps
-    /// beside it.
+    /// Appends the samples of a slab to the curve of a ray. Each sample absorbs its light over one step, centred at the
+    /// sample.
     fn extend(
         &self,
         packet: &Packet,
@@ -234,7 +238,7 @@ impl TileMaker<'_> {
             samples &= samples - 1;
             let t = packet.sample_t_world(lane, slab.first + j as u64);
             let (near, far) = ((t - 0.5 * step) as f32, (t + 0.5 * step) as f32);
-            // Where the ray came through nothing, the light has not changed since the last knot.
+            // If the ray has crossed empty space, the transmittance has not changed since the last knot.
             if curve.last().is_none_or(|x| x < near) {
                 curve.push((near, left));
             }

@@ -1,5 +1,5 @@
-//! Shadow rays from samples: from every one that counts they are the reference, for small pictures; beside tables they
-//! decide where these cannot.
+//! Shadow rays from samples to lights. Traced for every contributing sample, they are the reference, for small
+//! pictures; with deep shadow maps, they decide the samples that the maps cannot.
 
 use super::place::{lit_place, toward};
 use super::world::ShadowWorld;
@@ -13,7 +13,7 @@ use crate::trace::march::March;
 use crate::trace::node_samples::NodeSamples;
 use crate::trace::secondary::coherent_groups;
 
-/// Traces shadow rays, in packets of neighbours at the same depth.
+/// Traces shadow rays in packets of neighbouring samples at the same depth.
 pub(super) struct ShadowRays<'a> {
     world: &'a ShadowWorld,
     march: March<'a>,
@@ -21,16 +21,16 @@ pub(super) struct ShadowRays<'a> {
     shares: Shares,
 }
 
-/// A ray to a light.
+/// A shadow ray.
 #[derive(Clone, Copy)]
 struct ToLight {
     ray: Ray,
-    /// Where its samples lie: the sample offset, in steps.
+    /// The ray's sample offset, in steps.
     sample_offset: f64,
-    /// Distance of the light; infinite where it is nowhere.
+    /// Distance of the light; infinite for a directional light.
     light: f64,
     lane: usize,
-    /// Sample of the slab.
+    /// Sample number within the slab.
     j: usize,
 }
 
@@ -44,7 +44,7 @@ impl<'a> ShadowRays<'a> {
         }
     }
 
-    /// Fills the rows of the samples that count.
+    /// Fills the rows of the contributing samples.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
         &mut self,
@@ -62,7 +62,7 @@ impl<'a> ShadowRays<'a> {
             for lane in (0..packet.len()).filter(|&lane| shares.samples[lane] >> j & 1 == 1) {
                 match to_light(light, packet, slab, node, (lane, j)) {
                     Some(ray) => rays.push(ray),
-                    // It lies at the light.
+                    // The sample is at the position of the light.
                     None => rows[lane].0[j] = 1.0,
                 }
             }
@@ -71,7 +71,7 @@ impl<'a> ShadowRays<'a> {
         Ok(())
     }
 
-    /// Fills the rows of some samples, a bit for each: few, so that rays travel together from wherever they are.
+    /// Fills the rows of the given samples, a bit for each. There are few, so rays from different depths share packets.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find_some(
         &mut self,
@@ -92,7 +92,7 @@ impl<'a> ShadowRays<'a> {
         rays.chunks(LANES).try_for_each(|rays| self.trace_all(access, rays, counts, rows))
     }
 
-    /// Traces at most a packet of rays, each by itself as far as bits can tell.
+    /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were traced alone.
     fn trace_all(
         &mut self,
         access: Access<'_>,
@@ -116,7 +116,7 @@ impl<'a> ShadowRays<'a> {
         Ok(())
     }
 
-    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset) steps from where it starts, so
+    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset) steps from its start, so
     /// that no sample shadows itself.
     fn trace(
         &mut self,
@@ -157,7 +157,7 @@ impl<'a> ShadowRays<'a> {
             self.march.evaluate(access, packet, slab, going, counts, node)?;
             if limits.iter().any(|limit| limit.is_finite()) {
                 cut_off(packet, slab, limits, node);
-                // Rays that have reached their light end there.
+                // Rays that have reached their light end.
                 for (lane, limit) in limits.iter().enumerate() {
                     if packet.sample_t_world(lane, slab.end()) >= *limit {
                         going &= !(1 << lane);
@@ -181,7 +181,7 @@ impl<'a> ShadowRays<'a> {
     }
 }
 
-/// Makes what lies behind the light transparent.
+/// Makes everything behind the light transparent.
 fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) {
     for (lane, limit) in limits.iter().enumerate() {
         for j in 0..slab.samples {
@@ -192,7 +192,7 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) 
     }
 }
 
-/// The ray from a sample to a light; `None` if the sample lies at the light.
+/// The ray from a sample to a light; `None` if the sample is at the position of the light.
 fn to_light(
     light: &Light,
     packet: &Packet,

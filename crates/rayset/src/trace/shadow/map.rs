@@ -1,12 +1,12 @@
-//! The rays of a light: a lattice over what it may light.
+//! The rays of a light: a lattice over everything it may light.
 
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::scene::{Light, LightKind};
 
-/// Cells along a side of a tile; its rays pass through their corners.
+/// Cells along a side of a tile; the tile's rays pass through the corners of the cells.
 pub(super) const TILE_CELLS: u32 = 7;
 
-/// Rays of a light through the corners of square cells.
+/// Rays of a light, through the corners of square cells.
 #[derive(Clone, Debug)]
 pub(super) struct LightMap {
     faces: Vec<Face>,
@@ -14,35 +14,35 @@ pub(super) struct LightMap {
     resolution: u32,
 }
 
-/// A square of cells, and where their rays come from.
+/// A square of cells, and the origin of their rays.
 #[derive(Clone, Copy, Debug)]
 struct Face {
-    /// The light, or the middle of the plane that parallel rays start from.
+    /// Position of the light, or the centre of the plane from which parallel rays start.
     origin: DVec3,
     forward: DVec3,
     right: DVec3,
     up: DVec3,
-    /// Half its side: of the plane at distance 1 where rays diverge, else in world units.
+    /// Half the side of the square: on the plane at distance 1 for a point light, in world units for parallel rays.
     half: f64,
     diverges: bool,
 }
 
-/// Where a place is on a map.
+/// A position projected onto a light's map.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texel {
     pub(super) tile: u32,
     /// Cell within the tile.
     pub(super) cell: (u32, u32),
-    /// Place within the cell, 0 to 1.
+    /// Position within the cell, 0 to 1.
     pub(super) within: (f64, f64),
-    /// Distance along the rays.
+    /// Distance along the ray.
     pub(super) distance: f64,
-    /// From one ray to the next there, along rows and columns; world space.
+    /// Offset from one ray to the next at this distance, along rows and columns; world space.
     pub(super) next: (DVec3, DVec3),
 }
 
 impl LightMap {
-    /// Of a light that throws shadows, over a scene; `None` for one that has no rays.
+    /// The map of a light over the bounds of a scene; `None` if the scene is empty or the light has no rays.
     pub(super) fn new(light: &Light, bounds: &Aabb, resolution: u32) -> Option<Self> {
         if bounds.is_empty() {
             return None;
@@ -57,7 +57,7 @@ impl LightMap {
             LightKind::Point { position, .. } => {
                 let toward = center - position;
                 let sine = radius / toward.length();
-                // From well outside, one face takes all of the scene.
+                // From well outside, one face covers the whole scene.
                 if sine < 0.8 {
                     let tangent = sine / (1.0 - sine * sine).sqrt();
                     vec![Face::toward(position, toward.normalize(), 1.001 * tangent, true)]
@@ -81,7 +81,7 @@ impl LightMap {
         self.faces.len() as u32 * self.side() * self.side()
     }
 
-    /// The rays of a tile, row by row; they start at the light.
+    /// The rays of a tile, row by row. They start at the light, or at the plane of parallel rays.
     pub(super) fn rays(&self, tile: u32) -> Vec<Ray> {
         let (side, corners) = (self.side(), TILE_CELLS + 1);
         let face = &self.faces[(tile / (side * side)) as usize];
@@ -90,7 +90,7 @@ impl LightMap {
         (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
     }
 
-    /// Where a place is; `None` if no ray of the light comes by.
+    /// Projects a position; `None` if it is outside the map.
     pub(super) fn texel(&self, place: DVec3) -> Option<Texel> {
         let (number, (u, v, distance)) =
             self.faces.iter().enumerate().find_map(|(i, face)| face.project(place).map(|p| (i as u32, p)))?;
@@ -112,7 +112,7 @@ impl LightMap {
 }
 
 impl Texel {
-    /// Size of a cell there, world space.
+    /// Edge length of a cell at this distance, world space.
     pub(super) fn size(&self) -> f64 {
         self.next.0.length()
     }
@@ -133,7 +133,7 @@ impl Face {
         }
     }
 
-    /// Place on the face, −1 to 1, and distance along its ray.
+    /// Position on the face, −1 to 1, and distance along the ray; `None` if it is outside the face.
     fn project(&self, place: DVec3) -> Option<(f64, f64, f64)> {
         let offset = place - self.origin;
         let depth = offset.dot(self.forward);

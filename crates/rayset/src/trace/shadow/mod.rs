@@ -1,5 +1,5 @@
-//! How much of each light reaches each sample: by rays from the samples (`exact`), or from tables of the light's own rays
-//! (`table`, looked up and made in `cached`), whichever the settings ask for (`shadows`).
+//! How much of each light reaches each sample: by shadow rays from the samples (`exact`) or from deep shadow maps
+//! (`table`, looked up and computed in `cached`), depending on the settings (`shadows`).
 
 mod cached;
 mod exact;

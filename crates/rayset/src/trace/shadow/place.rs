@@ -1,11 +1,11 @@
-//! Where samples are lit, and where their lights are.
+//! Where samples are lit, and in which direction their lights are.
 
 use crate::field::Packet;
 use crate::geometry::DVec3;
 use crate::scene::{Light, LightKind};
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY};
 
-/// The place at which a sample is lit.
+/// The position at which a sample is lit: on the boundary if it is just behind one, otherwise its own.
 pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample: u64, j: usize) -> DVec3 {
     let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
     let depth = -f64::from(node.boundary[lane].0[j]);
@@ -15,7 +15,8 @@ pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample
     place + node.normal_at(lane, j) * depth
 }
 
-/// The direction from a place to a light and its distance, infinite where it is nowhere; `None` if no ray goes there.
+/// Direction and distance from a position to a light; the distance is infinite for directional lights. `None` for
+/// lights without shadow rays, or if the position is that of the light.
 pub(super) fn toward(light: &Light, place: DVec3) -> Option<(DVec3, f64)> {
     match light.kind {
         LightKind::Directional { direction } => Some((-direction.normalize(), f64::INFINITY)),

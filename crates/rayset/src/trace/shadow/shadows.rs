@@ -1,4 +1,4 @@
-//! What of each light reaches the samples of a slab, by whichever way the settings ask for.
+//! How much of each light reaches the samples of a slab, computed as the settings require.
 
 use super::cached::DeepShadowLookups;
 use super::exact::ShadowRays;
@@ -10,7 +10,7 @@ use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::NodeSamples;
 use crate::trace::shade::ShadowRows;
 
-/// The shadows of one thread.
+/// Shadow computation of one thread.
 pub(in crate::trace) struct Shadows<'a> {
     exact: ShadowRays<'a>,
     cached: DeepShadowLookups<'a>,
@@ -29,7 +29,7 @@ impl<'a> Shadows<'a> {
         }
     }
 
-    /// Finds what reaches the samples that count.
+    /// Computes how much of each light reaches the contributing samples.
     pub(in crate::trace) fn find(
         &mut self,
         access: Access<'_>,

@@ -1,4 +1,4 @@
-//! Tables of the light's own rays: which there are, and their tiles as pages of the working set.
+//! Deep shadow maps: which lights have them, and their tiles as pages of the working set.
 
 use std::io;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::working_set::{Kind, Object, PageSource, WorkingSet};
 /// Bytes of a tile.
 pub(in crate::trace) const SHADOW_TILE_BYTES: usize = 16 << 10;
 
-/// The table of one light.
+/// The deep shadow map of one light.
 pub(in crate::trace) struct DeepShadowMap {
     pub(super) map: LightMap,
     pub(super) tiles: Arc<Object>,
@@ -20,7 +20,7 @@ pub(in crate::trace) struct DeepShadowMap {
 }
 
 impl DeepShadowMap {
-    /// Tiles that the tables of a scene have in all.
+    /// Total number of tiles of all maps of a scene.
     pub(in crate::trace) fn tiles_of(scene: &Scene, shadows: Shadows) -> u64 {
         let (Lighting::Lit(lights), Shadows::Cached { resolution }) = (&scene.lighting, shadows) else {
             return 0;
@@ -32,7 +32,7 @@ impl DeepShadowMap {
             .sum()
     }
 
-    /// For a light that throws shadows, over a scene; `None` for one that has no rays.
+    /// The map of a light that casts shadows; `None` if the scene is empty or the light has no rays.
     pub(in crate::trace) fn new(
         light: &Light,
         bounds: &Aabb,
@@ -51,7 +51,7 @@ impl Drop for DeepShadowMap {
     }
 }
 
-/// Tiles as pages that are made, not read.
+/// Tiles as pages that are computed instead of read.
 struct TileSource {
     tiles: u32,
 }

@@ -1,18 +1,18 @@
-//! Transmittance along a ray as a few points with straight lines between (after Lokovic & Veach, *Deep Shadow Maps*,
-//! 2000), and how the rays of a tile share a page.
+//! Transmittance along a ray as a piecewise linear curve (after Lokovic & Veach, *Deep Shadow Maps*, 2000), and the
+//! layout of a tile's curves in a page.
 
-/// A point of a curve: distance, and what of the light is left there.
+/// A knot of a curve: distance and transmittance.
 pub(super) type Knot = (f32, f32);
 
-/// Largest error of a curve, unless its tile would not fit the page.
+/// Largest error of a curve, unless its tile would not fit into the page.
 const TOLERANCE: f32 = 1.0 / 1024.0;
 
-/// Takes points one after another and keeps those without which the curve would be wrong by more than the tolerance.
+/// Receives points one by one and keeps those without which the error would exceed the tolerance.
 #[derive(Clone, Debug)]
 pub(super) struct TransmittanceBuilder {
     tolerance: f32,
     knots: Vec<Knot>,
-    /// The point after the last knot, and the slopes that still pass all points since.
+    /// The latest point after the last knot, and the range of slopes that fit all points since that knot.
     pending: Option<(Knot, f32, f32)>,
 }
 
@@ -30,7 +30,7 @@ impl TransmittanceBuilder {
         self.pending.map(|((x, _), ..)| x).or_else(|| self.knots.last().map(|&(x, _)| x))
     }
 
-    /// The next point, farther than all before.
+    /// Adds a point, which must be farther than all before.
     pub(super) fn push(&mut self, point: Knot) {
         let Some(&(x0, y0)) = self.knots.last() else { return self.knots.push(point) };
         let slopes = |x0: f32, y0: f32| {
@@ -52,18 +52,18 @@ impl TransmittanceBuilder {
         }
     }
 
-    /// The whole curve.
+    /// Completes the curve.
     pub(super) fn finish(mut self) -> Vec<Knot> {
         self.knots.extend(self.pending.take().map(|(point, ..)| point));
         self.knots
     }
 }
 
-/// Bytes of the head of a ray: place and number of its knots.
+/// Bytes of a ray's head: index of its first knot and number of knots.
 const HEAD_BYTES: usize = 4;
 const KNOT_BYTES: usize = 8;
 
-/// Writes the curves of a tile into its page; those that would not fit become coarser, all alike.
+/// Writes the curves of a tile into its page. If they do not fit, all are simplified with a larger tolerance.
 pub(super) fn encode(mut curves: Vec<Vec<Knot>>, page: &mut [u8]) {
     let room = (page.len() - curves.len() * HEAD_BYTES) / KNOT_BYTES;
     let mut tolerance = TOLERANCE;
@@ -89,7 +89,7 @@ pub(super) fn encode(mut curves: Vec<Vec<Knot>>, page: &mut [u8]) {
     }
 }
 
-/// What of the light is left at a distance on one ray of a tile of `rays`.
+/// Transmittance at a distance on one ray of a tile of `rays` rays.
 pub(super) fn transmittance(page: &[u8], rays: usize, ray: usize, distance: f32) -> f32 {
     let u16_at = |at: usize| usize::from(u16::from_le_bytes([page[at], page[at + 1]]));
     let (first, count) = (u16_at(ray * HEAD_BYTES), u16_at(ray * HEAD_BYTES + 2));

@@ -1,4 +1,4 @@
-//! What shadow rays are traced through: fixed as long as scene and lights are.
+//! The scene as shadow rays see it; it is constant for a given scene and lights.
 
 use super::table::DeepShadowMap;
 use crate::field::SimdLevel;
@@ -10,25 +10,25 @@ use crate::trace::program::{Program, Purpose};
 use crate::trace::steps::StepRule;
 use crate::working_set::PagedFiles;
 
-/// A light that throws shadows.
+/// A light that casts shadows.
 pub(super) struct LightWithShadows {
     pub(super) light: Light,
-    /// Where they are looked up; `None` if they are exact.
+    /// Its deep shadow map; `None` if its shadows are computed exactly.
     pub(super) table: Option<DeepShadowMap>,
 }
 
-/// A scene as shadow rays see it.
+/// The scene as shadow rays see it.
 pub(in crate::trace) struct ShadowWorld {
-    /// The graph, for its opacity alone.
+    /// The graph, compiled for its opacity only.
     pub(super) program: Program,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
-    /// By their numbers in the scene; `None` for those that throw no shadows.
+    /// In the order of the scene's lights; `None` for those that cast no shadows.
     pub(super) lights: Vec<Option<LightWithShadows>>,
 }
 
 impl ShadowWorld {
-    /// `None` if no light throws shadows. Steps and absorption are those of the rays from the eye.
+    /// `None` if no light casts shadows. Step rule and absorption are those of the rays from the eye.
     pub(in crate::trace) fn compile(
         scene: &Scene,
         settings: &RenderSettings,

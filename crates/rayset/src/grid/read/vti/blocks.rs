@@ -1,4 +1,4 @@
-//! Compressed data of VTK: blocks that are compressed one by one, behind a table of their sizes.
+//! Compressed data of VTK: a table of block sizes, followed by individually compressed blocks.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
@@ -8,7 +8,7 @@ use flate2::{Decompress, FlushDecompress, Status};
 use super::super::ReadError;
 use super::header::Tag;
 
-/// How lengths stand before data.
+/// The format of the length words before data.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Words {
     wide: bool,
@@ -16,7 +16,7 @@ pub(super) struct Words {
 }
 
 impl Words {
-    /// As the outermost element says.
+    /// As given by the attributes of the outermost element.
     pub(super) fn of(path: &Path, file: &Tag) -> Result<Self, ReadError> {
         let big_endian = match file.attribute("byte_order") {
             None | Some("LittleEndian") => false,
@@ -46,22 +46,22 @@ impl Words {
     }
 }
 
-/// The decompressed data of all blocks. Nothing of a block is held but what is being decompressed. Every block must have
-/// the lengths that were said of it, and its checksum.
+/// The decompressed data of all blocks, as a stream: no whole block is held in memory. Every block must have the compressed
+/// and decompressed lengths that were stated for it, and the right checksum.
 pub(super) struct Blocks {
     /// The sizes of blocks still to come.
     sizes: Box<dyn BufRead + Send>,
     data: Box<dyn BufRead + Send>,
     words: Words,
-    /// How many blocks come after this one, and how many there are.
+    /// The number of blocks after this one, and of all blocks.
     left: u64,
     count: u64,
-    /// Decompressed bytes of all blocks but the last, and of the last.
+    /// Decompressed bytes of each block but the last, and of the last.
     block_bytes: [u64; 2],
     /// Whether nothing may follow the last block.
     alone: bool,
     decompress: Decompress,
-    /// Bytes of this block that are still to be read, and to be given.
+    /// Compressed bytes of this block still to be read, and decompressed bytes still to be returned.
     compressed: u64,
     decompressed: u64,
     ended: bool,
@@ -96,7 +96,7 @@ impl Blocks {
         io::Error::new(io::ErrorKind::InvalidData, text)
     }
 
-    /// Goes on to the next block; false behind the last.
+    /// Advances to the next block; false after the last.
     fn next_block(&mut self) -> io::Result<bool> {
         if self.left == 0 {
             if self.alone && !self.data.fill_buf()?.is_empty() {
@@ -127,7 +127,7 @@ impl Read for Blocks {
                 return Err(io::ErrorKind::UnexpectedEof.into());
             }
             let held = &held[..held.len().min(usize::try_from(self.compressed).unwrap_or(usize::MAX))];
-            // Behind the last byte the checksum follows; room for one more shows that there is none.
+            // The checksum follows the last byte; room for one more byte shows whether the block is too long.
             let mut spare = [0];
             let whole = self.decompressed == 0;
             let room = out.len().min(usize::try_from(self.decompressed).unwrap_or(usize::MAX));

@@ -1,4 +1,4 @@
-//! The elements of a VTI file, up to its appended data, which are no XML.
+//! The XML elements of a VTI file, up to its appended data, which are not XML.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -11,9 +11,9 @@ use quick_xml::events::{BytesStart, Event};
 use super::super::ReadError;
 use super::super::data::{data_at, io_error};
 
-/// No more is read of a file as XML, the text of arrays left out.
+/// Limit on the bytes of a file that are read as XML, without the text of arrays.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
-/// No more arrays are kept, no element has more attributes, none is deeper in others.
+/// Limits on the number of arrays in each group, the attributes of an element, and the nesting depth.
 const MOST_ARRAYS: usize = 4096;
 const MOST_ATTRIBUTES: usize = 64;
 const MOST_DEPTH: usize = 64;
@@ -23,21 +23,21 @@ const MOST_DEPTH: usize = 64;
 pub(super) struct Tag {
     pub(super) name: String,
     attributes: Vec<(String, String)>,
-    /// Where it is in the file.
+    /// Its byte offset in the file.
     at: u64,
-    /// Where its own text begins. `None` if there is none.
+    /// The byte offset of its own text. `None` if there is none.
     pub(super) content: Option<u64>,
 }
 
 /// The arrays of points, or of cells.
 #[derive(Debug, Default)]
 pub(super) struct Group {
-    /// The name of the array that is to be shown.
+    /// The name of the active scalar array.
     pub(super) scalars: Option<String>,
     pub(super) arrays: Vec<Tag>,
 }
 
-/// What a file says of itself.
+/// The elements of a file that are used.
 #[derive(Debug, Default)]
 pub(super) struct Header {
     pub(super) file: Tag,
@@ -45,14 +45,14 @@ pub(super) struct Header {
     pub(super) piece: Tag,
     pub(super) points: Group,
     pub(super) cells: Group,
-    /// The element, and where its first byte is.
+    /// The element, and the byte offset of its data.
     pub(super) appended: Option<(Tag, u64)>,
 }
 
 impl Tag {
     fn of(start: &BytesStart<'_>, at: u64) -> Result<Self, String> {
         let mut attributes: Vec<(String, String)> = Vec::new();
-        // The parser's own search for attributes that come twice takes time by their number squared.
+        // The parser's own check for duplicate attributes takes quadratic time.
         for attribute in start.attributes().with_checks(false) {
             let attribute = attribute.map_err(|error| format!("this is not well-formed XML: {error}"))?;
             let key = attribute.key.as_ref();
@@ -73,7 +73,7 @@ impl Tag {
         self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }
 
-    /// "byte 230, DataArray, offset".
+    /// The place for messages: "byte 230, DataArray, offset".
     pub(super) fn place(&self, attribute: &str) -> String {
         let place = format!("byte {}, {}", self.at, self.name);
         if attribute.is_empty() { place } else { format!("{place}, {attribute}") }
@@ -87,7 +87,7 @@ impl Tag {
 type Xml = Reader<io::Take<BufReader<File>>>;
 
 pub(super) fn read(path: &Path) -> Result<Header, ReadError> {
-    // A byte-order mark is no part of what the parser counts.
+    // The parser does not count a byte-order mark.
     let mut mark = Vec::new();
     data_at(path, 0)?.take(3).read_to_end(&mut mark).map_err(io_error(path))?;
     let first = if mark == [0xef, 0xbb, 0xbf] { 3 } else { 0 };
@@ -151,8 +151,7 @@ pub(super) fn read(path: &Path) -> Result<Header, ReadError> {
     Ok(header)
 }
 
-/// Passes by text up to the next tag, without keeping it. Returns where the first letter of it stands that is no white
-/// space.
+/// Skips text up to the next tag, without storing it. Returns the offset of its first character that is not white space.
 fn pass_text(xml: &mut Xml) -> io::Result<Option<u64>> {
     let limit = xml.get_ref().limit();
     xml.get_mut().set_limit(u64::MAX);
@@ -175,7 +174,7 @@ fn pass_text(xml: &mut Xml) -> io::Result<Option<u64>> {
     Ok(found)
 }
 
-/// Reads the `_` before appended data. Returns where they begin; `None` if there is anything else.
+/// Reads the `_` before the appended data. Returns the offset of the data; `None` if anything else is found.
 fn marker(xml: &mut Xml) -> io::Result<Option<u64>> {
     let mut stream = xml.stream();
     loop {
@@ -192,7 +191,7 @@ fn marker(xml: &mut Xml) -> io::Result<Option<u64>> {
 }
 
 impl Header {
-    /// Takes up an element, the last of those that are open.
+    /// Records an element, which is the innermost of the open ones.
     fn take(&mut self, open: &[String], tag: Tag) -> Result<(), &'static str> {
         let path: Vec<&str> = open.iter().map(String::as_str).collect();
         match path.as_slice() {
@@ -223,7 +222,7 @@ impl Header {
         if name == "PointData" { &mut self.points } else { &mut self.cells }
     }
 
-    /// The array that is open. `None` if it is none of points or cells.
+    /// The array that is open. `None` if it is not an array of points or cells.
     fn array(&mut self, open: &[String]) -> Option<&mut Tag> {
         let path: Vec<&str> = open.iter().map(String::as_str).collect();
         match path.as_slice() {
@@ -234,7 +233,7 @@ impl Header {
         }
     }
 
-    /// Whether all is there that every file has.
+    /// Checks that all required elements are present.
     fn check(&self, path: &Path) -> Result<(), ReadError> {
         let missing = |name: &str, what: &str| Err(ReadError::header(path, name, what));
         if self.file.name.is_empty() {

@@ -1,4 +1,4 @@
-//! VTK ImageData in XML (`.vti`) of one piece: the scalars of its points, else those of its cells at their centres; as
+//! VTK ImageData in XML (`.vti`) of one piece: the scalars of its points, otherwise those of its cells at their centres; as
 //! text, inline or appended, raw or base64, plain or zlib.
 
 mod blocks;
@@ -19,7 +19,7 @@ use crate::geometry::{DAffine3, DMat3, DVec3};
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let header = header::read(path)?;
     let extent = extent(path, &header)?;
-    // Voxels are points, or lie amid the points of a cell.
+    // Voxels are at the points, or at the centres of the cells.
     let (tag, of_cells) = wanted_array(path, &header)?;
     let size = [0, 2, 4].map(|i| {
         let cells = extent[i + 1].checked_sub(extent[i]).and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
@@ -50,7 +50,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     Ok(VolumeSource::new(&Described { big_endian, ..described }, bytes, voxels))
 }
 
-/// The first and last point along each axis: of the whole, which the one piece must cover.
+/// The first and last point along each axis: of the whole extent, which the single piece must cover.
 fn extent(path: &Path, header: &Header) -> Result<[i64; 6], ReadError> {
     let six = |tag: &Tag, name| {
         let numbers = tag.attribute(name).and_then(parsed::<i64, 6>);
@@ -66,7 +66,8 @@ fn extent(path: &Path, header: &Header) -> Result<[i64; 6], ReadError> {
     Ok(whole)
 }
 
-/// The array that is named as scalars, else the first of one number each; of the points, else of the cells.
+/// The array named as the scalars, otherwise the first with one component; of the points, otherwise of the cells. Also
+/// returns whether it is an array of cells.
 fn wanted_array<'h>(path: &Path, header: &'h Header) -> Result<(&'h Tag, bool), ReadError> {
     let single = |tag: &&Tag| tag.attribute("NumberOfComponents").is_none_or(|n| n.trim() == "1");
     let wanted = |group: &'h Group| {
@@ -123,27 +124,27 @@ fn place(path: &Path, image: &Tag, extent: &[i64; 6], of_cells: bool) -> Result<
     Ok(DAffine3::from_mat3_translation(linear, origin + linear * first))
 }
 
-/// Where binary data lie.
+/// Where binary data are, and how they are encoded.
 enum Encoded {
-    /// Base64 in the element itself, from this byte on.
+    /// Base64 in the element itself, from this byte of the file on.
     Inline(u64),
-    /// Among the appended data, from this byte of the file on.
+    /// Raw bytes in the appended data, from this byte of the file on.
     Raw(u64),
     Base64(u64),
 }
 
-/// An array whose voxels are wanted.
+/// The array that holds the voxels.
 struct Array<'a> {
     path: &'a Path,
     tag: &'a Tag,
     words: Words,
-    /// Of all voxels.
+    /// Bytes of all voxels.
     bytes: u64,
     file_bytes: u64,
 }
 
 impl Array<'_> {
-    /// Where the text of the element begins.
+    /// The byte offset of the text of the element.
     fn content(&self) -> Result<u64, ReadError> {
         self.tag.content.ok_or_else(|| self.tag.wrong(self.path, "", "the element is empty"))
     }
@@ -156,7 +157,7 @@ impl Array<'_> {
     fn ascii(&self, described: &Described) -> Result<Voxels, ReadError> {
         let at = self.content()?;
         let count = self.bytes / described.stored.bytes() as u64;
-        // A digit each, and something between.
+        // At least one digit each, and one separator between two numbers.
         let least = 2 * count - 1;
         if self.file_bytes - at.min(self.file_bytes) < least {
             return Err(self.early(&format!("{count} numbers need at least {least} bytes")));
@@ -182,7 +183,7 @@ impl Array<'_> {
         }
     }
 
-    /// Binary data behind words that say how long they are.
+    /// Binary data, preceded by words that give their length.
     fn encoded(&self, encoded: &Encoded, header: &Header) -> Result<Voxels, ReadError> {
         let compressor = header.file.attribute("compressor").filter(|name| !name.is_empty());
         match compressor {
@@ -204,7 +205,7 @@ impl Array<'_> {
             return Place { path: self.path, start: at + width, bytes: self.bytes, rest: None }.plain();
         }
         self.check_room(encoded, width.saturating_add(self.bytes))?;
-        // Other arrays may follow among the appended data, but nothing in an element.
+        // Other arrays may follow in the appended data, but nothing may follow in an element.
         let rest = matches!(encoded, Encoded::Inline(_)).then_some(0);
         Ok(Voxels { path: self.path.to_owned(), data: Box::new(data), rest })
     }
@@ -225,7 +226,7 @@ impl Array<'_> {
                 "its last compressed block is said to be longer than the others",
             ));
         }
-        // However many blocks there are, their sizes are read twice instead of kept.
+        // The sizes of the blocks are read twice instead of being stored, however many blocks there are.
         let head_bytes = blocks.saturating_add(3).saturating_mul(self.words.width());
         self.check_room(encoded, head_bytes)?;
         let mut compressed_bytes = 0_u64;
@@ -245,7 +246,7 @@ impl Array<'_> {
         Ok(Voxels { path: self.path.to_owned(), data: Box::new(blocks), rest: Some(0) })
     }
 
-    /// The decoded data from some byte on.
+    /// A reader of the decoded data after the first `skip` bytes.
     fn reader(&self, encoded: &Encoded, skip: u64) -> Result<Box<dyn BufRead + Send>, ReadError> {
         let (Encoded::Inline(at) | Encoded::Raw(at) | Encoded::Base64(at)) = *encoded;
         if let Encoded::Raw(_) = encoded {
@@ -269,7 +270,7 @@ impl Array<'_> {
         Err(self.tag.wrong(self.path, "", &what))
     }
 
-    /// Whether so many decoded bytes can be in the file.
+    /// Checks that the file is large enough for this number of decoded bytes.
     fn check_room(&self, encoded: &Encoded, bytes: u64) -> Result<(), ReadError> {
         let (Encoded::Inline(at) | Encoded::Raw(at) | Encoded::Base64(at)) = *encoded;
         let left = self.file_bytes.saturating_sub(at);

@@ -1,17 +1,17 @@
-//! Numbers as text in elements: base64, and ASCII.
+//! Arrays as text in elements: base64, and ASCII numbers.
 
 use std::io::{self, BufRead, Read};
 
 use super::super::Stored;
 
-/// No number is written with more letters.
+/// Largest number of characters of a number.
 const MOST_LETTERS: usize = 64;
 
 fn invalid(what: String) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 
-/// The text of an element: ends where the next tag begins.
+/// The text of an element, which ends at the next tag.
 pub(super) struct UntilTag<R> {
     inner: R,
 }
@@ -21,7 +21,7 @@ impl<R: BufRead> UntilTag<R> {
         Self { inner }
     }
 
-    /// The next letter that is no white space; white space too if `spaces`. `None` at the end of the text.
+    /// The next character; white space is skipped unless `spaces`. `None` at the end of the text.
     fn letter(&mut self, spaces: bool) -> io::Result<Option<u8>> {
         loop {
             let Some(&byte) = self.inner.fill_buf()?.first() else {
@@ -38,7 +38,7 @@ impl<R: BufRead> UntilTag<R> {
     }
 }
 
-/// Base64 in one or several pieces, each padded by itself.
+/// Decodes base64 in one or several pieces, each with its own padding.
 pub(super) struct Base64<R> {
     text: UntilTag<R>,
     ready: [u8; 3],
@@ -51,7 +51,7 @@ impl<R: BufRead> Base64<R> {
         Self { text, ready: [0; 3], count: 0, at: 0 }
     }
 
-    /// Decodes the next four letters; false at the end.
+    /// Decodes the next four characters; false at the end.
     fn refill(&mut self) -> io::Result<bool> {
         let (mut bits, mut padding) = (0_u32, 0);
         for place in 0..4 {
@@ -100,14 +100,14 @@ impl<R: BufRead> Read for Base64<R> {
     }
 }
 
-/// Numbers with white space between, as little-endian bytes: exactly so many.
+/// Reads exactly `count` numbers separated by white space, as little-endian bytes.
 pub(super) struct Ascii<R> {
     text: UntilTag<R>,
     stored: Stored,
     count: u64,
     done: u64,
     ready: [u8; 8],
-    /// What of `ready` is still to be given.
+    /// The range of `ready` that has not been returned yet.
     at: usize,
     end: usize,
 }

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::{GROUPS, LAYERS, Median, Point14};
 
-/// A point of format 7: one with colours, which are decoded by the channel that this item tells.
+/// A point of format 7: one with colours, whose decoding depends on the channel that this item passes on.
 type Record = [u8; 36];
 
 fn items(version: u16) -> Vec<LazItem> {
@@ -28,7 +28,7 @@ fn compressed(points: &[Record], version: u16) -> Vec<u8> {
     compressor.into_inner()
 }
 
-/// A chunk's points as decoded here, or by the `laz` crate alone.
+/// The points of a chunk, as decoded here or by the `laz` crate alone.
 fn decoded(chunk: &[u8], count: usize, version: u16, selection: u32, is_ours: bool) -> Vec<Record> {
     let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(chunk));
     let items = items(version);
@@ -48,16 +48,16 @@ fn decoded(chunk: &[u8], count: usize, version: u16, selection: u32, is_ours: bo
         .collect()
 }
 
-/// How much of points changes from one to the next.
+/// How much points change from one to the next.
 #[derive(Clone, Copy, Debug)]
 struct Unrest {
     channel: f64,
     field: f64,
     time: f64,
-    /// How many changes are to anything rather than to what is near.
+    /// The share of changes to arbitrary rather than to nearby values.
     wild: f64,
-    /// Times are any bits at all. Others are of one sign: where a sequence has a step, the compressor of the `laz` crate
-    /// has differences that overflow.
+    /// Times are arbitrary bits. Otherwise they have one sign: if a sequence has a step, differences overflow in the
+    /// compressor of the `laz` crate.
     any_time: bool,
 }
 
@@ -77,7 +77,7 @@ impl Random {
     }
 }
 
-/// Random points. Each is like the last one of its channel but for what changes.
+/// Random points. Each is like the last one of its channel except for what changes.
 fn random_points(seed: u64, count: usize, unrest: Unrest) -> Vec<Record> {
     let mut random = Random(seed | 1);
     let mut first: Record = std::array::from_fn(|_| random.bits() as u8);
@@ -122,7 +122,7 @@ fn random_points(seed: u64, count: usize, unrest: Unrest) -> Vec<Record> {
                 12..15 => other.wrapping_add(5000),
                 _ => random.bits(),
             };
-            // Zero is not told from minus zero.
+            // Zero and minus zero are not distinguished.
             let sign = if unrest.any_time { u64::MAX } else { u64::MAX >> 1 };
             point[22..30].copy_from_slice(&(time & sign).max(1).to_le_bytes());
         }
@@ -164,7 +164,7 @@ fn each_layer_alone_is_read_as_with_all_others() {
         let fields = [0..8, 8..12, 16..17, 15..16, 12..14, 18..20, 17..18, 20..22, 22..30];
         for (bit, field) in LAYERS.into_iter().zip(fields) {
             let alone = decoded(&chunk, points.len(), version, bit, true);
-            // What can never be left out.
+            // The fields that can never be skipped.
             assert!(alone.iter().zip(&points).all(|(a, p)| a[..8] == p[..8] && a[14] == p[14]));
             assert!(alone.iter().zip(&points).all(|(a, p)| a[15] & 48 == p[15] & 48));
             let same = alone.iter().zip(&points).all(|(a, p)| a[field.clone()] == p[field.clone()]);
