@@ -58,7 +58,7 @@ struct Report {
     processor: String,
     simd: &'static str,
     threads: usize,
-    /// Evaluations a second of the loop alone, one thread.
+    /// Kernel evaluations per second of the loop alone, on one thread.
     bare_evaluations_per_second: f64,
     results: Vec<Measured>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -101,7 +101,7 @@ fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -
         if args.out_of_core {
             cases.extend(Case::out_of_core());
         }
-        // Rounds go through all cases, so that whatever else the machine does falls on all alike.
+        // Each round goes through all cases, so that other load on the machine affects all of them alike.
         results.extend(prepared.measure(
             &cases,
             args.translucent,
@@ -121,7 +121,7 @@ fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -
     })
 }
 
-/// The best of several bursts: what the processor can do when nothing disturbs it.
+/// Kernel evaluations per second in the best of several bursts: what the processor can do undisturbed.
 fn bare_evaluations_per_second(simd: SimdLevel) -> f64 {
     const POINTS: usize = 4096;
     let points: Vec<[f32; 5]> = (0..POINTS)

@@ -1,4 +1,4 @@
-//! One workload of the benchmark: made, built, and rendered under several conditions.
+//! One workload of the benchmark: generated, built, and rendered under several conditions.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ use crate::{generate, report};
 /// A condition to render under.
 pub(crate) struct Case {
     name: &'static str,
-    /// Bytes for pages; `None`: all of them.
+    /// Budget for pages.
     pages: Pages,
     direct: bool,
     predictor: PredictorArg,
@@ -62,7 +62,7 @@ impl Case {
     }
 }
 
-/// What one case of one workload came to.
+/// The result of one case of one workload.
 #[derive(serde::Serialize)]
 pub(crate) struct Measured {
     pub(crate) workload: String,
@@ -78,7 +78,7 @@ pub(crate) struct Measured {
     pub(crate) render_seconds: f64,
     all_render_seconds: Vec<f64>,
     pub(crate) of_in_core: f64,
-    /// Evaluations a second over those of the bare loop, a thread.
+    /// Kernel evaluations per second and thread, relative to those of the bare loop.
     pub(crate) of_bare_loop: f64,
     pub(crate) peak_rss_bytes: Option<u64>,
     #[serde(flatten)]
@@ -115,7 +115,7 @@ impl Prepared {
         Ok(Self { workload: *workload, cloud, build_seconds })
     }
 
-    /// Renders every case `repeat` times, after one render that does not count, going round the cases.
+    /// Renders every case `repeat` times, in turns, after one render of each that does not count.
     pub(crate) fn measure(
         &self,
         cases: &[Case],

@@ -1,4 +1,4 @@
-//! What each feature of a scene costs, against the bare picture of its cloud.
+//! What each feature of a scene costs, compared to the bare picture of its cloud.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,10 +16,10 @@ use rayset::{CancelToken, Picture, RenderCounts, SessionBuilder};
 use crate::bench_cloud::median;
 use crate::report;
 
-/// Memory for pages: so much that nothing is ever evicted.
+/// Bytes for pages: enough that nothing is ever evicted.
 const PAGES: u64 = 1 << 32;
 
-/// A picture with one feature more than another.
+/// A picture that shows one feature.
 struct Feature {
     name: &'static str,
     scene: Scene,
@@ -38,7 +38,7 @@ pub(crate) struct Cost {
     bounced_rays: u64,
 }
 
-/// Renders the cloud with every feature `repeat` times, after one round that does not count, going round the features.
+/// Renders the cloud with every feature `repeat` times, in turns, after one round that does not count.
 pub(crate) fn measure(
     cloud: &Arc<Cloud>,
     camera: &Camera,
@@ -50,7 +50,7 @@ pub(crate) fn measure(
     let mut counts = vec![RenderCounts::default(); features.len()];
     for round in 0..=repeat.max(1) {
         for (i, feature) in features.iter().enumerate() {
-            // Tables of shadows are made anew in each picture; pages of the cloud are read first.
+            // Shadow tables are computed anew for each picture; pages of the cloud are read first.
             let session = session.clone().page_limits(Limits::total(PAGES)).build()?;
             let render = |feature: &Feature| -> Result<RenderCounts> {
                 let view = session.prepare(&feature.scene, &feature.settings)?.view(camera)?;
@@ -93,7 +93,7 @@ pub(crate) fn describe(costs: &[Cost]) {
     }
 }
 
-/// The bare picture first.
+/// All features, the bare picture first.
 fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
     let leaf = Node::new(Shape::Cloud(CloudObject::plain(cloud.clone())));
     let bounds = leaf.bounds();
@@ -106,7 +106,7 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
         let given = [0.4, -0.5, 0.0].into_iter().take(count).map(|x| sun(x, shadow));
         std::iter::once(ambient).chain(given).collect()
     };
-    // The same samples in every picture: automatic steps know the boxes beside the cloud.
+    // A fixed step, for the same samples in every picture: automatic steps also depend on the other objects.
     let plain = RenderSettings::default().with_step(Step::Fixed(0.25 * unit_distance));
     let cached = plain.with_shadows(Shadows::Cached { resolution: 512 });
     let of = |root: Node, lights: Option<Vec<Light>>| Scene {

@@ -106,7 +106,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }
 }
 
-/// What was built of a volume, as JSON.
+/// The result of building a volume, as JSON.
 #[derive(serde::Serialize)]
 struct GridSummary {
     size: [u64; 3],
@@ -170,7 +170,7 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
     Ok(())
 }
 
-/// The library is told what is left after the process itself; its error must speak of the whole.
+/// The library is given the budget less the memory of the process itself; its error must state the whole budget.
 pub(crate) fn name_smallest_budget(error: build::BuildError, memory: u64) -> anyhow::Error {
     match error {
         build::BuildError::Memory { needed, .. } => {
@@ -226,7 +226,7 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
         .with_temp_dir(args.temp_dir.clone()))
 }
 
-/// A build in numbers.
+/// The result of building a cloud, in numbers.
 #[derive(serde::Serialize)]
 pub(crate) struct Summary {
     points: u64,

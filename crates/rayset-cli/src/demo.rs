@@ -35,7 +35,7 @@ pub(crate) struct DemoArgs {
 
 pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     let started = Instant::now();
-    // Looked at first: it is written last.
+    // Checked first, although it is written last.
     Destination::new(&args.output)?;
     let folder = TemporaryFolder::new("demo")?;
     make(args, folder.path())?;

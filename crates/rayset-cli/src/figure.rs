@@ -64,11 +64,11 @@ const FIGURES: [Figure; 7] = [
     },
 ];
 
-/// Points of the statue in the paper.
+/// Number of points of the statue in the paper.
 const STATUE_POINTS: u64 = 14_027_872;
-/// Height of the statue in the units that its radii are given in.
+/// Height of the statue, in the units of its radii.
 const STATUE_HEIGHT: f64 = 1597.0;
-/// Radii of figure 5, in those units; figure 3 has 2.
+/// Radii of figure 5, in the same units; figure 3 uses 2.
 const STATUE_RADII: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0];
 
 /// Make a figure of the paper: prepare its data, render its scene.
@@ -119,7 +119,7 @@ pub(crate) fn run(args: &FigureArgs) -> Result<()> {
     };
     report::say(format_args!("figure {}: {}", figure.number, figure.title));
     let output = args.output.clone().unwrap_or_else(|| format!("fig{}.png", figure.number).into());
-    // Looked at first: it is written last.
+    // Checked first, although it is written last.
     Outputs::beside([&args.scan, &args.other, &args.volume].into_iter().flatten()).add(&output, None)?;
     let Some(folder) = &args.data else {
         return make(figure, args, TemporaryFolder::new("figure")?.path(), &output);
@@ -158,7 +158,7 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path, output: &Path) -> Res
 }
 
 fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
-    // In a process of its own, whose memory is what a render takes.
+    // In a process of its own, so that its memory is that of the render alone.
     let program = std::env::current_exe().context("cannot find this program's own file")?;
     let mut command = Command::new(program);
     command.arg("render").arg(scene).arg("--output").arg(output);
@@ -171,14 +171,14 @@ fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Data of a figure, in a folder.
+/// Prepares the data of a figure in a folder.
 struct Preparation<'a> {
     args: &'a FigureArgs,
     folder: &'a Path,
 }
 
 impl Preparation<'_> {
-    /// A file to write in the folder.
+    /// The destination of a file to write in the folder.
     fn output(&self, path: &Path) -> Result<Destination> {
         let FigureArgs { scan, other, volume, .. } = self.args;
         Outputs::beside([scan, other, volume].into_iter().flatten()).add(path, None)
@@ -188,7 +188,7 @@ impl Preparation<'_> {
         BuildOptions::default().with_memory_bytes(self.args.memory.saturating_sub(PROCESS_BYTES))
     }
 
-    /// A cloud of height 1 that stands on the ground, from a scan or a workload.
+    /// Prepares a cloud that fits a cube of edge 1 and stands on the ground, from a scan or a workload.
     fn cloud(&self, name: &str, scan: Option<&Path>, pose: Pose, workload: &str) -> Result<()> {
         let path = self.folder.join(name);
         if path.exists() {
@@ -208,7 +208,7 @@ impl Preparation<'_> {
         Ok(())
     }
 
-    /// The statue: a mesh taken for as many points as the paper's has, or a vase of as many.
+    /// Prepares the statue: as many points as in the paper, sampled on a mesh or from a vase.
     fn statue(&self, radius: f64) -> Result<()> {
         let ply = self.folder.join("statue.ply");
         if !ply.exists() {
@@ -246,7 +246,7 @@ impl Preparation<'_> {
         Ok(())
     }
 
-    /// A volume of size 1 about the origin, with values from 0 to 1, whatever they were.
+    /// Prepares a volume of size 1 about the origin, with its values scaled to 0 to 1.
     fn volume(&self) -> Result<()> {
         let path = self.folder.join("volume.rset");
         if path.exists() {
@@ -261,7 +261,7 @@ impl Preparation<'_> {
         Ok(())
     }
 
-    /// A volume to be read with its values scaled to 0 to 1. Which they are, a first build says.
+    /// A volume to be read with its values scaled to 0 to 1. A first build finds their range.
     fn rescaled(&self, volume: &Path) -> Result<VolumeSource> {
         let open = || Ok::<_, anyhow::Error>(centred(VolumeSource::open(volume)?));
         let first = TemporaryFolder::within(self.folder, "range")?;
@@ -335,7 +335,7 @@ enum Up {
     Z,
 }
 
-/// How a scan is to stand.
+/// The orientation of a scan.
 #[derive(Clone, Copy, Default)]
 struct Pose {
     up: Up,
@@ -348,7 +348,7 @@ impl FigureArgs {
     }
 }
 
-/// The map that makes points of height 1 stand on the ground about the y axis.
+/// The transform that scales points to a largest extent of 1 and makes them stand on the ground about the y axis.
 fn standing(source: &mut dyn PointSource, pose: Pose) -> Result<DAffine3> {
     let upright = match pose.up {
         Up::Y => DAffine3::IDENTITY,
@@ -365,14 +365,14 @@ fn standing(source: &mut dyn PointSource, pose: Pose) -> Result<DAffine3> {
         batch.position.iter().for_each(|p| bounds.include(turn.transform_point3(DVec3::from_array(*p))));
     }
     let size = bounds.size();
-    // What is wider than high is made 1 wide.
+    // Points that are wider than high are scaled to a width of 1.
     let scale = 1.0 / size.max_element().max(f64::MIN_POSITIVE);
     let center = bounds.center();
     let foot = DVec3::new(center.x, bounds.min.y, center.z);
     Ok(DAffine3::from_scale(DVec3::splat(scale)) * DAffine3::from_translation(-foot) * turn)
 }
 
-/// Points that are moved as they pass; radii with them.
+/// A source whose points are transformed as they are read, radii included.
 struct Moved {
     source: Box<dyn PointSource>,
     by: DAffine3,

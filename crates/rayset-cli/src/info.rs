@@ -125,7 +125,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     if args.json { report::json(&info) } else { describe(&info, h.radius, h.weight) }
 }
 
-/// What `--json` says of a grid.
+/// The JSON report of `--json` about a grid.
 #[derive(serde::Serialize)]
 struct GridInfo {
     size: [u64; 3],

@@ -1,7 +1,7 @@
-//! Signals: what is being written is removed, then the process ends, with 128 and the number of the signal as a shell
-//! would say it. A second signal of the same kind ends it at once.
+//! Signals: unfinished output is removed, then the process ends with status 128 plus the number of the signal, as in a
+//! shell. A second signal of the same kind ends it at once.
 //!
-//! This state belongs to the process, as signals do.
+//! This state is global to the process, as signals are.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus};
@@ -10,13 +10,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use anyhow::{Context, Result};
 use rayset::output::Destination;
 
-/// What has to be looked after when a signal comes.
+/// What has to be cleaned up when a signal arrives.
 #[derive(Default)]
 struct Watched {
-    /// Outputs, and the folder of their temporary files if it is another than theirs.
+    /// Outputs, with the folder of their temporary files if it differs from their own.
     outputs: Vec<(Destination, Option<PathBuf>)>,
     folders: Vec<PathBuf>,
-    /// Number of a process that works for this one.
+    /// Id of a child process that works for this one.
     child: Option<u32>,
 }
 
@@ -27,12 +27,12 @@ fn watched() -> MutexGuard<'static, Watched> {
     WATCHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Has a signal remove what is being written for an output.
+/// Makes signals remove what is being written for an output.
 pub(crate) fn watch(output: &Destination, temp_dir: Option<&Path>) {
     watched().outputs.push((output.clone(), temp_dir.map(Path::to_owned)));
 }
 
-/// Runs a command to its end; a signal ends it, too.
+/// Runs a command to its end; a signal ends the command, too.
 pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
     let mut child = command.spawn()?;
     watched().child = Some(child.id());
@@ -41,21 +41,21 @@ pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
     status
 }
 
-/// A folder for what is needed for a while. It goes when dropped, and at a signal.
+/// A temporary folder. It is removed when dropped, and when a signal arrives.
 pub(crate) struct TemporaryFolder(PathBuf);
 
 impl TemporaryFolder {
-    /// Where the system has such folders.
+    /// Creates one in the system's folder for temporary files.
     pub(crate) fn new(purpose: &str) -> Result<Self> {
         Self::within(&std::env::temp_dir(), purpose)
     }
 
-    /// In another folder.
+    /// Creates one in another folder.
     pub(crate) fn within(all: &Path, purpose: &str) -> Result<Self> {
         let mut number = 0_u32;
         loop {
             let path = all.join(format!("rayset-{purpose}-{}-{number}", std::process::id()));
-            // Held while it is made, so that no signal finds it made and not known.
+            // Locked while the folder is created, so that no signal finds it created but not registered.
             let mut watched = watched();
             match std::fs::create_dir(&path) {
                 Ok(()) => {
@@ -99,10 +99,11 @@ mod unix {
 
     const SIGNALS: [(i32, &str); 3] = [(SIGINT, "SIGINT"), (SIGTERM, "SIGTERM"), (SIGHUP, "SIGHUP")];
 
-    /// Set as soon as a signal comes, by its handler.
+    /// Set when the process begins to end because of a signal.
     static ENDING: AtomicBool = AtomicBool::new(false);
 
-    /// Starts to listen to signals. Those that whoever started this process has had ignored, as `nohup` does, stay so.
+    /// Starts to listen to signals. Signals that were ignored when this process was started, as by `nohup`, stay
+    /// ignored.
     pub(crate) fn install() -> Result<()> {
         let doing = "cannot listen to signals";
         let ignored = ignored_signals();
@@ -110,11 +111,11 @@ mod unix {
             SIGNALS.into_iter().filter(|(signal, _)| ignored & (1 << (signal - 1)) == 0).collect();
         for &(signal, _) in &wanted {
             let came = Arc::new(AtomicBool::new(false));
-            // Handlers run in this order: the first signal finds the flag unset.
+            // Handlers run in this order, so the first signal finds the flag unset.
             flag::register_conditional_shutdown(signal, 128 + signal, came.clone()).context(doing)?;
             flag::register(signal, came).context(doing)?;
         }
-        // At the limit of file sizes a write is to fail instead, and be told of.
+        // A write at the limit of file sizes then fails with an error instead, which is reported.
         flag::register(SIGXFSZ, Arc::default()).context(doing)?;
         let mut signals = Signals::new(wanted.iter().map(|(signal, _)| signal)).context(doing)?;
         let listen = move || {
@@ -131,7 +132,7 @@ mod unix {
         Ok(())
     }
 
-    /// Bit n − 1 for signal n, where the system says.
+    /// Bit n − 1 stands for signal n; 0 if the system does not report them.
     fn ignored_signals() -> u64 {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
         let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -140,14 +141,14 @@ mod unix {
 
     fn end(signal: i32, name: &str) -> ! {
         ENDING.store(true, Ordering::SeqCst);
-        // Never given back: what would be watched from now on is not begun.
+        // Never unlocked again, so that no further output is begun.
         let watched = watched();
         if let Some(child) = watched.child.and_then(|child| rustix::process::Pid::from_raw(child as i32)) {
             let _ = rustix::process::kill_process(child, rustix::process::Signal::TERM);
         }
         remove(&watched);
         report::remark(format_args!("ended by {name}; nothing unfinished is left behind"));
-        // Threads have gone on meanwhile.
+        // Other threads have continued meanwhile.
         remove(&watched);
         std::process::exit(128 + signal);
     }
@@ -159,7 +160,7 @@ mod unix {
         watched.folders.iter().for_each(remove_folder);
     }
 
-    /// Other threads may put files into it until the process ends.
+    /// Tries repeatedly, because other threads may put files into the folder until the process ends.
     fn remove_folder(path: &PathBuf) {
         for _ in 0..50 {
             if std::fs::remove_dir_all(path).is_ok() || !path.exists() {
@@ -169,8 +170,8 @@ mod unix {
         }
     }
 
-    /// Leaves it to the thread that hears signals to end the process, if one has come: what a command failed of may be that
-    /// its files were taken away.
+    /// If a signal has been received, waits for the thread that handles signals to end the process: a command may have
+    /// failed only because its files were removed.
     pub(crate) fn wait_if_ending() {
         while ENDING.load(Ordering::SeqCst) {
             std::thread::park();

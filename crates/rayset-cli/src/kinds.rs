@@ -1,4 +1,4 @@
-//! What a file is, by its first bytes, so that a wrong one is told what to do with.
+//! What a file is, by its first bytes, so that errors about other files can say what to do with them.
 
 use std::fs::File;
 use std::io::Read;
@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use rayset::file::{FileKind, LEAST_FILE_BYTES};
 use rayset::{Cloud, Grid};
 
-/// A file that rayset builds.
+/// A file built by rayset.
 pub(crate) enum Built {
     Cloud(Arc<Cloud>),
     Grid(Box<Grid>),

@@ -62,7 +62,7 @@ fn main() -> ExitCode {
     memory::tame_allocator();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        // Asked for help or the version.
+        // The user has asked for help or the version.
         Err(answer) if !answer.use_stderr() => return ended(report::answer(&answer)),
         Err(error) => {
             report::misused(&error);

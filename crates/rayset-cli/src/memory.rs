@@ -1,23 +1,23 @@
 //! The memory of this process, as the operating system counts it.
 
-/// What the program takes before any cloud is open: code, arguments, the allocator's first pages. Measured at 4 to 5 MiB
-/// on Linux; the rest is margin for code that is paged in later.
+/// Memory that the program takes before any cloud is open: code, arguments, the allocator's first pages. Measured at 4
+/// to 5 MiB on Linux; the rest is margin for code that is paged in later.
 pub(crate) const PROCESS_BYTES: u64 = 7 << 20;
 
-/// Largest resident set so far, where the system says.
+/// Largest resident set so far in bytes, if the system reports it.
 pub(crate) fn peak_rss() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     line.split_ascii_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// Starts the peak again from now, where the system allows it.
+/// Resets the peak to the present, if the system allows it.
 pub(crate) fn reset_peak_rss() {
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Keeps the allocator from holding back memory that was freed, which would count against the budget though nothing is in
-/// it: one arena for all threads, and large blocks always returned to the system.
+/// Keeps the allocator from retaining memory that was freed, which would count against the budget although it is
+/// unused: one arena for all threads, and large blocks always returned to the system.
 #[expect(unsafe_code, reason = "the only way to the allocator's settings")]
 pub(crate) fn tame_allocator() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]

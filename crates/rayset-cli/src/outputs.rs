@@ -1,4 +1,4 @@
-//! Where a command writes: looked at before it does anything.
+//! The outputs of a command, checked before it does anything.
 
 use std::collections::HashSet;
 use std::io::Write;
@@ -22,7 +22,7 @@ impl Outputs {
         Self { inputs: inputs.into_iter().map(Into::into).collect(), taken: HashSet::new() }
     }
 
-    /// One more output, with the folder of its temporary files if that is another than its own.
+    /// Adds an output, with the folder of its temporary files if it differs from its own.
     pub(crate) fn add(&mut self, path: &Path, temp_dir: Option<&Path>) -> Result<Destination> {
         let destination = Destination::new(path)?;
         destination.refuse_inputs(&self.inputs)?;
@@ -47,7 +47,7 @@ pub(crate) fn write(to: &Destination, bytes: &[u8]) -> Result<()> {
     Ok(file.publish()?)
 }
 
-/// Whether a path leads to where results are printed.
+/// Whether a path leads to standard output, where results are printed.
 fn is_standard_output(path: &Path) -> bool {
     #[cfg(unix)]
     {

@@ -1,4 +1,4 @@
-//! Progress: a bar on a terminal, a line now and then elsewhere.
+//! Progress: a bar on a terminal, otherwise a line now and then.
 
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -9,10 +9,10 @@ use rayset::build::{Progress, Stage};
 
 use crate::report;
 
-/// Between two lines where there is no terminal.
+/// Time between two lines if there is no terminal.
 const QUIET: Duration = Duration::from_secs(10);
 
-/// Shows how a sequence of stages gets on.
+/// Shows the progress of a sequence of stages.
 pub(crate) struct Meter {
     state: Mutex<State>,
     unit: &'static str,

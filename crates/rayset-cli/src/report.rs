@@ -1,7 +1,7 @@
-//! What is said, and where: results to standard output, progress and failures to standard error.
+//! What is printed, and where: results to standard output, progress and errors to standard error.
 //!
-//! Names and texts out of files are anybody's: what would move the cursor, colour the terminal or turn the direction of
-//! writing is shown by its number instead.
+//! Names and texts from files are not trusted: characters that would move the cursor, colour the terminal or change the
+//! direction of writing are shown by their numbers instead.
 
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// Why results could not be printed. A closed pipe is the reader's wish, not a failure.
 static LOST: Mutex<Option<io::Error>> = Mutex::new(None);
-/// Standard output is taken by a picture or points.
+/// Whether standard output is in use for a picture or points.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line of results.
@@ -37,12 +37,12 @@ fn result(text: &str) {
     }
 }
 
-/// Has results go to standard error from now on: standard output is an output of the command.
+/// Sends results to standard error from now on, because standard output is an output of the command.
 pub(crate) fn leave_standard_output() {
     TAKEN.store(true, Ordering::Relaxed);
 }
 
-/// Says whether all results have arrived.
+/// Checks that all results have been printed.
 pub(crate) fn check_results() -> anyhow::Result<()> {
     match LOST.lock().unwrap_or_else(PoisonError::into_inner).take() {
         Some(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(lost(error)),
@@ -50,7 +50,7 @@ pub(crate) fn check_results() -> anyhow::Result<()> {
     }
 }
 
-/// Prints what was asked of the command line itself: help, the version.
+/// Prints what the command line itself answers: help or the version.
 pub(crate) fn answer(answer: &clap::Error) -> anyhow::Result<()> {
     match answer.print().and_then(|()| io::stdout().flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(lost(error)),
@@ -58,7 +58,7 @@ pub(crate) fn answer(answer: &clap::Error) -> anyhow::Result<()> {
     }
 }
 
-/// What it means that nothing more can be printed.
+/// The error that results cannot be printed.
 fn lost(error: io::Error) -> anyhow::Error {
     anyhow::Error::new(error).context("results are lost: cannot write to standard output")
 }
@@ -77,12 +77,12 @@ pub(crate) fn fail(error: &anyhow::Error) {
     remark(format_args!("error: {error:#}"));
 }
 
-/// What is wrong with the command line, in several lines.
+/// Writes what is wrong with the command line, in several lines.
 pub(crate) fn misused(error: &clap::Error) {
     error.render().to_string().lines().for_each(remark);
 }
 
-/// Shows characters that a terminal would obey, by `shown`.
+/// Replaces characters that a terminal would obey, as `shown` says.
 fn printable(text: &str, shown: impl Fn(char) -> String) -> String {
     let obeyed = |c: char| {
         c.is_control()
@@ -99,13 +99,13 @@ pub(crate) fn bytes(n: u64) -> String {
     bytesize::ByteSize(n).display().iec().to_string()
 }
 
-/// A number in as few digits as say it exactly, in scientific notation where it is very small or very large.
+/// A number in as few digits as represent it exactly, in scientific notation if it is very small or very large.
 pub(crate) fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
     let size = value.into().abs();
     if size == 0.0 || (1e-5..1e16).contains(&size) { value.to_string() } else { format!("{value:e}") }
 }
 
-/// A count with its thousands apart.
+/// A count with its thousands separated.
 pub(crate) fn count(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();

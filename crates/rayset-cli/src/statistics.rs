@@ -1,10 +1,10 @@
-//! What rendering cost, in numbers: the same names in every report.
+//! The cost of rendering in numbers, with the same names in every report.
 
 use rayset::RenderCounts;
 use rayset::SplatCounts;
 use rayset::memory::{Kind, Statistics};
 
-/// Work on rays and points.
+/// Work of a render.
 #[derive(serde::Serialize, Clone)]
 pub(crate) struct WorkStatistics {
     pub(crate) kernel_evaluations: u64,
@@ -14,7 +14,7 @@ pub(crate) struct WorkStatistics {
     packets: u64,
     shadow_rays: u64,
     bounced_rays: u64,
-    /// Pairs of rays and points, by kind of ray: those tested and not added are wasted.
+    /// Pairs of a ray and a point, by kind of ray: those that are tested but not added are wasted.
     primary_pairs: Pairs,
     shadow_pairs: Pairs,
     bounced_pairs: Pairs,
@@ -23,7 +23,7 @@ pub(crate) struct WorkStatistics {
     runs_decoded: u64,
 }
 
-/// Work on pairs of one kind of ray.
+/// Pairs of one kind of ray.
 #[derive(serde::Serialize, Clone)]
 struct Pairs {
     tested: u64,
@@ -61,11 +61,11 @@ impl From<RenderCounts> for WorkStatistics {
     }
 }
 
-/// What a working set did.
+/// Statistics of a working set.
 #[derive(serde::Serialize, Clone)]
 pub(crate) struct PageStatistics {
     pub(crate) stall_seconds: f64,
-    /// Bytes read over bytes of the pages they came from.
+    /// Bytes read, divided by the bytes of the distinct pages read.
     pub(crate) reads_per_page: f64,
     pub(crate) working_set_peak_bytes: u64,
     /// Over all kinds of pages.
@@ -73,7 +73,7 @@ pub(crate) struct PageStatistics {
     working_set_by_kind: Vec<KindCounts>,
 }
 
-/// Pages of one kind.
+/// Statistics of the pages of one kind.
 #[derive(serde::Serialize, Clone)]
 struct KindCounts {
     kind: &'static str,
@@ -98,7 +98,7 @@ pub(crate) struct PageCounts {
 }
 
 impl PageCounts {
-    /// Those of the kinds for which `wanted` holds.
+    /// Counts of the pages of those kinds for which `wanted` holds.
     fn new(set: &Statistics, wanted: impl Fn(Kind) -> bool) -> Self {
         let sum = |number: fn(&rayset::memory::KindStatistics) -> u64| {
             Kind::ALL.iter().copied().filter(|&kind| wanted(kind)).map(|kind| number(set.kind(kind))).sum()

@@ -1,4 +1,4 @@
-//! Values as people write them on a command line.
+//! Parsers for values as people write them on a command line.
 
 use std::str::FromStr;
 
@@ -48,7 +48,7 @@ pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
-/// A vector that is long enough to have a direction.
+/// A vector that is not too short to have a direction.
 pub(crate) fn direction(text: &str) -> Result<[f64; 3], String> {
     let vector = vector(text)?;
     if vector.iter().any(|v| v.abs() >= SHORTEST) {
@@ -103,7 +103,7 @@ pub(crate) fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> 
     }
 }
 
-/// Where a number of each point comes from: a number, the name of a column, or `auto`.
+/// Where a value of each point comes from: a number, the name of a column, or `auto`.
 pub(crate) fn rule(text: &str) -> anyhow::Result<rayset::build::Rule> {
     use rayset::build::Rule;
     ensure!(!text.is_empty(), "expected a number, a column name or `auto`");
@@ -137,9 +137,9 @@ mod tests {
 /// Frames of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Frames {
-    /// Every one of the scene.
+    /// All frames of the scene.
     All,
-    /// From one to another, both included.
+    /// From the first to the last, both included.
     Part(u32, u32),
 }
 

@@ -143,7 +143,10 @@ fn main() {
         let numbers: Vec<u32> = once.split(',').map(|n| n.parse().expect("a number")).collect();
         let [pages, fit, neighbours, count] = numbers[..] else { panic!("four numbers") };
         let (set, object) = set(pages, fit);
+        set.reset_statistics();
         requests(&set, &object, pages, neighbours, count.into(), 1);
+        let statistics = set.statistics();
+        println!("{} misses", statistics.total(|kind| kind.misses));
         return;
     }
     benches();

@@ -1,5 +1,5 @@
-//! Cancels a render at random moments and says how long the calls took to return, which is next to nothing; then renders
-//! on in the same session: `cargo run --release --example cancel`.
+//! Cancels a render at various moments and prints how long the calls took to return, which is next to nothing; then
+//! renders again in the same session: `cargo run --release --example cancel`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::thread;
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut late: Vec<Duration> = Vec::new();
     for turn in 0..200_u32 {
         let cancel = CancelToken::new();
-        // At moments that are spread over the whole render.
+        // At moments spread over the whole render.
         let moment = whole.mul_f64(f64::from(turn * 73 % 200) / 200.0);
         let canceller = {
             let cancel = cancel.clone();

@@ -1,5 +1,5 @@
-//! A source of points of one's own: anything that can hand out points in batches is built like a file, out of core if need
-//! be. This one makes terrain as it is asked for it: `cargo run --release --example own_source -- [picture.png]`.
+//! A custom source of points: anything that can provide points in batches can be built like a file, out of core if
+//! necessary. This one generates terrain on demand: `cargo run --release --example own_source -- [picture.png]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
@@ -10,10 +10,10 @@ use rayset::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource
 use rayset::scene::{Camera, CloudObject, ColorMap, ColorRule, MapInput, RenderSettings, Scene};
 use rayset::{Cloud, Session};
 
-/// Hills on a lattice of `side` by `side` points, made row by row; a column says how high each point is.
+/// Hills on a lattice of `side` by `side` points, generated row by row; a column holds the height of each point.
 struct Hills {
     schema: Schema,
-    /// What the build wants of the columns, in that order.
+    /// The columns that the build has selected, in that order.
     selected: Vec<usize>,
     side: u32,
     next: u32,

@@ -1,5 +1,5 @@
-//! A procedural volume of one's own, combined with others by operators, lit and shadowed like them:
-//! `cargo run --release --example own_volume -- [picture.png]`.
+//! A custom procedural volume, combined with others by operators, lit and shadowed like them: `cargo run --release
+//! --example own_volume -- [picture.png]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
@@ -12,10 +12,10 @@ use rayset::scene::{
     Scene, Shape, Solid,
 };
 
-/// A gyroid shell: sin x cos y + sin y cos z + sin z cos x = 0, as thick as is asked for, in a cube.
+/// A gyroid shell, sin x cos y + sin y cos z + sin z cos x = 0, of a given thickness, in a cube.
 #[derive(Debug)]
 struct Gyroid {
-    /// Waves to a unit of length.
+    /// Factor from lengths to the angles x, y and z.
     frequency: f64,
     thickness: f64,
 }
@@ -35,7 +35,7 @@ impl Procedural for Gyroid {
             (DVec3::new(q.x.sin(), q.y.sin(), q.z.sin()), DVec3::new(q.x.cos(), q.y.cos(), q.z.cos()));
         let value = s.x * c.y + s.y * c.z + s.z * c.x;
         let slope = DVec3::new(c.x * c.y - s.z * s.x, c.y * c.z - s.x * s.y, c.z * c.x - s.y * s.z);
-        // To first order, a length; negative within the shell.
+        // Signed distance to the shell to first order; negative inside.
         let steepness = (slope.length() * self.frequency).max(1e-9);
         let implicit = value.abs() / steepness - 0.5 * self.thickness;
         let gradient = slope.normalize_or(DVec3::Y) * value.signum();

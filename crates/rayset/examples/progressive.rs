@@ -1,5 +1,5 @@
-//! A picture that becomes better pass by pass, from its middle outward; the last pass is the batch picture, bit for bit:
-//! `cargo run --release --example progressive -- [folder]`.
+//! A picture that improves pass by pass, from its centre outward; the last pass is bit for bit the picture of a single
+//! pass: `cargo run --release --example progressive -- [folder]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let session = Session::builder().build()?;
     let view = session.prepare(&scene, &settings)?.view(&common::camera(&scene, 0.0))?;
 
-    // Tiles in the order of their distance from the middle of the picture.
+    // Tiles in order of their distance from the centre of the picture.
     let mut tiles = view.tiles(&view.region());
     tiles.sort_by_key(|tile| (tile.x.abs_diff(160)).pow(2) + (tile.y.abs_diff(120)).pow(2));
     let work = Work::tiles(tiles).progressive();

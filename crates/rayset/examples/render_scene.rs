@@ -1,6 +1,6 @@
 //! Renders a scene file: `cargo run --release --example render_scene -- [scene.json [picture.png]]`.
 //!
-//! Without arguments it renders a small scene of its own, in which a sphere is cut open under a lamp that throws shadows.
+//! Without arguments it renders a small built-in scene: a sphere cut open under a lamp that casts shadows.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;

@@ -41,7 +41,7 @@ pub(crate) struct RenderArgs {
     pub(super) stats: Option<PathBuf>,
 }
 
-/// The options of a render with default values, for commands that render on the way.
+/// The options of a render with default values, for commands that render as part of their work.
 pub(crate) fn defaults(cloud: &Path, output: &Path) -> Result<RenderArgs> {
     #[derive(clap::Parser)]
     struct Wrapper {

@@ -55,7 +55,7 @@ impl CameraArgs {
         let vector = |v: [f64; 3]| DVec3::from_array(v);
         let direction = self.direction.map_or(view, vector);
         let up = self.up.map_or(vertical, vector);
-        // A direction along up says nothing of the roll: any will do where nobody asked for one.
+        // A direction along up leaves the roll undefined: any roll will do if no up vector is given.
         let up = if self.up.is_some()
             || direction.cross(up).length_squared() > 1e-12 * direction.length_squared()
         {
@@ -79,15 +79,15 @@ impl CameraArgs {
         }
         camera.check()?;
         if self.up.is_some() && self.position.is_none() {
-            // Framing finds an up of its own where the one it is given is along the view.
+            // Framing chooses an up vector of its own if the given one is parallel to the view.
             Camera { up, ..camera }.check()?;
         }
         Ok(camera)
     }
 }
 
-/// The side from which a cloud is customarily seen: terrain obliquely from the south, everything else from the front,
-/// slightly from above.
+/// The default viewing direction and up vector for a cloud: terrain is seen obliquely from the south, everything else
+/// from the front, slightly from above.
 fn customary_view(header: &Header) -> (DVec3, DVec3) {
     let size = header.bounds.size();
     if size.z < 0.5 * size.x.min(size.y) {

@@ -29,7 +29,7 @@ use crate::outputs::{self, Outputs};
 use crate::report::{bytes, remark};
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
-    // The scene may be long to read: what can be refused before is.
+    // Reading the scene may take long: what can be refused before that is refused first.
     let format = Format::of(&Destination::new(&args.output)?)?;
     let mut shot = Shot::new(args)?;
     shot.settings.layers = format == Format::Exr;
@@ -49,7 +49,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     Ok(())
 }
 
-/// Every picture that is wanted: its path, and where it is taken from.
+/// Every picture to render: its path and its camera.
 fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
     let numbered = |frame| numbered(&args.output, frame);
     Ok(match (args.turntable, args.frames) {

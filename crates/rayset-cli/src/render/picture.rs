@@ -1,4 +1,4 @@
-//! What decides the picture: its options, and the scene and settings they make.
+//! What determines the picture: its options, and the scene and settings that they yield.
 
 use std::sync::Arc;
 
@@ -106,7 +106,7 @@ enum PhaseArg {
 }
 
 impl PictureArgs {
-    /// Changes what a scene says where the command line says something else.
+    /// Overrides the settings of a scene with those given on the command line.
     pub(super) fn apply(&self, settings: &mut RenderSettings, display_transform: &mut DisplayTransform) {
         if let Some((width, height)) = self.size {
             (settings.width, settings.height) = (width, height);
@@ -198,7 +198,7 @@ impl LookArgs {
             return Ok(ColorRule::Uniform(DisplayTransform::linear_from_srgb(color)));
         }
         if self.colormap.is_none() && self.color_by.is_none() {
-            /// Unpainted plaster.
+            /// The colour of unpainted plaster.
             const PLAIN: [f64; 3] = [0.86, 0.80, 0.70];
             return Ok(if header.has_color {
                 ColorRule::Points

@@ -1,4 +1,4 @@
-//! A render in numbers.
+//! The report of a render, in numbers.
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::memory::peak_rss;
 use crate::report;
 use crate::statistics::{PageStatistics, WorkStatistics};
 
-/// What `--stats` writes.
+/// The report that `--stats` writes.
 #[derive(serde::Serialize)]
 pub(super) struct RenderReport {
     seconds: f64,

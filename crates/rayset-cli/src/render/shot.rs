@@ -1,4 +1,4 @@
-//! What is to be rendered: a scene file, or a cloud with a look from the command line.
+//! What is to be rendered: a scene file, or a cloud whose look is given on the command line.
 
 use std::path::{Path, PathBuf};
 
@@ -12,14 +12,14 @@ use super::args::RenderArgs;
 use super::camera::warn_of_small_radii;
 use crate::kinds;
 
-/// A scene from one place.
+/// A scene with its camera and settings.
 pub(super) struct Shot {
     pub(super) scene: Scene,
     pub(super) camera: Camera,
     pub(super) path: Option<CameraPath>,
     pub(super) settings: RenderSettings,
     pub(super) display_transform: DisplayTransform,
-    /// Every file that it was read from.
+    /// Every file that the scene was read from.
     pub(super) files: Vec<PathBuf>,
     /// An upper bound of the memory that reading the scene took.
     pub(super) loading_bytes: u64,
@@ -28,7 +28,7 @@ pub(super) struct Shot {
 impl Shot {
     pub(super) fn new(args: &RenderArgs) -> Result<Self> {
         let shot = if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }?;
-        // Whatever is wrong with what was asked for is said before there is an output.
+        // Errors in what was requested are reported before an output is created.
         shot.scene.check()?;
         shot.scene.check_step(shot.settings.step)?;
         Ok(shot)
@@ -65,7 +65,7 @@ impl Shot {
         Ok(Self { scene, path: None, camera, settings, display_transform, files, loading_bytes: 0 })
     }
 
-    /// The camera, turned about the middle of the scene.
+    /// The camera, turned about the centre of the scene.
     pub(super) fn turned(&self, turns: f64) -> Camera {
         let bounds = self.scene.root.bounds();
         let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
@@ -80,7 +80,7 @@ impl Shot {
     }
 }
 
-/// Scene files are JSON by their names.
+/// Scene files have the extension `.json`.
 pub(crate) fn is_scene(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
 }

@@ -10,7 +10,7 @@ use rayset::{BandSink, Region, SinkError};
 
 use crate::progress::Meter;
 
-/// Kinds of picture, by the ends of their names.
+/// Picture formats, by file extension.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Format {
     Png,
@@ -25,16 +25,16 @@ impl Format {
                 to.require_file()?;
                 Ok(Self::Exr)
             }
-            // Pipes and devices are seldom called after pictures.
+            // Pipes and devices seldom have the extension of a picture.
             _ if to.is_stream() => Ok(Self::Png),
             _ => bail!("--output {}: the name of a picture ends in .png or .exr", to.path().display()),
         }
     }
 }
 
-/// Writes bands to a file that gets its name when it is whole.
+/// Writes bands to a file that appears under its name only when it is complete.
 pub(super) struct PictureSink {
-    // Dropped before the file: an encoder writes when it goes.
+    // Dropped before the file: an encoder writes when it is dropped.
     encoder: Encoder,
     file: OutputFile,
     meter: Meter,

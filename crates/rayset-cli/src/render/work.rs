@@ -1,4 +1,4 @@
-//! The means of a render, none of which changes a pixel: memory, threads, reads.
+//! The resources of a render, none of which changes a pixel: memory, threads, reads.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use rayset::{Prediction, RenderError, Session};
 use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
 
-/// Memory where neither the command line nor the file says any.
+/// Memory if neither the command line nor the file specifies any.
 const DEFAULT_MEMORY: u64 = 256 << 20;
 
 #[derive(Args, Clone)]
@@ -82,7 +82,7 @@ pub(crate) enum IoArg {
     Pool,
 }
 
-/// The means of a render: pages and threads, and how they are used.
+/// The resources of a render: pages and threads, and how they are used.
 pub(crate) struct Work {
     pub(crate) session: Session,
     pub(crate) memory: u64,

@@ -1,4 +1,4 @@
-//! The scene that several examples share: a knot of points under a lamp that throws shadows.
+//! The scene that several examples share: a knot of points under a lamp that casts shadows.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use rayset::geometry::DVec3;
 use rayset::points::Workload;
 use rayset::scene::{Camera, CloudObject, Light, LightKind, Lighting, Scene};
 
-/// 30 000 points in memory.
+/// A cloud of 30 000 points in memory, under a lamp.
 pub(crate) fn knot_under_a_lamp() -> Result<Scene, Box<dyn std::error::Error>> {
     let knot: Workload = "knot-30k".parse()?;
     let (cloud, _) = in_memory(vec![knot.source()], &BuildOptions::default(), &BuildControl::default())?;
@@ -23,7 +23,7 @@ pub(crate) fn knot_under_a_lamp() -> Result<Scene, Box<dyn std::error::Error>> {
     Ok(Scene { lighting: Lighting::Lit(lights), background: Some([0.03, 0.035, 0.05]), ..scene })
 }
 
-/// From so many turns around the scene.
+/// A camera that frames the scene after the given number of turns around it.
 pub(crate) fn camera(scene: &Scene, turns: f64) -> Camera {
     let angle = turns * std::f64::consts::TAU;
     let toward = DVec3::new(-angle.sin(), -0.4, -angle.cos());

@@ -74,6 +74,8 @@ pub struct ExrBands {
     writer: Option<JoinHandle<Result<(), exr::error::Error>>>,
     width: usize,
     height: usize,
+    /// Row of the whole picture at which this one begins.
+    top: usize,
     /// Rows that do not fill a block yet; `first_row` is the number of the first of them.
     rows: Vec<(Vec<[f32; 4]>, Vec<LayerPixel>)>,
     first_row: usize,
@@ -118,16 +120,18 @@ impl ExrBands {
             })
         };
         let writer = std::thread::Builder::new().spawn(write)?;
-        let (width, height) = (size.0, size.1);
-        Ok(Self { blocks: Some(blocks), writer: Some(writer), width, height, rows: Vec::new(), first_row: 0 })
+        let (width, height, top) = (size.0, size.1, top as usize);
+        let (blocks, writer, rows) = (Some(blocks), Some(writer), Vec::new());
+        Ok(Self { blocks, writer, width, height, top, rows, first_row: 0 })
     }
 
     /// Appends a band.
     ///
     /// # Errors
-    /// [`ExrError`] if the file cannot be written, or if the band has no layers or does not fit the picture.
+    /// [`ExrError`] if the file cannot be written, or if the band has no layers or is not the next from the top.
     pub fn write(&mut self, band: &Band) -> Result<(), ExrError> {
-        if band.width as usize != self.width || band.layers.len() != band.pixels.len() {
+        let is_next = band.first_row as usize == self.top + self.first_row + self.rows.len();
+        if band.width as usize != self.width || band.layers.len() != band.pixels.len() || !is_next {
             return Err(ExrError::Band);
         }
         for (pixels, layers) in band.pixels.chunks(self.width).zip(band.layers.chunks(self.width)) {
@@ -190,5 +194,26 @@ impl ExrBands {
 impl Drop for ExrBands {
     fn drop(&mut self) {
         let _ = self.end();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+
+    #[test]
+    fn bands_in_another_order_than_from_the_top_are_refused() {
+        let mut picture =
+            ExrBands::new(Cursor::new(Vec::new()), (4, 6), (2, 10), (9, 20)).expect("a picture begins");
+        let refused = |outcome| matches!(outcome, Err(ExrError::Band));
+        assert!(refused(picture.write(&Band::new(0, 4, 3, true))), "rows above the picture");
+        assert!(refused(picture.write(&Band::new(13, 4, 3, true))), "rows left out");
+        assert!(refused(picture.write(&Band::new(10, 5, 3, true))), "another width");
+        assert!(refused(picture.write(&Band::new(10, 4, 3, false))), "no layers");
+        picture.write(&Band::new(10, 4, 3, true)).expect("the first rows");
+        assert!(refused(picture.write(&Band::new(10, 4, 3, true))), "the same rows again");
+        picture.write(&Band::new(13, 4, 3, true)).expect("the last rows");
+        picture.finish().expect("a whole picture");
     }
 }

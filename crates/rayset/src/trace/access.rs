@@ -1,4 +1,5 @@
-//! How one attempt at a tile comes by its pages: it waits for those that are absent, or is deferred until they are there.
+//! How one attempt at a tile obtains its pages: it either waits for absent pages, or is deferred until they are
+//! resident.
 
 use std::cell::Cell;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ pub(super) struct Lacking {
 
 /// Why an attempt ended early.
 pub(super) enum Halt {
-    /// A page is absent. It has been asked for where there was room; the tile is to be traced again, from its beginning.
+    /// A page is absent. It has been hinted if there was room; the tile is to be traced again from its beginning.
     Deferred(Lacking),
     Failed(RenderError),
 }
@@ -26,22 +27,22 @@ impl<E: Into<RenderError>> From<E> for Halt {
     }
 }
 
-/// The pages of a render, for one attempt.
+/// Access to the pages of a render, for one attempt at a tile.
 #[derive(Clone, Copy)]
 pub(super) struct Access<'a> {
     pub(super) pages: &'a PageClient,
-    /// Whether it waits for pages that are absent.
+    /// Whether the attempt waits for absent pages.
     pub(super) waits: bool,
-    /// Where it does not: how many slabs ahead the pages of are asked for together with one that is absent.
+    /// If it does not wait: for how many slabs ahead pages are requested together with an absent one.
     pub(super) slabs_on_a_miss: u64,
-    /// Whether it asks for what comes next on the line of a packet.
+    /// Whether it requests the pages that come next along the line of a packet.
     pub(super) follows_lines: bool,
-    /// Bytes of the pages that were asked for.
+    /// Bytes of the pages requested so far.
     pub(super) asked_bytes: &'a Cell<u64>,
 }
 
 impl Access<'_> {
-    /// Ends the attempt where the render is cancelled.
+    /// Ends the attempt if the render is cancelled.
     pub(super) fn check(&self) -> Result<(), Halt> {
         if self.pages.cancel_token().is_cancelled() {
             return Err(Halt::Failed(RenderError::Cancelled));

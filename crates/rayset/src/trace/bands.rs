@@ -1,4 +1,4 @@
-//! A view rendered into memory, or band by band, as encoders of files want it.
+//! Rendering a view into memory, or band by band as file encoders need it.
 
 use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 use super::view::View;
@@ -18,11 +18,11 @@ impl View {
         Ok(picture)
     }
 
-    /// Renders a part of the picture in bands of at most `band_rows` rows, of which one is held at a time; each of its
-    /// pixels is the same, bit for bit, as in the whole.
+    /// Renders a region of the picture in bands of at most `band_rows` rows, holding one band in memory at a time. Each
+    /// pixel is the same, bit for bit, as in the whole picture.
     ///
     /// # Errors
-    /// As [`View::render`], and where the region is empty or not within the picture.
+    /// As [`View::render`], and [`RenderError::Setting`] if the region is empty or not within the picture.
     pub fn render_bands(
         &self,
         region: &Region,
@@ -62,10 +62,10 @@ impl View {
     }
 }
 
-/// A band whose tiles come in.
+/// A band that is being filled with finished tiles.
 struct Filling<'s, S: BandSink + ?Sized> {
     band: Band,
-    /// Leftmost column.
+    /// Leftmost column of the region.
     left: u32,
     done: u64,
     total: u64,

@@ -1,9 +1,9 @@
-//! Rays that go on in another direction: mirrored where a material reflects, bent where the refractive index changes.
+//! Rays that change direction: mirrored where a material reflects, refracted (bent) where the refractive index changes.
 //!
-//! Under each pixel there is a tree of rays. A ray that comes to another refractive index ends there; one in the bent
+//! Each pixel has a tree of rays. A ray that reaches another refractive index ends there; a ray in the refracted
 //! direction takes its place, and one in the mirrored direction sees what the boundary reflects. Elsewhere samples
-//! reflect, and as far as they follow each other along a ray they do so together: one ray from their mean place, with the
-//! weight of them all.
+//! reflect, and consecutive reflecting samples of a ray do so together: as one ray from their mean position, with the
+//! sum of their weights.
 
 use super::composite::RayState;
 use super::node_samples::{
@@ -12,18 +12,18 @@ use super::node_samples::{
 use crate::field::{LANES, Packet, Slab};
 use crate::geometry::{DVec3, Ray};
 
-/// What reflects less than this part of the light of its pixel shows its own colour instead.
+/// Samples whose reflection contributes less than this fraction of their pixel's light show their own colour instead.
 const LEAST_WEIGHT: f64 = 1.0 / 256.0;
-/// A bent ray of less weight is not followed.
+/// A refracted ray of less weight than this is not traced.
 const LEAST_PASSED: f64 = 1.0 / 4096.0;
 
-/// The most rays of one generation under a pixel. Mirrored ones have at least [`LEAST_WEIGHT`], and all together no more
-/// than 1; of each ray at most one is bent.
+/// The maximum number of rays in one generation of a pixel's tree. Mirrored rays have a weight of at least
+/// [`LEAST_WEIGHT`] each and of at most 1 in total; each ray has at most one refracted successor.
 pub(super) fn most_rays_of_a_pixel(max_depth: u32) -> usize {
     (1.0 / LEAST_WEIGHT) as usize * (max_depth as usize + 1)
 }
 
-/// What the materials of a scene do to the direction of rays.
+/// How the materials of a scene change the direction of rays.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ScatterKinds {
     reflects: bool,
@@ -43,61 +43,62 @@ impl ScatterKinds {
     }
 }
 
-/// How far rays are followed that turn.
+/// How far reflected and refracted rays are followed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounces {
     pub(super) turns: ScatterKinds,
     pub(super) max_depth: u32,
-    /// Samples within this distance behind a boundary reflect there.
+    /// Samples within this distance behind a boundary reflect at the boundary.
     pub(super) reach_world: f64,
 }
 
-/// A ray of the tree under a pixel.
+/// A ray in the tree of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TreeRay {
     pub(super) ray: Ray,
-    /// Where its samples lie: the sample offset, in steps.
+    /// Offset of its samples along the ray, in steps.
     pub(super) sample_offset: f64,
-    /// Place of its pixel in the tile.
+    /// Index of its pixel in the tile.
     pub(super) pixel: usize,
-    /// What part of its light reaches the pixel.
+    /// The fraction of its light that reaches the pixel.
     pub(super) weight: f64,
-    /// Whether what it meets covers the pixel: it has been bent at most, never mirrored by a material.
+    /// Whether what it meets counts towards the opacity of the pixel: it has at most been refracted, never mirrored by
+    /// a material.
     pub(super) covers: bool,
     depth: u32,
-    /// Refractive index of where it begins.
+    /// Refractive index at its origin.
     index: f32,
-    /// Normal of the boundary at which it begins.
+    /// Normal of the boundary at its origin.
     normal: DVec3,
 }
 
 impl TreeRay {
-    /// A ray from the eye.
+    /// A primary ray, which starts at the eye.
     pub(super) fn primary(ray: Ray, sample_offset: f64, pixel: usize) -> Self {
         let (weight, covers, depth) = (1.0, true, 0);
         Self { ray, sample_offset, pixel, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
     }
 
-    /// Whether it comes from the eye.
+    /// Whether it starts at the eye.
     pub(super) fn is_primary(&self) -> bool {
         self.depth == 0
     }
 
-    /// Which eighth of all directions it goes to.
+    /// The octant of its direction: a bit for each negative component.
     pub(super) fn octant(&self) -> u8 {
         let d = self.ray.direction;
         u8::from(d.x < 0.0) | u8::from(d.y < 0.0) << 1 | u8::from(d.z < 0.0) << 2
     }
 }
 
-/// The samples of a ray that reflect together.
+/// Consecutive samples of a ray that reflect together.
 #[derive(Clone, Copy, Debug)]
 struct Mirror {
     /// Sums over the samples, each weighted by what it reflects.
     weight: f64,
     place: DVec3,
     normal: DVec3,
-    /// Their own colour, in case nothing is seen in them.
+    /// Their own colour, used if the reflection is too weak to be traced.
     color: [f32; 3],
     last_sample: u64,
 }
@@ -105,23 +106,23 @@ struct Mirror {
 /// A sample inside an object.
 #[derive(Clone, Copy, Debug)]
 struct Inside {
-    /// Along the ray, world space.
+    /// Distance along the ray; world space.
     t: f64,
     normal: DVec3,
-    /// To the boundary, world space.
+    /// Distance to the boundary; world space.
     depth: f64,
     reflectance: f32,
 }
 
-/// What takes the place of a ray: weights are still to come.
+/// The rays that replace a refracted ray. Their weights are set by [`RefractionStates::follow`].
 #[derive(Clone, Copy, Debug)]
 struct Bent {
     through: TreeRay,
-    /// What the boundary reflects, and what part of all light that is.
+    /// The mirrored ray, and the fraction of the light that the boundary reflects.
     mirrored: Option<(TreeRay, f64)>,
 }
 
-/// A ray on its way.
+/// The state of a ray while it is traced.
 #[derive(Clone, Copy, Debug)]
 struct RefractionState {
     from: TreeRay,
@@ -131,25 +132,25 @@ struct RefractionState {
     bent: Option<Bent>,
 }
 
-/// The rays of a packet on their way, as far as they may turn.
+/// The reflections and refractions of the rays of a packet while it is traced.
 pub(super) struct RefractionStates {
     bounces: Bounces,
     states_of_rays: Vec<RefractionState>,
-    /// Lanes of rays that others may follow.
+    /// Lanes of rays that may have successors.
     deepens: u64,
     replaced: u64,
-    /// Rays that follow, each with the lane of the ray that they come from.
+    /// Successor rays, each with the lane of the ray that it comes from.
     next: Vec<(usize, TreeRay)>,
 }
 
 impl RefractionStates {
-    /// Room for the rays of a packet; [`begin`](Self::begin) comes first.
+    /// Allocates room for the rays of a packet; call [`begin`](Self::begin) before anything else.
     pub(super) fn new(bounces: Bounces) -> Self {
         let states_of_rays = Vec::with_capacity(LANES);
         Self { bounces, states_of_rays, deepens: 0, replaced: 0, next: Vec::with_capacity(LANES) }
     }
 
-    /// Sets out with the rays of a packet, lane by lane.
+    /// Starts with the rays of a packet, given lane by lane.
     pub(super) fn begin(&mut self, rays: impl Iterator<Item = TreeRay>) {
         self.states_of_rays.clear();
         self.states_of_rays.extend(rays.map(|from| RefractionState {
@@ -166,8 +167,8 @@ impl RefractionStates {
         self.next.clear();
     }
 
-    /// Finds the rays of `going` that come to another refractive index in a slab, and makes transparent what lies behind
-    /// that place; [`follow`](Self::follow) ends them there.
+    /// Finds the rays of `going` that reach another refractive index in a slab, and makes their samples transparent
+    /// from there on; [`follow`](Self::follow) ends them there.
     pub(super) fn bend(
         &mut self,
         packet: &Packet,
@@ -202,8 +203,8 @@ impl RefractionStates {
         });
     }
 
-    /// The rays of `going` that are inside of something come out of it: there is nothing ahead for a while. Returns the
-    /// lanes of those that end.
+    /// Takes the rays of `going` that are inside an object out of it, because the samples that follow are empty.
+    /// Returns the lanes of the rays that end.
     pub(super) fn leave(&mut self, packet: &Packet, going: u64, states: &[RayState; LANES]) -> u64 {
         each_lane(self.may_bend(going), |lane| {
             self.states_of_rays[lane].comes_to(None, 1.0, packet.step_world());
@@ -211,8 +212,8 @@ impl RefractionStates {
         self.follow(going, states)
     }
 
-    /// The rays of `going` that are bent end, and others take their place with what of their light passes. Returns the
-    /// lanes of those that end.
+    /// Ends the rays of `going` that are refracted; successors with the light still transmitted take their place.
+    /// Returns the lanes of the rays that end.
     pub(super) fn follow(&mut self, going: u64, states: &[RayState; LANES]) -> u64 {
         let mut ended = 0;
         each_lane(self.may_bend(going), |lane| {
@@ -234,7 +235,7 @@ impl RefractionStates {
         ended
     }
 
-    /// Lanes of rays in whose place others go on.
+    /// Lanes of rays that successors have replaced.
     pub(super) fn replaced(&self) -> u64 {
         self.replaced
     }
@@ -243,14 +244,15 @@ impl RefractionStates {
         if self.bounces.turns.refracts { going & self.deepens } else { 0 }
     }
 
-    /// What part of a sample's light comes from the mirrored direction. What refracts reflects at its boundary alone.
+    /// The fraction of a sample's light that comes from the mirrored direction. Refracting materials reflect at their
+    /// boundary only.
     pub(super) fn reflectance(&self, lane: usize, material: &[f32; MATERIAL]) -> f32 {
         let reflects = self.bounces.turns.reflects && self.deepens >> lane & 1 == 1;
         if reflects && material[REFRACTIVE_INDEX] == 1.0 { material[REFLECTANCE] } else { 0.0 }
     }
 
-    /// A sample that reflects `weight` of its ray's light, and the light that it gives by itself. Returns light of samples
-    /// before it: those that reflected together, if too little to follow.
+    /// Adds a sample that reflects `weight` of its ray's light and has the given colour of its own. Returns the light
+    /// of the preceding samples that reflect together, if they end here and reflect too little to be traced.
     #[expect(clippy::too_many_arguments, reason = "one sample of one packet, and what it reflects")]
     pub(super) fn reflect(
         &mut self,
@@ -270,7 +272,7 @@ impl RefractionStates {
         } else {
             self.end_mirror(packet, lane)
         };
-        // What reflects is the boundary, as far as the light of the sample reaches from there.
+        // A sample within reach of the boundary reflects at the boundary.
         let depth = -f64::from(node.boundary[lane].0[j]);
         let reach = self.bounces.reach_world.max(STEPS_TO_BOUNDARY * packet.step_world());
         let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
@@ -293,7 +295,8 @@ impl RefractionStates {
         ended
     }
 
-    /// Ends the samples of a lane that reflect together: a ray goes on from them, or they have their own colour.
+    /// Ends the samples of a lane that reflect together: either a mirrored ray starts from them, or their own colour is
+    /// returned.
     fn end_mirror(&mut self, packet: &Packet, lane: usize) -> [f32; 3] {
         let state = &mut self.states_of_rays[lane];
         let Some(mirror) = state.mirror.take() else { return [0.0; 3] };
@@ -303,7 +306,7 @@ impl RefractionStates {
         };
         let direction = mirrored(state.from.ray.direction, normal);
         let place = mirror.place / mirror.weight;
-        // As of a shadow ray, its first sample is (½ + offset) steps from where it starts.
+        // As for a shadow ray, the first sample is (½ + offset) steps from `place`.
         let ray = Ray { origin: place + direction * (0.5 * packet.step_world()), direction };
         let depth = state.from.depth + 1;
         self.next
@@ -311,7 +314,7 @@ impl RefractionStates {
         [0.0; 3]
     }
 
-    /// Ends what reflects together on every ray.
+    /// Ends the samples that reflect together, on every ray.
     pub(super) fn end_mirrors(&mut self, packet: &Packet, states: &mut [RayState; LANES]) {
         for (lane, state) in states.iter_mut().enumerate().take(packet.len()) {
             let color = self.end_mirror(packet, lane);
@@ -319,14 +322,15 @@ impl RefractionStates {
         }
     }
 
-    /// The rays that follow, lane by lane in the order in which they arose.
+    /// The successor rays; those of one lane are in the order in which they arose.
     pub(super) fn next(&self) -> &[(usize, TreeRay)] {
         &self.next
     }
 }
 
 impl RefractionState {
-    /// Comes to a sample, inside of something or not, of a refractive index. True where the ray is bent.
+    /// Advances to a sample of refractive index `index`, inside an object (`here`) or not. Returns whether the ray is
+    /// refracted.
     fn comes_to(&mut self, here: Option<Inside>, index: f32, step: f64) -> bool {
         let before = self.index;
         let goes_out = here.is_none();
@@ -367,8 +371,8 @@ fn mirrored(direction: DVec3, normal: DVec3) -> DVec3 {
     (direction - 2.0 * direction.dot(normal) * normal).normalize()
 }
 
-/// Snell's law, the normal being of either side; `ratio` is of the refractive indices before and behind. `None` if all
-/// light is reflected.
+/// The direction refracted by Snell's law; the normal may point to either side. `ratio` is the refractive index before
+/// the boundary divided by that behind it. `None` for total internal reflection.
 fn refracted(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
     let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
     let cosine = -direction.dot(normal);

@@ -1,4 +1,4 @@
-//! From optical depth at samples to what each sample adds to its ray: absorption, front to back.
+//! Front-to-back compositing: from the optical depths of samples to the contribution of each sample to its ray.
 
 use fearless_simd::dispatch;
 
@@ -6,11 +6,11 @@ use super::math::absorbed;
 use super::node_samples::{NodeSamples, each_lane};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 
-/// What a ray has gathered so far.
+/// What a ray has accumulated so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct RayState {
     pub(super) color: [f32; 3],
-    /// In double precision: rays may pass millions of samples that take next to nothing each.
+    /// In double precision: a ray may pass millions of samples that absorb next to nothing each.
     pub(super) transmittance: f64,
 }
 
@@ -18,13 +18,13 @@ impl RayState {
     pub(super) const START: Self = Self { color: [0.0; 3], transmittance: 1.0 };
 }
 
-/// The samples of a slab that add to their rays.
+/// The samples of a slab that contribute to their rays.
 pub(super) struct Shares {
     /// For each lane, a bit for each such sample.
     pub(super) samples: [u32; LANES],
-    /// What part of the light of a sample reaches the beginning of its ray.
+    /// Weight of each sample: the transmittance in front of it times its own opacity.
     pub(super) share: Vec<SampleRow>,
-    /// What of the light of the places behind a sample does.
+    /// Transmittance of the ray up to and including each sample.
     pub(super) behind: Vec<SampleRow>,
 }
 
@@ -34,28 +34,28 @@ impl Shares {
         Self { samples: [0; LANES], share: rows(), behind: rows() }
     }
 
-    /// How many there are.
+    /// Number of contributing samples.
     pub(super) fn count(&self) -> u64 {
         self.samples.iter().map(|bits| u64::from(bits.count_ones())).sum()
     }
 
-    /// Lanes with any.
+    /// Lanes with at least one of them.
     pub(super) fn lanes(&self) -> u64 {
         self.samples.iter().enumerate().fold(0, |lanes, (lane, &bits)| lanes | u64::from(bits != 0) << lane)
     }
 }
 
-/// How rays lose light.
+/// How rays are attenuated.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Absorption {
     pub(super) unit_distance: f64,
-    /// A ray ends at its first sample behind which less than this is seen.
+    /// A ray ends at the first sample behind which its transmittance is less than this.
     pub(super) stop_transmittance: f64,
     pub(super) simd: SimdLevel,
 }
 
 impl Absorption {
-    /// Takes the rays in `lanes` through a slab. Returns the lanes that go on.
+    /// Advances the rays in `lanes` through a slab. Returns the lanes of rays that continue.
     pub(super) fn absorb(
         &self,
         packet: &Packet,
@@ -81,7 +81,8 @@ impl Absorption {
         going
     }
 
-    /// One ray through the samples of a slab, front to back: those that are not transparent, and whether it ends.
+    /// Advances one ray through the samples of a slab, front to back. Returns a bit for each contributing sample, and
+    /// whether the ray ends.
     fn through(
         &self,
         taken: &SampleRow,
@@ -109,7 +110,7 @@ impl Absorption {
     }
 }
 
-/// The part of the light that each sample's step takes.
+/// The fraction of light that each sample absorbs over its step.
 #[inline(always)]
 fn taken(optical_depth: &SampleRow, step_units: f32) -> SampleRow {
     let mut taken = SampleRow([0.0; SLAB_SAMPLES]);

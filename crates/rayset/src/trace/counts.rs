@@ -1,32 +1,32 @@
-//! What a render was in work.
+//! Work counters of a render.
 
 use crate::field::SplatCounts;
 
-/// How much work a render was.
+/// How much work a render did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct RenderCounts {
-    /// Work on pairs of rays and points.
+    /// Work on pairs of a ray and a point.
     pub splats: SplatCounts,
-    /// Samples that were looked at.
+    /// Samples of the slabs evaluated, for the rays still active.
     pub samples: u64,
     /// Samples that were not transparent.
     pub nonzero_samples: u64,
-    /// Slabs of packets that had anything in them.
+    /// Slabs evaluated, of all packets counted in `packets`.
     pub slabs: u64,
-    /// Runs decoded, each once a slab of a packet.
+    /// Runs decoded; a run counts once for each slab of a packet.
     pub runs: u64,
-    /// Packets traced, without those of shadow rays.
+    /// Packets traced, not counting those of shadow rays.
     pub packets: u64,
     /// Shadow rays traced.
     pub shadow_rays: u64,
-    /// Of the work on pairs, that for shadow rays.
+    /// The part of `splats` done for shadow rays.
     pub shadow_splats: SplatCounts,
-    /// Rays traced that were reflected or refracted.
+    /// Reflected and refracted rays traced.
     pub bounced_rays: u64,
-    /// Of the work on pairs, that for these and not for shadows.
+    /// The part of `splats` done for these rays, not counting their shadow rays.
     pub bounced_splats: SplatCounts,
-    /// Tiles that were deferred because a page was absent. Work done on them until then is not counted.
+    /// How often a tile was deferred because a page was absent. The work done on it until then is not counted.
     pub deferred: u64,
 }
 

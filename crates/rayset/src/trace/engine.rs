@@ -11,24 +11,24 @@ use crate::field::{SLAB_SAMPLES, SimdLevel};
 use crate::scene::{RenderSettings, Scene};
 use crate::working_set::{Kind, Limits, PagedFiles, WorkingSet};
 
-/// More threads than any machine has processors.
+/// Most threads allowed: more than any machine has processors.
 const MOST_THREADS: usize = 4096;
 
-/// How the work is done. Nothing here can change a pixel, but for vector instructions with and without fused
-/// multiply–add.
+/// How the work is done. Nothing here changes a pixel, except that vector instructions with and without fused
+/// multiply–add differ in the last bits.
 #[derive(Clone)]
 pub struct ExecSettings {
-    /// Threads that trace.
+    /// Number of threads that trace rays.
     pub threads: usize,
-    /// What brings pages in before they are needed.
+    /// Predicts the pages that will be needed, and prefetches them.
     pub predictor: Arc<dyn Predictor>,
-    /// Vector instructions. Those with and without fused multiply–add differ in last bits.
+    /// Vector instruction set. Pictures with and without fused multiply–add differ in the last bits.
     pub simd: SimdLevel,
     /// Edge of a tile in pixels, 1 to 8.
     pub tile_pixels: u32,
-    /// Samples worked on at a time, 1 to 32.
+    /// Samples of a ray in a slab, 1 to 32.
     pub slab_samples: usize,
-    /// Whether files are read past the system's page cache.
+    /// Whether files are read with direct I/O, bypassing the system's page cache.
     pub direct: bool,
 }
 
@@ -45,7 +45,7 @@ impl Default for ExecSettings {
     }
 }
 
-/// What a session, and what is prepared in it, stand on.
+/// The state behind a session and the scenes prepared in it.
 pub(super) struct Engine {
     files: Mutex<PagedFiles>,
     pub(super) pages: WorkingSet,
@@ -53,7 +53,7 @@ pub(super) struct Engine {
     /// `None` if the budget is for pages alone, and fixed.
     memory: Option<Mutex<Memory>>,
     pub(super) name_of_io: String,
-    // Last: its threads end when it goes.
+    // Declared, and so dropped, last: dropping it ends its threads.
     pub(super) scheduler: Scheduler,
 }
 
@@ -66,7 +66,7 @@ struct Memory {
     last: u64,
 }
 
-/// A prepared scene's part of the memory of its engine; given back when it is dropped.
+/// A prepared scene's part of the memory of its engine; released when dropped.
 pub(super) struct Reservation {
     engine: Arc<Engine>,
     number: u64,
@@ -83,12 +83,12 @@ impl Drop for Reservation {
 }
 
 impl Engine {
-    /// Over a working set, and files that are open already. Divides `memory_bytes` between scenes and pages; `None` if
-    /// the budget is for pages alone.
+    /// Starts over a working set and files that are already open. Divides `memory_bytes` between scenes and pages;
+    /// `None` if the budget is for pages alone.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] where tiles or slabs are out of range, [`RenderError::Threads`] where the system gives no
-    /// thread.
+    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of range,
+    /// [`RenderError::Threads`] if the system cannot start a thread.
     pub(super) fn start(
         files: PagedFiles,
         exec: ExecSettings,
@@ -117,7 +117,7 @@ impl Engine {
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sets memory aside for a scene, and divides the rest among pages anew.
+    /// Reserves memory for a scene, and gives the rest to pages.
     pub(super) fn reserve(
         self: &Arc<Self>,
         scene: &Scene,
@@ -137,7 +137,7 @@ impl Engine {
         Ok(Some(Reservation { engine: self.clone(), number }))
     }
 
-    /// Gives pages what scenes leave.
+    /// Gives pages the memory that the scenes leave.
     fn divide(&self, memory: &Memory) {
         let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
         if let Ok((page_bytes, shadow_bytes)) = memory::divide(&needs, self.exec.threads, memory.total) {

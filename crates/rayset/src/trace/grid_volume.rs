@@ -1,4 +1,4 @@
-//! Grids as volume objects in the world: trilinear samples from bricks that are brought in as rays come to them.
+//! Grids as volume objects in the world: trilinear samples from bricks that are read as rays reach them.
 
 use std::sync::Arc;
 
@@ -20,39 +20,40 @@ enum Color {
     Map(ColorTable),
 }
 
-/// A grid where the graph puts it.
+/// A grid as the scene graph places it in the world.
 pub(super) struct GridVolume {
     object: GridObject,
     pages: Arc<Object>,
     voxel_from_world: DAffine3,
     world_from_voxel: DAffine3,
-    /// Takes gradients over voxels to the world.
+    /// Transforms gradients from voxel space to world space.
     world_gradient: DMat3,
     bounds_voxel: Aabb,
     color: Color,
-    /// The number of the program's attribute that its values are.
+    /// The number of the program's attribute that its values provide, if any.
     value_number: Option<usize>,
     unit_distance: f64,
     boundary_value: f64,
-    /// What a gradient points to where the object is: the opacity rises with the value, or falls.
+    /// −1 if the opacity rises with the value, 1 if it falls: times the gradient of the values, the direction of the
+    /// shading vector.
     outward: f64,
     pub(super) material: [f32; MATERIAL],
 }
 
-/// A brick that samples are taken from, and where its first voxel is.
+/// A brick that samples are taken from, with the position of its first voxel.
 struct Held {
     number: u64,
-    /// `None` if no value in it shows.
+    /// `None` if all of its values are transparent.
     brick: Option<PageGuard>,
     first: [i64; 3],
 }
 
-/// Bits of the number of a sample in a slab of a packet: with these below its own, the number of a brick is still exact, for
-/// a file has at most 2³² pages.
+/// Bits of the index of a sample within a slab of a packet. The number of a brick, shifted left by these, still fits a
+/// `u64`, because a file has at most 2³² pages.
 const SAMPLE_BITS: u32 = (LANES * SLAB_SAMPLES).trailing_zeros();
 
 impl GridVolume {
-    /// `None` if the grid's pages are in no working set.
+    /// `None` if the grid is not open in `paged`.
     pub(super) fn new(
         object: &GridObject,
         world_from_local: &DAffine3,
@@ -84,7 +85,7 @@ impl GridVolume {
         })
     }
 
-    /// Says the names of the program's attributes.
+    /// Sets the names of the program's attributes.
     pub(super) fn carry(&mut self, names: &[Arc<str>]) {
         self.value_number = names.iter().position(|name| **name == *GRID_ATTRIBUTE);
     }
@@ -93,17 +94,17 @@ impl GridVolume {
         if let Color::Uniform(color) = self.color { Some(color) } else { None }
     }
 
-    /// The distance between voxels along a ray, world space.
+    /// The distance between voxels along a ray; world space.
     pub(super) fn spacing_world(&self, ray: &Ray) -> f64 {
         1.0 / self.voxel_from_world.transform_vector3(ray.direction).length()
     }
 
-    /// The longest of those along any ray.
+    /// The largest such distance along any ray.
     pub(super) fn largest_spacing_world(&self) -> f64 {
         largest_stretch(&self.world_from_voxel)
     }
 
-    /// Fills the lanes that meet anything that shows.
+    /// Fills the lanes that meet anything visible.
     #[expect(clippy::too_many_arguments, reason = "one slab of one grid")]
     pub(super) fn sample(
         &self,
@@ -118,8 +119,8 @@ impl GridVolume {
         out.touched = 0;
         let lanes = self.lanes_within(packet, slab, live);
         self.fetch(access, packet, slab, live, &lanes)?;
-        // Brick by brick, however the rays pass through them: each is asked for once, and a small budget need not bring it
-        // back for every ray. Samples do not know of each other, so that their order does not matter.
+        // Brick by brick, whichever rays pass through them: each brick is retained once, and a small budget need not
+        // read it again for every ray. Samples are independent of each other, so their order does not matter.
         let mut samples = Vec::new();
         for (lane, first, end) in lanes {
             for j in (first..end).filter(|j| live.0[lane] >> j & 1 == 1) {
@@ -144,7 +145,7 @@ impl GridVolume {
         self.voxel_from_world.transform_point3(packet.ray(lane).at(packet.sample_t_world(lane, sample)))
     }
 
-    /// Lanes that pass through the grid in the slab, and between which samples.
+    /// Lanes that pass through the grid in the slab, each with its first sample and the one after its last.
     fn lanes_within(&self, packet: &Packet, slab: Slab, live: &Live) -> Vec<(usize, usize, usize)> {
         let mut lanes = Vec::new();
         each_lane(live.lanes(), |lane| {
@@ -156,7 +157,8 @@ impl GridVolume {
             let Some((enter, exit)) = self.bounds_voxel.clip(&ray) else { return };
             let (step, first_t) = (packet.step_world(), packet.sample_t_world(lane, slab.first));
             let number = |t: f64| ((t - first_t) / step).clamp(-1.0, SLAB_SAMPLES as f64);
-            // Which samples are within is asked of each place by itself; these are at most one too many on either side.
+            // Whether a sample is inside is tested at its own position; this range has at most one sample too many at
+            // either end.
             let inside =
                 |j: &usize| self.bounds_voxel.contains(self.place(packet, lane, slab.first + *j as u64));
             let range = number(enter).floor().max(0.0) as usize
@@ -169,7 +171,7 @@ impl GridVolume {
         lanes
     }
 
-    /// The brick of a place and its corner.
+    /// The number of the brick of a place, and the brick's first voxel.
     fn brick_of(&self, place: DVec3) -> (u64, [i64; 3]) {
         let header = self.object.grid.header();
         let (bricks, cells) = (header.bricks(), header.kind.brick_cells());
@@ -181,7 +183,7 @@ impl GridVolume {
         (number, brick.map(|b| (b * cells) as i64 - 1))
     }
 
-    /// Asks for all bricks of a slab at once, where tiles do not wait for each.
+    /// Requests all absent bricks of a slab at once, unless the attempt waits for each page.
     fn fetch(
         &self,
         access: Access<'_>,
@@ -213,7 +215,7 @@ impl GridVolume {
         Ok(())
     }
 
-    /// Whether any value of a brick shows.
+    /// Whether any value of a brick is visible.
     fn shows(&self, access: Access<'_>, brick: u64) -> Result<bool, Halt> {
         let header = self.object.grid.header();
         let page = header.brick_pages() + brick / RANGES_PER_PAGE;
@@ -243,7 +245,7 @@ impl GridVolume {
         Ok(held.insert(new))
     }
 
-    /// One sample.
+    /// Fills one sample.
     #[expect(clippy::too_many_arguments, reason = "one sample of one lane")]
     fn fill(
         &self,
@@ -304,13 +306,13 @@ impl GridVolume {
     }
 }
 
-/// The cell of a place, by its first voxel, counted from the first of a brick's; and how far into it the place is, 0 to 1
-/// on each axis. On the last voxel of an axis that is 1 in the last cell.
+/// The cell of a place, as the index of its first voxel within a brick, and how far into the cell the place lies, 0 to
+/// 1 on each axis. A place on the last voxel of an axis is at 1 in the last cell.
 ///
-/// All differences are of numbers within a cell of each other, or of whole numbers: none is rounded. A place less a
-/// brick's corner would be, and fall into another cell.
+/// All differences are between numbers within a cell of each other or between integers, so none is rounded. The
+/// difference between a place and a brick's corner would be rounded, and could fall into another cell.
 fn cell_in_brick(header: &GridHeader, place: DVec3, first: [i64; 3]) -> ([usize; 3], DVec3) {
-    // A place in a face may have been rounded to just outside.
+    // A place on a face of the grid may have been rounded to just outside it.
     let cell = place.floor().max(DVec3::ZERO).min(header.last_voxel() - 1.0);
     let in_brick = std::array::from_fn(|axis| (cell[axis] as i64 - first[axis]) as usize);
     (in_brick, place - cell)
@@ -329,7 +331,7 @@ impl Brick<'_> {
         f64::from(self.kind.value(&self.bytes[at..]))
     }
 
-    /// Between the eight voxels of a cell.
+    /// Interpolates between the eight voxels of a cell.
     fn trilinear(&self, [x, y, z]: [usize; 3], f: DVec3) -> f64 {
         let along_x = |y: usize, z: usize| {
             let (a, b) = (self.voxel([x, y, z]), self.voxel([x + 1, y, z]));
@@ -343,7 +345,8 @@ impl Brick<'_> {
         a + (b - a) * f.z
     }
 
-    /// Central differences over one voxel to either side. Cells have a voxel beside them in every brick.
+    /// Central differences over one voxel to either side. Every brick holds a voxel on either side of each of its
+    /// cells.
     fn gradient(&self, cell: [usize; 3], f: DVec3) -> DVec3 {
         let difference = |axis: usize| {
             let (mut before, mut behind) = (cell, cell);
@@ -380,7 +383,7 @@ mod tests {
             for n in 2..=130_u64 {
                 let header = header([n, n, 2], kind);
                 let last = (n - 1) as f64;
-                // Every voxel and its neighbours among the numbers, and places in between.
+                // Every voxel, the floating-point numbers next to it, and places in between.
                 let places = (0..n).flat_map(|i| {
                     let i = i as f64;
                     [i, i.next_down(), i.next_up(), i + 1e-17, i + 1e-3, i + 0.5, (i + 1.0).next_down()]

@@ -22,7 +22,7 @@ use crate::image::LayerPixel;
 use crate::scene::{RayMaker, RenderSettings};
 use crate::working_set::PageClient;
 
-/// Finished tiles that wait to be handed out; where there are so many, no more are begun.
+/// Most finished tiles that wait to be handed out; at this many, no further tiles are begun.
 const MOST_WAITING: usize = 32;
 
 pub(super) struct Job {
@@ -30,19 +30,19 @@ pub(super) struct Job {
     rays: RayMaker,
     settings: RenderSettings,
     pub(super) tiles: Vec<Tile>,
-    /// Rays of a pixel, pass by pass.
+    /// The range of rays of a pixel in each pass.
     passes: Vec<Range<u32>>,
-    /// What the rays of each tile have seen in earlier passes; empty where there is one pass.
+    /// What the rays of each tile have seen in earlier passes; empty if there is only one pass.
     earlier: Vec<Mutex<Option<Box<TileSums>>>>,
     lookahead_state: LookaheadState,
     pages: PageClient,
-    /// Ends this render alone.
+    /// Cancels this render only.
     stop: CancelToken,
     progress: Arc<Progress>,
 }
 
-/// How far a render has come. A thread that leaves has let go of the render itself before it says so here, so that nothing
-/// of a render lives longer than the call.
+/// How far a render has come. A thread that leaves releases the render itself before it reports so here, so that
+/// nothing of a render outlives the call.
 #[derive(Default)]
 pub(super) struct Progress {
     state: Mutex<State>,
@@ -60,7 +60,7 @@ impl Progress {
         self.changed.notify_all();
     }
 
-    /// Has the one who called look again.
+    /// Makes the caller look at the state again.
     pub(super) fn wake(&self) {
         drop(self.lock());
         self.changed.notify_all();
@@ -92,7 +92,7 @@ pub(super) struct Output {
     pub(super) layers: Option<Box<[LayerPixel; LANES]>>,
 }
 
-/// What a render has for the one who called for it.
+/// What a render returns to its caller next.
 pub(super) enum Next {
     Tile(Box<Output>),
     Finished(Result<RenderCounts, RenderError>),
@@ -107,7 +107,7 @@ struct TileSums {
 }
 
 impl Job {
-    /// Of tiles that lie in the picture, at least one.
+    /// `work` has at least one tile, and all of its tiles lie in the picture.
     pub(super) fn new(
         prepared: Arc<Prepared>,
         rays: RayMaker,
@@ -143,9 +143,9 @@ impl Job {
         self.progress.clone()
     }
 
-    // The one who called for the render.
+    // For the caller of the render.
 
-    /// Waits for a tile to hand out, or for the end: then no thread works on this any more.
+    /// Waits for a tile to hand out, or for the end of the render, when no thread works on it any more.
     pub(super) fn next(&self) -> Next {
         let mut state = self.lock();
         loop {
@@ -179,9 +179,9 @@ impl Job {
         self.stop.cancel();
     }
 
-    // The threads.
+    // For the threads.
 
-    /// Traces tile after tile, until there are none or the thread's turn is over.
+    /// Traces tile after tile, until none is left, the thread's turn is over, or too many finished tiles wait.
     fn trace_tiles(&self, turn: &Turn<'_>) {
         let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, exec.slab_samples);
@@ -216,7 +216,7 @@ impl Job {
         }
     }
 
-    /// The next tile of the work, or one that a thread left behind.
+    /// A tile that a thread left behind, otherwise the next tile of the work.
     fn take(&self) -> Option<Deferred> {
         let mut state = self.lock();
         if let Some(deferred) = state.left_behind.pop() {
@@ -267,7 +267,7 @@ impl Job {
         Ok(Output { tile, pass: pass as u32, pixels, layers: known })
     }
 
-    /// What the rays of a tile have seen in earlier passes; sets the layers of the thread to that.
+    /// What the rays of a tile have seen in earlier passes; also restores the thread's layers to that state.
     fn earlier(&self, tile: usize, layers: Option<&mut Layers>) -> TileSums {
         let earlier = self.earlier.get(tile);
         let known = earlier.and_then(|sums| sums.lock().unwrap_or_else(PoisonError::into_inner).clone());
@@ -284,7 +284,7 @@ impl Job {
         sums
     }
 
-    /// Hands a tile over; after the last of a pass, begins the next.
+    /// Hands over a finished tile; after the last tile of a pass, begins the next pass.
     fn finish(&self, output: Output, turn: &Turn<'_>) {
         let mut state = self.lock();
         state.outputs.push_back(output);

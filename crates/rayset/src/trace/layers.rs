@@ -1,21 +1,22 @@
-//! What is known of pixels besides their colour: gathered from the samples that rays from the eye meet.
+//! The layers of a picture besides colour: depth, normal and so on, accumulated over the samples that primary rays
+//! meet.
 
 use super::composite::Shares;
 use super::node_samples::{Constants, LEAF, NodeSamples, each_lane};
 use crate::field::{LANES, Packet, Slab};
 use crate::image::LayerPixel;
 
-/// Sums over the samples of a pixel, each weighted by what it adds.
+/// Sums over the samples of a pixel, each weighted by its contribution to the pixel.
 #[derive(Clone, Copy, Debug, Default)]
 struct Gathered {
     weight: f32,
     depth: f64,
     normal: [f32; 3],
     albedo: [f32; 3],
-    /// The largest weight of a sample, and the leaf that it is of.
+    /// The largest weight of a sample, and the number of the leaf that it belongs to.
     largest: (f32, f32),
     samples: u32,
-    /// Sum over the rays of the pixel, and their number.
+    /// Sum of the opacities of the pixel's rays, and the number of these rays.
     opacity: (f32, u32),
 }
 
@@ -28,12 +29,12 @@ impl Layers {
         Self([Gathered::default(); LANES])
     }
 
-    /// Forgets the last tile.
+    /// Clears the sums of the previous tile.
     pub(super) fn begin(&mut self) {
         self.0.fill(Gathered::default());
     }
 
-    /// Adds the samples of a slab; `pixels` are those of the lanes.
+    /// Adds the samples of a slab; `pixels` maps a lane to its pixel.
     pub(super) fn gather(
         &mut self,
         packet: &Packet,
@@ -65,14 +66,14 @@ impl Layers {
         });
     }
 
-    /// Adds what of the background a ray of a pixel hides.
+    /// Adds the opacity of one ray of a pixel: the fraction of the background that it hides.
     pub(super) fn hide(&mut self, pixel: usize, opacity: f32) {
         let (sum, rays) = &mut self.0[pixel].opacity;
         *sum += opacity;
         *rays += 1;
     }
 
-    /// The first `count` pixels of a tile, for which pages of `bytes` bytes were asked for.
+    /// The layers of a tile of `count` pixels, for which pages of `bytes` bytes in all were requested.
     pub(super) fn pixels(&self, count: usize, bytes: u64) -> [LayerPixel; LANES] {
         self.0.map(|g| {
             let bytes = bytes as f32 / count as f32;

@@ -1,4 +1,4 @@
-//! One packet on its way through the whole graph: its samples, slab after slab.
+//! The march of one packet through the whole graph: its samples, slab after slab.
 
 use super::access::{Access, Halt};
 use super::cloud::{CloudMarch, CloudScratch, Request};
@@ -8,28 +8,28 @@ use super::program::{Action, Instruction, Program};
 use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;
 
-/// The place of a packet in a graph, and memory to work in.
+/// The progress of a packet through a graph, with scratch memory.
 pub(super) struct March<'p> {
     program: &'p Program,
     slab_samples: usize,
-    /// For each instruction: the samples that may lie in its bounds.
+    /// For each instruction: the first and last sample that may lie in its bounds.
     spans: Vec<Option<(u64, u64)>>,
-    /// For each instruction that is a cloud, and whether the packet has come to it.
+    /// For each instruction that is a cloud: its march, and whether the packet has reached it.
     clouds: Vec<(Option<Box<CloudMarch>>, bool)>,
-    /// For each instruction that several others need: its block, once it is known in a slab.
+    /// For each instruction with several uses: its block, once it has been computed for the current slab.
     shared: Vec<Option<NodeSamples>>,
     spare: Vec<NodeSamples>,
     scratch: CloudScratch,
 }
 
-/// What an instruction is asked for.
+/// What is requested of an instruction.
 #[derive(Clone, Copy)]
 struct Asked<'a> {
     access: Access<'a>,
     packet: &'a Packet,
     slab: Slab,
     live: &'a Live,
-    /// All samples of all lanes that go on.
+    /// All samples of all lanes in `going`.
     all: &'a Live,
     going: u64,
 }
@@ -53,12 +53,12 @@ impl<'p> March<'p> {
         self.spare.pop().unwrap_or_else(|| NodeSamples::new(self.program.required))
     }
 
-    /// Gives a block back.
+    /// Returns a block for reuse.
     pub(super) fn give_back(&mut self, node: NodeSamples) {
         self.spare.push(node);
     }
 
-    /// Sets a packet at its start.
+    /// Starts a packet.
     pub(super) fn begin(&mut self, packet: &Packet) {
         let beam = packet.beam(packet.all());
         for (span, instruction) in self.spans.iter_mut().zip(&self.program.instructions) {
@@ -68,14 +68,14 @@ impl<'p> March<'p> {
         self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);
     }
 
-    /// The next slab from sample `from` on in which there may be anything.
+    /// The next slab, from sample `from` on, that may not be empty.
     pub(super) fn next_slab(&self, from: u64) -> Option<Slab> {
         let samples = self.slab_samples as u64;
         let sample = self.next_sample(self.program.root(), from)?;
         Some(Slab { first: sample / samples * samples, samples: self.slab_samples })
     }
 
-    /// The first sample from `from` on at which there may be anything of an instruction.
+    /// The first sample, from `from` on, at which an instruction may not be empty.
     fn next_sample(&self, at: usize, from: u64) -> Option<u64> {
         let (first, last) = self.spans[at]?;
         let from = from.max(first);
@@ -93,14 +93,14 @@ impl<'p> March<'p> {
                 match operator {
                     Operator::Union | Operator::Blend => next.flatten().min(),
                     Operator::Difference => next.next().flatten(),
-                    // Nothing before all of them begin, and nothing at all where one has ended.
+                    // Empty until all children have begun, and from where one of them has ended.
                     Operator::Intersection => next.try_fold(from, |latest, n| n.map(|n| latest.max(n))),
                 }
             }
         }
     }
 
-    /// Evaluates the graph at the samples of a slab, for the lanes that go on. Opacities come as optical depths.
+    /// Evaluates the graph at the samples of a slab, for the lanes in `going`. Opacities are given as optical depths.
     pub(super) fn evaluate(
         &mut self,
         access: Access<'_>,
@@ -125,7 +125,7 @@ impl<'p> March<'p> {
         self.spans[at].is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
     }
 
-    /// One instruction, with its opacity in a given measure.
+    /// Runs one instruction, with its opacity in a given measure.
     fn run(
         &mut self,
         at: usize,
@@ -144,7 +144,7 @@ impl<'p> March<'p> {
             let node = match self.shared[at].take() {
                 Some(node) => node,
                 None => {
-                    // Others may need samples that do not matter here.
+                    // Other users may need samples that do not matter here.
                     let mut node = self.node_samples();
                     self.compute(at, Asked { live: asked.all, ..asked }, counts, &mut node)?;
                     node
@@ -200,7 +200,7 @@ impl<'p> March<'p> {
         Ok(())
     }
 
-    /// Evaluates the children of an operator as far as they can matter, and combines them.
+    /// Evaluates the children of an operator where they can affect the result, and combines them.
     fn combine(
         &mut self,
         operator: Operator,
@@ -216,7 +216,7 @@ impl<'p> March<'p> {
         }
         let mut other = self.node_samples();
         let mut live = *asked.live;
-        // Beyond the last child that may have anything here, nobody asks what is live.
+        // After the last child that may not be empty here, `live` is not needed any more.
         let last = children.iter().rposition(|&child| self.is_in(child, asked.slab)).unwrap_or(0);
         for (place, &child) in children.iter().enumerate().take(last + 1) {
             let asked = Asked { live: &live, ..asked };
@@ -252,7 +252,7 @@ impl<'p> March<'p> {
         Ok(())
     }
 
-    /// Intersections evaluate what costs least first, and combine in the order of the graph.
+    /// Intersections evaluate the cheapest child first, but combine children in the order of the graph.
     fn intersect(
         &mut self,
         children: &[usize],
@@ -290,7 +290,7 @@ impl<'p> March<'p> {
         outcome
     }
 
-    /// How much work an instruction is: procedural fields before clouds.
+    /// Relative cost of an instruction: procedural fields cost less than grids, and grids less than clouds.
     fn cost(&self, at: usize) -> usize {
         match &self.program.instructions[at].action {
             Action::Procedural(_) => 1,

@@ -1,6 +1,6 @@
-//! Exponentials that vectorise and are the same on every machine, which the system's own are not.
+//! Logarithm and exponentials that vectorise and, unlike the system's own, give the same results on every machine.
 
-/// ln x for positive x, relative error of 1 − x below 1e-6 from 2⁻¹² to 1; exactly 0 at 1.
+/// ln x for positive x; exactly 0 at 1. From 2⁻¹² to 1 its error, as a relative error of 1 − x, is below 1e-6.
 #[inline(always)]
 pub(super) fn ln(x: f32) -> f32 {
     let bits = x.to_bits();

@@ -1,4 +1,4 @@
-//! What a render needs besides pages, so that a budget for the whole process can be kept.
+//! The memory that a render needs besides pages, so that a budget for the whole process can be kept.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -22,40 +22,41 @@ use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
 const THREAD_BYTES: u64 = 640 << 10;
-/// What every further cloud of a graph adds to that: a packet in its space and the part of its octree ahead.
+/// What each cloud of a graph adds to that: a packet in the cloud's space and the part of its octree ahead.
 const CLOUD_BYTES: u64 = 48 << 10;
-/// What look-ahead remembers of a page, most of which it never sees at a time.
+/// What look-ahead stores per page of the files, though it never has most of them in view at a time.
 const LOOKAHEAD_BYTES: u64 = 24;
-/// One part in so many of the pages' memory is lost in between them.
+/// One part in this many of the pages' memory is lost to gaps between them.
 const ALLOCATOR_PART: u64 = 32;
-/// And more where pages and tiles of shadow tables, of other sizes, take each other's place.
+/// The same if pages and tiles of shadow tables, of different sizes, replace each other: more is lost.
 const MIXED_ALLOCATOR_PART: u64 = 14;
-/// What a march through the graph keeps of every place: its samples, its cloud's state, where they lie.
+/// What a march through the graph keeps for every place: its range of samples, its cloud's state, its shared block.
 const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<NodeSamples>>()) as u64;
-/// Blocks of 16 rows of layers on their way into an OpenEXR file, for each column: six, with what compression takes.
+/// Bytes per column for the blocks of 16 rows of layers that are being written to an OpenEXR file: six blocks,
+/// including what compression takes.
 const EXR_BYTES: u64 = 6 * 16 * 60;
-/// Bytes of a pixel while its band is being made.
+/// Bytes of a pixel in the band that is being rendered.
 pub const PIXEL_BYTES: u64 = 16;
-/// Fewest rows that are worked on together.
+/// Fewest rows in a band.
 pub const LEAST_BAND_ROWS: u32 = 8;
-/// Room for the reads that are in flight and the threads that serve them.
+/// Memory for the reads in flight and the threads that serve them.
 const READING_BYTES: u64 = 1 << 20;
 
-/// What of a scene takes memory besides its pages.
+/// What a scene needs in memory besides its pages.
 #[derive(Clone, Debug)]
 pub struct SceneNeeds {
     clouds: Vec<Arc<Cloud>>,
     grids: Vec<Arc<Grid>>,
-    /// The graph, as it is given and as it is compiled, and what is left of reading it.
+    /// The graph as given and as compiled, and what remains allocated after loading it.
     scene_bytes: u64,
     thread_bytes: u64,
-    /// Tiles of shadow tables.
+    /// Number of tiles of shadow tables.
     shadow_tiles: u64,
     layers: bool,
 }
 
 impl SceneNeeds {
-    /// Of a scene that has been checked.
+    /// The needs of a scene that has been checked.
     #[must_use]
     pub fn of(scene: &Scene, settings: &RenderSettings) -> Self {
         let (mut clouds, mut grids) = (Vec::new(), Vec::new());
@@ -86,7 +87,7 @@ impl SceneNeeds {
         // Shadows have a march for rays and one for tables, each with node samples and clouds of its own.
         let marches = if shadow > 0 { 3 } else { 1 };
         let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
-        // Of the field of a cloud.
+        // Sums of attributes in the field of a cloud.
         let sums =
             u64::from(required.attributes.count_ones()) * marches * (LANES * size_of::<SampleRow>()) as u64;
         let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
@@ -105,8 +106,8 @@ impl SceneNeeds {
         Self { clouds, grids, scene_bytes, thread_bytes, shadow_tiles, layers: settings.layers }
     }
 
-    /// The same, with the memory that reading the scene took: little of it is free for pages again, for what stays lies in
-    /// between.
+    /// Adds the memory that loading the scene took: little of it becomes available to pages, because what remains
+    /// allocated lies scattered in it.
     #[must_use]
     pub fn with_loading(self, loading_bytes: u64) -> Self {
         Self { scene_bytes: self.scene_bytes + loading_bytes, ..self }
@@ -118,7 +119,7 @@ impl SceneNeeds {
         &self.grids
     }
 
-    /// Pages of every file and the bytes of each.
+    /// The number of pages of every file, and the bytes of each page.
     fn files(&self) -> impl Iterator<Item = (u64, u64)> {
         let clouds =
             self.clouds.iter().map(|c| (u64::from(c.header().pages()), u64::from(c.header().page_bytes)));
@@ -132,7 +133,7 @@ impl SceneNeeds {
     }
 }
 
-/// An upper bound of the node samples in use at a time, besides those that several operators need.
+/// An upper bound on the number of node samples in use at a time, not counting those that several operators need.
 fn node_samples_held(node: &Node) -> usize {
     let Shape::Operator(operator, children) = &node.shape else { return 1 };
     let deepest = children.iter().map(|child| node_samples_held(child)).max().unwrap_or(0);
@@ -140,20 +141,20 @@ fn node_samples_held(node: &Node) -> usize {
     own + deepest
 }
 
-/// A graph, counted.
+/// The size of a graph, in numbers.
 #[derive(Default)]
 struct Census {
-    /// Places of the world in which nodes stand.
+    /// Number of places of the graph: nodes, each in one place of the world.
     places: u64,
-    /// Of these, the ones that several operators need, or one of them several times.
+    /// How many of these several operators need, or one operator needs several times.
     shared: usize,
-    /// Bytes of the graph itself, shared nodes once.
+    /// Bytes of the graph itself, counting shared nodes once.
     given_bytes: u64,
-    /// Bytes of tables and curves, place by place.
+    /// Bytes of tables and curves, summed over all places.
     table_bytes: u64,
 }
 
-/// A node in one place, of one material: one instruction of a program.
+/// A node with its transform to the world and its material: one instruction of a program.
 type Place = (*const Node, [u64; 12], [u64; 6]);
 
 impl Census {
@@ -185,7 +186,7 @@ impl Census {
         }
         self.table_bytes += tables(node);
         if nodes.insert(Arc::as_ptr(node)) {
-            /// What allocations of a node take besides their content.
+            /// What the allocations of a node take besides their contents.
             const BLOCKS: usize = 64;
             let own = match &node.shape {
                 Shape::Procedural(field) => size_of_val(&**field),
@@ -203,7 +204,7 @@ impl Census {
 
 /// Bytes of a curve.
 fn curve_bytes(curve: &[(f64, f64)]) -> u64 {
-    // It may have grown point by point.
+    // Twice, because the list may have grown point by point.
     2 * size_of_val(curve) as u64
 }
 
@@ -216,7 +217,7 @@ fn transfer_of(node: &Node) -> Option<&TransferFunction> {
     }
 }
 
-/// Bytes of what a node's transfer functions are compiled to, at every place.
+/// Bytes of a node's compiled transfer functions, at each of its places.
 fn tables(node: &Node) -> u64 {
     let of_leaf = transfer_of(node).map_or(0, |transfer| {
         let curve = if let OpacityRule::Curve(curve) = &transfer.opacity { curve_bytes(curve) } else { 0 };
@@ -226,11 +227,11 @@ fn tables(node: &Node) -> u64 {
         Transfer::Opacity { curve, .. } => curve_bytes(curve),
         Transfer::Color { map, .. } => ColorTable::bytes(map),
     });
-    // Each in a list of its own, with its input.
+    // Each is in a list of its own, with its input.
     of_leaf + others.map(|bytes| bytes + 256).sum::<u64>()
 }
 
-/// Bytes of curves and palettes as a node has them.
+/// Bytes of a node's curves and palettes as given.
 fn given(node: &Node) -> u64 {
     let stops = |map: &crate::scene::ColorMap| size_of_val(&*map.palette.stops()) as u64;
     let of_leaf = transfer_of(node).map_or(0, |transfer| {
@@ -244,30 +245,30 @@ fn given(node: &Node) -> u64 {
     of_leaf + others.sum::<u64>()
 }
 
-/// How a budget is spent.
+/// How a memory budget is divided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct MemoryPlan {
-    /// For pages.
+    /// Bytes for pages.
     pub page_bytes: u64,
-    /// Of these, the most that cached shadows may take: what all files together leave, and at least half. Shadows are made
-    /// again where files are read again, but there can be many more of them.
+    /// Of these, the most that cached shadows may take: what the pages of all files leave, but at least half. Evicted
+    /// shadows are computed again, as pages of files are read again, but there can be many more of them.
     pub shadow_bytes: u64,
     /// Bytes of the largest page.
     pub largest_page_bytes: u64,
-    /// Rows of the picture made at a time.
+    /// Rows of the picture rendered at a time.
     pub band_rows: u32,
-    /// The smallest budget in which the render runs.
+    /// The smallest budget with which the render can run.
     pub least_bytes: u64,
-    /// A budget in which it runs well: the pages that one row of tiles sees, and as many ahead.
+    /// A budget with which it runs well: room for the pages that one row of tiles needs, and for as many ahead.
     pub comfortable_bytes: u64,
 }
 
-/// Spends `budget_bytes` on a render; `process_bytes` is what the process takes before it starts. Returns the plan, or
-/// the smallest budget that would do.
+/// Divides `budget_bytes` for a render; `process_bytes` is what the process takes before the render starts. Returns the
+/// plan, or the smallest sufficient budget.
 ///
 /// # Errors
-/// The smallest budget in bytes, where this one is smaller.
+/// The smallest sufficient budget in bytes, if `budget_bytes` is smaller.
 pub fn plan(
     needs: &SceneNeeds,
     width: u32,
@@ -288,13 +289,13 @@ pub fn plan(
     if budget_bytes < least_bytes {
         return Err(least_bytes);
     }
-    // A quarter of what is free may go to the picture, in whole rows of look-ahead tiles where it can.
+    // Up to a quarter of what is free goes to the picture, in whole rows of look-ahead tiles if at least one fits.
     let free = budget_bytes - fixed - least_page_bytes;
     let rows =
         (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
     let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
     let band_rows = (rows as u32).min(height).max(1);
-    // Of a grid, a layer of bricks.
+    // For a grid, roughly a layer of bricks.
     let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
     let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * demand.page);
     let comfortable_pages: u64 = columns.chain(layers).sum();
@@ -309,14 +310,14 @@ pub fn plan(
     })
 }
 
-/// Whether any node of a scene is so.
+/// Whether `wanted` holds for any node of a scene.
 fn has(scene: &Scene, wanted: impl Fn(&Node) -> bool) -> bool {
     let mut found = false;
     scene.root.for_each(&mut |node| found |= wanted(node));
     found
 }
 
-/// The most that is required of any node of a scene.
+/// All outputs that may be required of any node of a scene.
 fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -> RequiredOutputs {
     let lit = scene.lighting != Lighting::Unlit;
     let cuts = || has(scene, |node| matches!(node.shape, Shape::Operator(Operator::Difference, _)));
@@ -331,27 +332,27 @@ fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -
     }
 }
 
-/// Divides the memory of a session that has prepared these scenes: bytes for pages, and how many of these tables of shadows
-/// may take.
+/// Divides the memory of a session that has prepared these scenes. Returns the bytes for pages, and how many of these
+/// shadow tables may take.
 ///
 /// # Errors
-/// The smallest memory that would do.
+/// The smallest sufficient memory in bytes.
 pub(super) fn divide(scenes: &[&SceneNeeds], threads: usize, total: u64) -> Result<(u64, u64), u64> {
     let demand = Demand::of(scenes, threads);
     let least = demand.fixed + demand.least_page_bytes();
     if total < least { Err(least) } else { Ok(demand.divide(total - demand.fixed)) }
 }
 
-/// What scenes that are rendered in one session take besides pages, and how large their pages are.
+/// What the scenes of a session need besides pages, and how large their pages are.
 struct Demand {
     threads: usize,
     fixed: u64,
-    /// The largest page of a file.
+    /// Bytes of the largest page of a file.
     page: u64,
-    /// The largest and the smallest page, tiles of shadow tables included.
+    /// Bytes of the largest and of the smallest page, including tiles of shadow tables.
     largest: u64,
     smallest: u64,
-    /// One part in so many is lost in between pages.
+    /// One part in this many is lost to gaps between pages.
     allocator_part: u64,
     /// Bytes of all pages of the files.
     file_bytes: u64,
@@ -386,14 +387,14 @@ impl Demand {
         }
     }
 
-    /// The least that pages do with.
+    /// The least memory that pages need.
     fn least_page_bytes(&self) -> u64 {
         least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / MIXED_ALLOCATOR_PART)
     }
 
-    /// Bytes of pages that fit where so much memory is left, and how many of these tables of shadows may take.
+    /// Bytes of pages that fit in `room` bytes of memory, and how many of these shadow tables may take.
     fn divide(&self, room: u64) -> (u64, u64) {
-        // What the allocator adds to each counts most where they are small.
+        // The allocator's overhead per page weighs most for small pages.
         let each = self.smallest + OVERHEAD_BYTES + self.smallest / self.allocator_part;
         let page_bytes = (room / each * self.smallest).max(least_pages(self.threads) * self.largest);
         let shadow_bytes = page_bytes
@@ -405,13 +406,15 @@ impl Demand {
     }
 }
 
-/// Pages without which threads could wait for each other for ever: each retains one at a time, and one is on its way.
+/// The smallest number of pages with which threads cannot wait for each other forever: each retains one at a time while
+/// another is being loaded.
 #[must_use]
 pub fn least_pages(threads: usize) -> u64 {
     2 * threads as u64 + 2
 }
 
-/// A surface of n pages crosses a row of the picture with about √n of them, front and back, above and below.
+/// A row of the picture crosses about √n of the n pages of a surface; this is counted for front and back, above and
+/// below.
 fn comfortable_pages(cloud: &Cloud) -> u64 {
     let header = cloud.header();
     let points = u64::from(header.point_pages);

@@ -1,9 +1,9 @@
 //! The ray tracer: packets of rays through slabs of samples, over a working set of pages.
 //!
-//! A [`Session`] outlives scenes, a [`PreparedScene`] views, a [`View`] renders. [`View::render`] is where a picture
-//! begins: it makes a `job`, which the session's threads (`scheduler`) work on tile by tile; `packet_tracer` takes over
-//! from there. [`RenderSettings`](crate::scene::RenderSettings), with scene and camera, decide the picture;
-//! [`ExecSettings`] never do.
+//! A [`Session`] outlives its scenes, a [`PreparedScene`] its views, and a [`View`] its renders. [`View::render`] is
+//! the entry point: it creates a `job`, which the session's threads (`scheduler`) process tile by tile; `packet_tracer`
+//! takes over from there. [`RenderSettings`](crate::scene::RenderSettings), scene and camera determine the picture; of
+//! the [`ExecSettings`], only fused multiply–add changes its last bits.
 
 mod access;
 mod bands;
@@ -53,20 +53,20 @@ pub use self::work::{MAX_TILE_PIXELS, Region, Tile, Work};
 use crate::scene::{CameraError, SceneError};
 use crate::working_set::PageFault;
 
-/// Why there is no picture.
+/// Why a scene cannot be prepared or rendered.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RenderError {
-    /// A page could not be had.
+    /// A page could not be obtained.
     #[error(transparent)]
     Page(PageFault),
-    /// The camera makes no rays.
+    /// The camera is invalid.
     #[error(transparent)]
     Camera(#[from] CameraError),
     /// The scene is invalid.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A setting out of its range.
+    /// A setting is out of range.
     #[error("{setting}: {what}")]
     Setting {
         /// The setting.
@@ -74,7 +74,7 @@ pub enum RenderError {
         /// What is wrong with it, and what is expected.
         what: String,
     },
-    /// A file of the scene does not open.
+    /// A file of the scene cannot be opened.
     #[error("cannot open {}: {source}", path.display())]
     Open {
         /// The file.
@@ -82,21 +82,21 @@ pub enum RenderError {
         /// The system's reason.
         r#source: io::Error,
     },
-    /// There is no way to read as was asked for.
+    /// The requested way to read pages is not available.
     #[error("io_uring is not available here: {0}")]
     Io(io::Error),
-    /// The session's memory does not do for the scenes that it has prepared.
+    /// The session's memory budget is too small for the scenes prepared in it.
     #[error("a memory budget of {given} bytes is too small: this scene needs at least {needed}")]
     Memory {
         /// The budget.
         given: u64,
-        /// The smallest that would do, besides what else is prepared.
+        /// The smallest sufficient budget, including the other scenes prepared in the session.
         needed: u64,
     },
-    /// The system gives no threads.
+    /// The system cannot start a thread.
     #[error("cannot start a thread: {0}")]
     Threads(io::Error),
-    /// The receiver of the picture refused it.
+    /// The sink refused a part of the picture.
     #[error("the picture could not be written: {0}")]
     Sink(SinkError),
     /// The render was cancelled.

@@ -1,7 +1,8 @@
-//! What a node of the scene graph makes at the samples of one slab of a packet.
+//! What a node of the scene graph yields at the samples of one slab of a packet.
 //!
-//! Invariant: where a result is 0, nothing else of it is ever looked at, save the shading vector and the boundary of what
-//! is taken away. So samples and lanes that cannot matter may hold anything there, and skipping them changes no bit.
+//! Invariant: where the opacity of a node is 0, its other outputs are never read, except for the shading vector and the
+//! boundary of an object that is subtracted. So samples and lanes that cannot matter may hold any values, and skipping
+//! them changes no bit of the picture.
 
 use fearless_simd::dispatch;
 
@@ -10,30 +11,31 @@ use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel};
 use crate::geometry::DVec3;
 use crate::scene::MAX_OPACITY;
 
-/// The largest optical depth of a unit distance: −ln(1 − MAX_OPACITY).
+/// The largest optical depth per unit distance: −ln(1 − MAX_OPACITY).
 pub(super) const MAX_OPTICAL_DEPTH: f32 = 8.317_766;
-/// Where a sample is lit: a sample within so many steps behind a boundary stands for the part of its ray that begins there,
-/// and would else shadow itself more or less as the lattice happens to lie.
+/// A sample within this many steps behind a boundary is lit at the boundary: it stands for the part of its ray that
+/// begins there, and would otherwise shadow itself to a degree that depends on how the lattice of samples happens to
+/// lie.
 pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 pub(super) const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
 const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
-/// Numbers of a material.
+/// Number of values of a material.
 pub(super) const MATERIAL: usize = 7;
-/// Place of the reflectance among them.
+/// Index of the reflectance among them.
 pub(super) const REFLECTANCE: usize = 4;
-/// Place of the refractive index. What stands here and behind is not mixed by blends: the larger operand's counts.
+/// Index of the refractive index. Blends do not mix the values from here on: they take those of the largest operand.
 pub(super) const REFRACTIVE_INDEX: usize = 5;
-/// Place of the number of the leaf.
+/// Index of the leaf number.
 pub(super) const LEAF: usize = 6;
 
-/// What of a node is looked at, besides its opacity.
+/// Which outputs of a node are required besides its opacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RequiredOutputs {
     pub(super) color: bool,
     pub(super) normal: bool,
     /// The signed distance to the boundary that the shading vector belongs to.
     pub(super) boundary: bool,
-    /// Shading vector and boundary around the object, where its opacity is 0: it is taken away from something.
+    /// Shading vector and boundary also around the object, where its opacity is 0: it is subtracted from another.
     pub(super) outside: bool,
     pub(super) material: bool,
     /// A bit for each named attribute.
@@ -53,7 +55,7 @@ impl RequiredOutputs {
     }
 }
 
-/// How opacity is written: maxima and minima are the same in both, and rays need the second in the end.
+/// How opacity is expressed. Maxima and minima are the same in both measures; rays need optical depths in the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Measure {
     /// O, 0 to [`MAX_OPACITY`].
@@ -67,7 +69,7 @@ pub(super) enum Measure {
 pub(super) struct Live(pub(super) [u32; LANES]);
 
 impl Live {
-    /// All samples of the lanes given.
+    /// All samples of `lanes`.
     pub(super) fn of(lanes: u64) -> Self {
         Self(std::array::from_fn(|lane| if lanes >> lane & 1 == 1 { u32::MAX } else { 0 }))
     }
@@ -77,7 +79,8 @@ impl Live {
     }
 }
 
-/// What every sample of a scene has, where it is the same for all; then samples need no rows of it.
+/// Outputs that are the same for all samples of a scene; samples then need no rows for them. `None` if samples may
+/// differ.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Constants {
     /// Linear light.
@@ -103,20 +106,20 @@ pub(super) type Rows = Vec<SampleRow>;
 /// One node at the samples of a slab.
 #[derive(Debug)]
 pub(super) struct NodeSamples {
-    /// Lanes whose rows hold anything; everywhere else the opacity is 0 and the boundary far.
+    /// Lanes whose rows are valid; in all others the opacity is 0 and the boundary infinitely far.
     pub(super) touched: u64,
-    /// As the node's [`Measure`] says.
+    /// In the node's [`Measure`].
     pub(super) opacity: Rows,
     /// Linear light.
     pub(super) color: [Rows; 3],
-    /// Of length one or zero, world space.
+    /// Of length one or zero; world space.
     pub(super) normal: [Rows; 3],
-    /// World space, negative inside.
+    /// Signed distance, negative inside; world space.
     pub(super) boundary: Rows,
     pub(super) material: [Rows; MATERIAL],
     /// Named attributes, by their numbers in the program.
     pub(super) attributes: Vec<Rows>,
-    /// While a blend is summed: its largest operand so far, whose refractive index is the blend's.
+    /// While a blend is summed: the opacity of its largest operand so far, whose refractive index the blend takes.
     pub(super) largest: Rows,
 }
 
@@ -137,7 +140,7 @@ impl NodeSamples {
         }
     }
 
-    /// Bytes that one takes.
+    /// Bytes of one block.
     pub(super) fn bytes(required: RequiredOutputs) -> usize {
         let kinds = [required.color, required.normal, required.boundary, required.material].map(usize::from);
         let attributes = required.attributes.count_ones() as usize;
@@ -146,7 +149,7 @@ impl NodeSamples {
             * size_of::<SampleRow>()
     }
 
-    /// Says that nothing is there, in a lane that others look at nevertheless.
+    /// Makes a lane valid but empty: opacity and shading vector 0, boundary infinitely far.
     pub(super) fn clear_lane(&mut self, lane: usize, required: RequiredOutputs) {
         self.touched |= 1 << lane;
         self.opacity[lane] = ZERO;
@@ -176,7 +179,7 @@ impl NodeSamples {
         each_lane(from.touched, |lane| self.copy_lane(from, lane, required));
     }
 
-    /// The rows besides the opacity that are looked at, of this and of another.
+    /// The required rows besides the opacity, of this block and of another.
     pub(super) fn selected<'b>(
         &'b mut self,
         other: &'b Self,
@@ -197,7 +200,7 @@ impl NodeSamples {
         self.narrowed(live, true, |o| o < most)
     }
 
-    /// Samples of `live` where there is anything.
+    /// Samples of `live` that are not empty.
     pub(super) fn not_empty(&self, live: &Live) -> Live {
         self.narrowed(live, false, |o| o > 0.0)
     }
@@ -221,7 +224,7 @@ impl NodeSamples {
         narrowed
     }
 
-    /// Rewrites opacities.
+    /// Converts opacities from one measure to another.
     pub(super) fn measure(&mut self, from: Measure, to: Measure, simd: SimdLevel) {
         if from == to {
             return;
@@ -236,7 +239,7 @@ impl NodeSamples {
     }
 }
 
-/// Most that a measure reaches.
+/// The largest value of a measure.
 fn most(measure: Measure) -> f32 {
     match measure {
         Measure::Opacity => MAX_OPACITY as f32,
@@ -244,11 +247,11 @@ fn most(measure: Measure) -> f32 {
     }
 }
 
-/// Vectors become of length one, or stay zero.
+/// Scales vectors to length one; zero vectors stay zero.
 #[inline(always)]
 pub(super) fn normalize(x: &mut SampleRow, y: &mut SampleRow, z: &mut SampleRow) {
     for j in 0..SLAB_SAMPLES {
-        // In units of its largest component, so that its length can be squared however small or large it is.
+        // Relative to the largest component, so that squaring can neither overflow nor underflow to zero.
         let largest = x.0[j].abs().max(y.0[j].abs()).max(z.0[j].abs());
         let fits = (f32::MIN_POSITIVE..f32::INFINITY).contains(&largest);
         let unit = if fits { 1.0 / largest } else { 0.0 };
@@ -272,7 +275,7 @@ fn opacity(row: &mut SampleRow) {
     }
 }
 
-/// The numbers of the bits that are set.
+/// The indices of the bits that are set.
 #[inline(always)]
 pub(super) fn numbers(mut bits: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
@@ -284,7 +287,7 @@ pub(super) fn numbers(mut bits: u32) -> impl Iterator<Item = usize> {
     })
 }
 
-/// Calls `f` with every lane of a mask.
+/// Calls `f` for every lane of a mask.
 #[inline(always)]
 pub(super) fn each_lane(mut lanes: u64, mut f: impl FnMut(usize)) {
     while lanes != 0 {

@@ -1,4 +1,4 @@
-//! How operators combine what nodes make at the samples of a slab.
+//! How operators combine what nodes yield at the samples of a slab.
 
 use super::node_samples::{
     MATERIAL, NodeSamples, REFRACTIVE_INDEX, RequiredOutputs, ZERO, each_lane, normalize, numbers,
@@ -7,7 +7,7 @@ use crate::field::{SLAB_SAMPLES, SampleRow};
 use crate::scene::MAX_OPACITY;
 
 impl NodeSamples {
-    /// Union with the child that comes next.
+    /// Union with the next child.
     pub(super) fn unite(&mut self, other: &Self, required: RequiredOutputs) {
         each_lane(other.touched, |lane| {
             if self.touched >> lane & 1 == 0 {
@@ -27,7 +27,7 @@ impl NodeSamples {
         });
     }
 
-    /// Intersection of children, in their order. Rows of the first become those of the result.
+    /// Intersection of children, in their order. The result replaces the rows of the first.
     pub(super) fn intersect(children: &mut [Self], required: RequiredOutputs) {
         let Some((first, others)) = children.split_first_mut() else { return };
         let common = others.iter().fold(first.touched, |touched, other| touched & other.touched);
@@ -44,7 +44,7 @@ impl NodeSamples {
                 take(&mut largest, &o, takes);
                 let mut takes = bits_where(|j| o.0[j] < least.0[j]);
                 if required.outside {
-                    // Where both are outside, the boundary that lies farther is the intersection's.
+                    // Outside both, the farther boundary is the intersection's.
                     let (s, t) = (first.boundary[lane], other.boundary[lane]);
                     takes |= bits_where(|j| o.0[j] == 0.0 && least.0[j] == 0.0 && t.0[j] > s.0[j]);
                 }
@@ -58,7 +58,7 @@ impl NodeSamples {
         first.touched = common;
     }
 
-    /// Takes another away. Boundaries of it that are farther than `reach_world` light nothing.
+    /// Subtracts another. Its boundaries farther than `reach_world` do not affect shading.
     pub(super) fn subtract(&mut self, other: &Self, required: RequiredOutputs, reach_world: f32) {
         each_lane(self.touched & other.touched, |lane| {
             let b = other.opacity[lane];
@@ -78,8 +78,8 @@ impl NodeSamples {
         });
     }
 
-    /// Adds another, of a blend; [`finish_blend`](Self::finish_blend) follows the last. Until then attributes and shading
-    /// vectors are sums.
+    /// Adds an operand of a blend; call [`finish_blend`](Self::finish_blend) after the last. Until then attributes and
+    /// shading vectors are weighted sums.
     pub(super) fn add(&mut self, other: &Self, required: RequiredOutputs, first: bool) {
         if first {
             self.touched = 0;
@@ -189,7 +189,7 @@ mod tests {
         attributes: 0b101,
     };
 
-    /// One lane of opacities of few values, so that ties are common, each with a colour that tells where it is from.
+    /// One lane of opacities from a few values, so that ties are common, with a colour that tells the operands apart.
     fn samples() -> impl Strategy<Value = NodeSamples> {
         let opacity = prop::sample::select(vec![0.0, 0.25, 0.5, 0.75, MAX_OPACITY as f32]);
         (prop::collection::vec(opacity, SLAB_SAMPLES), 0.0_f32..1.0).prop_map(|(opacities, color)| {
@@ -240,7 +240,7 @@ mod tests {
         if samples.touched == 1 { samples.opacity[0].0 } else { [0.0; SLAB_SAMPLES] }
     }
 
-    /// Colours and an attribute where there is anything.
+    /// Colours and an attribute where the opacity is not 0.
     fn attributes(samples: &NodeSamples) -> Vec<Option<(f32, f32)>> {
         let both = |j: usize| (samples.color[0][0].0[j], samples.attributes[2][0].0[j]);
         (0..SLAB_SAMPLES).map(|j| (opacities(samples)[j] > 0.0).then(|| both(j))).collect()

@@ -1,4 +1,5 @@
-//! The rays under a tile of pixels, packet by packet, and each packet slab after slab: the loop that all time goes into.
+//! Traces the rays of a tile, packet by packet, and each packet slab by slab: the loop that takes nearly all of the
+//! time.
 
 use std::ops::Range;
 
@@ -28,23 +29,23 @@ pub(super) struct PacketTracer<'a> {
     counts: RenderCounts,
 }
 
-/// More rays than this, of one generation and the next, are not held at a time where they are of several pixels.
+/// Most rays, of one generation and the next, that are held at a time if they belong to several pixels.
 const MOST_RAYS: usize = 2048;
-/// Bytes for each of them: here twice, what it comes to, and its place in a packet.
+/// Bytes for each of them: the ray twice, its result, and its place in a packet.
 const RAY_BYTES: usize = 3 * size_of::<(usize, TreeRay)>();
 
-/// The most that the rays under a tile take.
+/// The most bytes that the rays of a tile take.
 pub(super) fn tree_bytes(max_depth: u32) -> u64 {
     ((MOST_RAYS + LANES).max(2 * most_rays_of_a_pixel(max_depth)) * RAY_BYTES) as u64
 }
 
-/// One generation of rays, and the next. Kept from tile to tile: memory taken and freed in between pages crumbles the
-/// allocator's, and the process would exceed its budget.
+/// One generation of rays, and the next. Kept from tile to tile: allocating and freeing it in between pages would
+/// fragment the heap, and the process would exceed its budget.
 #[derive(Default)]
 struct Tree {
     rays: Vec<TreeRay>,
     ends: Vec<End>,
-    /// Each with the number of the ray that it follows.
+    /// Each with the index of the ray that it comes from.
     next: Vec<(usize, TreeRay)>,
 }
 
@@ -52,15 +53,15 @@ struct Tree {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Traced {
     Whole,
-    /// Too many follow.
+    /// Stopped, because too many rays follow.
     TooMany,
 }
 
-/// What a ray has come to.
+/// The result of a ray.
 #[derive(Clone, Copy, Default)]
 struct End {
     color: [f32; 3],
-    /// What it sees of what lies behind everything.
+    /// The fraction of the background that it sees.
     open: f64,
 }
 
@@ -83,18 +84,18 @@ impl<'a> PacketTracer<'a> {
         self.counts
     }
 
-    /// Forgets what has been counted since `counts`: the tile is deferred.
+    /// Resets the counts to `counts` and counts a deferred tile.
     pub(super) fn deferred(&mut self, counts: RenderCounts) {
         self.counts = RenderCounts { deferred: counts.deferred + 1, ..counts };
     }
 
-    /// What is known of the pixels of a tile, to which the rays traced from the eye belong.
+    /// The layers of the tile that is being traced, if they are requested.
     pub(super) fn layers(&mut self) -> Option<&mut Layers> {
         self.layers.as_mut()
     }
 
-    /// Traces rays from the eye, at most 64, each with its sample offset, and what they become. Returns what they see,
-    /// place by place.
+    /// Traces at most 64 primary rays, each with its sample offset, and the rays that follow from them. Returns what
+    /// each of them sees, in the order of `rays`.
     pub(super) fn trace(
         &mut self,
         access: Access<'_>,
@@ -108,7 +109,7 @@ impl<'a> PacketTracer<'a> {
         Ok(seen.map(|seen| seen.pixel(self.world.background)))
     }
 
-    /// Traces some of the rays from the eye: together, or half of them at a time where too many would follow.
+    /// Traces some of the primary rays: together, or half of them at a time if too many rays would follow.
     fn pixels(
         &mut self,
         access: Access<'_>,
@@ -121,7 +122,8 @@ impl<'a> PacketTracer<'a> {
         tree.rays.clear();
         tree.rays.extend(pixels.clone().map(|pixel| TreeRay::primary(rays[pixel].0, rays[pixel].1, pixel)));
         let mut outcome = Ok(Traced::Whole);
-        // One generation after another, and each ray's light in its turn: sums do not depend on who travelled with whom.
+        // Generation by generation, adding the light of rays in their order: sums do not depend on how rays form
+        // packets.
         while !tree.rays.is_empty() && matches!(outcome, Ok(Traced::Whole)) {
             outcome = self.generation(access, &mut tree, seen, pixels.len());
         }
@@ -136,7 +138,7 @@ impl<'a> PacketTracer<'a> {
         self.pixels(access, rays, middle..pixels.end, seen)
     }
 
-    /// Traces the rays of one generation, of so many pixels, and makes the next of those that follow them.
+    /// Traces one generation of rays, which belong to `pixels` pixels, and makes the next one from their successors.
     fn generation(
         &mut self,
         access: Access<'_>,
@@ -162,7 +164,7 @@ impl<'a> PacketTracer<'a> {
         Ok(Traced::Whole)
     }
 
-    /// Which rays travel together, and their step.
+    /// Groups rays into packets: the step and the members of each.
     fn packets(&self, access: Access<'_>, rays: &[TreeRay]) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
         let places: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
         let steps = &self.world.steps;
@@ -187,7 +189,7 @@ impl<'a> PacketTracer<'a> {
         Ok(packets)
     }
 
-    /// Traces one packet; says what its rays came to, and which follow.
+    /// Traces one packet; stores the results of its rays in `ends` and their successors in `next`.
     fn packet(
         &mut self,
         access: Access<'_>,
@@ -230,8 +232,8 @@ impl<'a> PacketTracer<'a> {
         Ok(())
     }
 
-    /// Slab after slab, front to back, until all rays are opaque or nothing is left ahead. Returns the lanes of rays in
-    /// whose place others go on. Rays from the eye belong to `pixels` of the tile.
+    /// Traces a packet slab by slab, front to back, until all rays have ended or nothing is left ahead. Returns the
+    /// lanes of rays that successors have replaced. `pixels` are the pixels of primary rays; `None` for other rays.
     fn pass(
         &mut self,
         access: Access<'_>,
@@ -301,11 +303,11 @@ impl<'a> PacketTracer<'a> {
     }
 }
 
-/// What is seen through a place of the picture.
+/// What is seen at a place of the picture.
 #[derive(Clone, Copy, Default)]
 struct Seen {
     color: [f32; 3],
-    /// What of the background is seen.
+    /// The fraction of the background that is seen.
     open: f64,
 }
 

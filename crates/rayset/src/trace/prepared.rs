@@ -1,4 +1,4 @@
-//! A scene compiled for tracing, and what lives as long as it does: its programs, and the tables of its shadows.
+//! A scene compiled for tracing, with everything that lives as long as it does: its programs and its shadow tables.
 
 use std::sync::Arc;
 
@@ -6,17 +6,17 @@ use super::engine::{Engine, Reservation};
 use super::world::World;
 use crate::scene::RenderSettings;
 
-/// A scene that is ready to be looked at, any number of times and from several threads. Cheap to clone.
+/// A scene that is ready to be rendered, any number of times and from several threads. Cheap to clone.
 ///
-/// Cached shadows are made as views need them and kept, inside the session's budget, as long as this lives.
+/// Cached shadows are computed as views need them and kept, within the session's budget, as long as this value lives.
 #[derive(Clone, Debug)]
 pub struct PreparedScene(pub(super) Arc<Prepared>);
 
-/// What views share.
+/// The state that all views of a scene share.
 pub(super) struct Prepared {
     pub(super) world: World,
     pub(super) settings: RenderSettings,
-    // Given back before the session goes.
+    // Declared before `engine`, and so released before it.
     _reservation: Option<Reservation>,
     pub(super) engine: Arc<Engine>,
 }

@@ -1,4 +1,4 @@
-//! Fields in closed form as volume objects in the world.
+//! Procedural fields, given in closed form, as volume objects in the world.
 
 use std::sync::Arc;
 
@@ -10,17 +10,17 @@ use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::scene::{MAX_OPACITY, Procedural, ProceduralSample, largest_stretch};
 
-/// A field where the graph puts it.
+/// A field as the scene graph places it in the world.
 pub(super) struct ProceduralVolume {
     field: Arc<dyn Procedural>,
     local_from_world: DAffine3,
-    /// Takes local gradients to the world.
+    /// Transforms gradients from local space to world space.
     world_gradient: DMat3,
     bounds_local: Aabb,
-    /// How far around the bounds boundaries are looked for, where they are wanted; local space.
+    /// How far outside the bounds the field is sampled if its boundary is required there; local space.
     reach_local: f64,
     pub(super) material: [f32; MATERIAL],
-    /// The place among the field's own of each of the program's attributes, where the field has it.
+    /// For each of the program's attributes, its index among those of the field, if the field has it.
     named: Vec<Option<usize>>,
 }
 
@@ -43,18 +43,18 @@ impl ProceduralVolume {
         }
     }
 
-    /// Says the names of the program's attributes.
+    /// Sets the names of the program's attributes.
     pub(super) fn carry(&mut self, names: &[Arc<str>]) {
         let own = self.field.attributes();
         self.named = names.iter().map(|name| own.iter().position(|own| *own == &**name)).collect();
     }
 
-    /// A length over which the field changes along a ray, world space.
+    /// The length over which the field changes along a ray; world space.
     pub(super) fn detail_world(&self, ray: &Ray) -> f64 {
         self.field.detail() / self.local_from_world.transform_vector3(ray.direction).length()
     }
 
-    /// The longest of those along any ray.
+    /// The largest such length along any ray.
     pub(super) fn largest_detail_world(&self) -> f64 {
         self.field.detail() * largest_stretch(&self.local_from_world.inverse())
     }
@@ -136,7 +136,7 @@ impl ProceduralVolume {
                     }
                 }
                 if required.boundary {
-                    // First order: exact where the implicit function is a distance.
+                    // A first-order estimate, exact if the implicit function is a distance.
                     out.boundary[lane].0[j] = (sample.implicit / length) as f32;
                 }
             }

@@ -29,27 +29,27 @@ pub(super) enum Action {
     Operator(Operator, Vec<usize>),
 }
 
-/// One node of the graph, in one place of the world.
+/// One node of the graph, at one place in the world.
 pub(super) struct Instruction {
     pub(super) action: Action,
-    /// Outside, nothing of it is ever looked at; world space.
+    /// Nothing outside of these is ever evaluated; world space.
     pub(super) bounds: Aabb,
     pub(super) required: RequiredOutputs,
-    /// How its opacity is written before its transfer functions, and after them.
+    /// How its opacity is expressed before and after its transfer functions.
     pub(super) measures: (Measure, Measure),
     pub(super) transfers: Vec<CompiledTransfer>,
-    /// How many other instructions need it.
+    /// Number of its uses: by other instructions, or as the root.
     pub(super) uses: u32,
-    /// The colour that every sample has, if so; linear light.
+    /// The colour of all samples, if it is the same; linear light.
     color: Option<[f32; 3]>,
 }
 
-/// What of a scene a program makes.
+/// What a program computes of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// Colours, lit.
     Picture,
-    /// The same, and everything that layers tell.
+    /// The same, and everything that layers record.
     Layers,
     /// Nothing but opacities, for shadows.
     Shadow,
@@ -59,22 +59,23 @@ pub(super) enum Purpose {
 pub(super) struct Program {
     /// The last is the root.
     pub(super) instructions: Vec<Instruction>,
-    /// What any instruction wants.
+    /// Every output that any instruction requires.
     pub(super) required: RequiredOutputs,
-    /// Boundaries farther from a cut than this do not light it; world space.
+    /// The boundary of a subtracted object does not affect the shading of samples farther from it than this; world
+    /// space.
     pub(super) reach: f64,
-    /// What every sample has.
+    /// Outputs that all samples share.
     pub(super) constants: Constants,
     pub(super) simd: SimdLevel,
 }
 
-/// What a node becomes: what it does, its bounds in the world, and the colour that every sample of it has, if so.
+/// A compiled node: its action, its bounds in the world, and the colour of all its samples, if it is the same.
 type Compiled = (Action, Aabb, Option<[f32; 3]>);
 
-/// A node in one place of the world, of one material.
+/// A node with its transform to the world and the index of its material.
 type Key = (*const Node, [u64; 12], usize);
 
-/// An upper bound of what a place of the graph takes in a program, besides tables and lists of the node's own.
+/// An upper bound on the bytes that a place of the graph takes in a program, besides the node's own tables and lists.
 pub(super) const PLACE_BYTES: u64 = {
     let largest = {
         let (cloud, grid, field) =
@@ -82,7 +83,7 @@ pub(super) const PLACE_BYTES: u64 = {
         let files = if cloud > grid { cloud } else { grid };
         if files > field { files } else { field }
     };
-    // Lists and tables are doubled while they grow, and a parent knows each child.
+    // Lists and tables double as they grow, and a parent refers to each child.
     (2 * size_of::<Instruction>() + 2 * size_of::<(Key, usize)>() + largest + 4 * size_of::<usize>()) as u64
 };
 
@@ -96,7 +97,7 @@ struct Compiler<'s> {
     names: Vec<Arc<str>>,
     /// Every material that is used, each once.
     materials: Vec<[f32; MATERIAL]>,
-    /// Leaves so far, where their numbers are wanted.
+    /// Number of leaves so far, if leaf numbers are required.
     leaves: Option<u32>,
 }
 
@@ -104,7 +105,7 @@ impl Program {
     /// Compiles a scene that has been checked.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] where a cloud of it has no pages.
+    /// [`RenderError::Setting`] if a cloud or grid of the scene is not open in `paged`.
     pub(super) fn compile(
         scene: &Scene,
         purpose: Purpose,
@@ -124,7 +125,7 @@ impl Program {
         self.instructions.len() - 1
     }
 
-    /// What its materials do to the direction of rays.
+    /// How its materials change the direction of rays.
     pub(super) fn turns(&self) -> ScatterKinds {
         ScatterKinds::of(&used_materials(&self.instructions))
     }
@@ -134,19 +135,19 @@ impl Program {
         if let Action::Cloud(volume) = &self.instructions[at].action { Some(volume) } else { None }
     }
 
-    /// Its clouds, each with the place of its instruction.
+    /// Its clouds, each with the index of its instruction.
     pub(super) fn clouds(&self) -> impl Iterator<Item = (usize, &CloudVolume)> + Clone {
         (0..self.instructions.len()).filter_map(|at| self.cloud(at).map(|volume| (at, volume)))
     }
 }
 
-/// A file of the scene was not opened.
+/// The error for a file of the scene that was not opened.
 fn not_paged(path: &std::path::Path) -> RenderError {
     RenderError::Setting { setting: "scene", what: format!("{} is in no working set", path.display()) }
 }
 
 impl Compiler<'_> {
-    /// The number of a material.
+    /// The index of a material, which is added if it is new.
     fn material(&mut self, material: &Material) -> usize {
         let mut numbers = [0.0; MATERIAL];
         let given = material.to_array().map(|v| v as f32);
@@ -158,7 +159,7 @@ impl Compiler<'_> {
         })
     }
 
-    /// The numbers of the material of a leaf, with its own where that is wanted.
+    /// The values of the material of a leaf, with the number of the leaf if it is required.
     fn of_leaf(&mut self, material: usize, shape: &Shape) -> [f32; MATERIAL] {
         let mut numbers = self.materials[material];
         if let Some(leaves) = self.leaves.as_mut().filter(|_| !matches!(shape, Shape::Operator(..))) {
@@ -168,7 +169,8 @@ impl Compiler<'_> {
         numbers
     }
 
-    /// Adds a node and what it needs; returns its place. The material counts where the node has none.
+    /// Adds a node and what it needs; returns the index of its instruction. `material` applies if the node has none of
+    /// its own.
     fn add(
         &mut self,
         node: &Arc<Node>,
@@ -265,7 +267,8 @@ impl Compiler<'_> {
         Ok((Action::Operator(operator, children), bounds, first.filter(|_| same)))
     }
 
-    /// What is taken away where nothing is, and farther from it than boundaries light, is left out.
+    /// Leaves out subtracted objects that are so far from the first operand that they neither cut it nor affect its
+    /// shading.
     fn drop_unreachable_subtrahends(
         &self,
         operator: Operator,
@@ -280,7 +283,7 @@ impl Compiler<'_> {
             let meets = !self.instructions[child].bounds.intersection(reached).is_empty();
             std::mem::take(&mut first) || meets
         });
-        // One thing alone is its own union, which needs no sums.
+        // A single operand is its own union, which is cheaper to evaluate.
         (if children.len() == 1 { Operator::Union } else { operator }, children)
     }
 
@@ -293,7 +296,7 @@ impl Compiler<'_> {
         }
     }
 
-    /// Passes down, from the root, what is wanted of each instruction.
+    /// Passes the required outputs down from the root to each instruction.
     fn finish(mut self, purpose: Purpose) -> Program {
         let used = used_materials(&self.instructions);
         let material = if used.len() == 1 { used.first().copied() } else { None };
@@ -352,7 +355,7 @@ impl Compiler<'_> {
         measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
         let reads_color = transfers.iter().any(|t| matches!(t.input, Input::Color(_)));
         let makes_color = transfers.iter().any(CompiledTransfer::makes_color);
-        // Rows are there for both what goes in and what comes out.
+        // Rows are required both for the inputs and for the outputs of transfer functions.
         required.color |= reads_color;
         required.attributes =
             transfers.iter().fold(required.attributes, |bits, t| bits | t.input.attributes());
@@ -386,7 +389,7 @@ impl Compiler<'_> {
     }
 }
 
-/// The materials of leaves, each once, whichever leaves they are of.
+/// The distinct materials of leaves, apart from leaf numbers.
 fn used_materials(instructions: &[Instruction]) -> Vec<[f32; MATERIAL]> {
     let mut used: Vec<[f32; MATERIAL]> = Vec::new();
     for instruction in instructions {

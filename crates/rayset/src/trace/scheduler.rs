@@ -1,28 +1,28 @@
 //! The threads of a session, and the renders that they share.
 //!
-//! A thread works on one render at a time and goes from tile to tile. It goes to the render with the fewest threads, and
-//! leaves its own where another has waited for a while without any: so two renders on one thread take turns.
+//! A thread works on one render at a time, tile by tile. It joins the render with the fewest threads, and after a while
+//! leaves it if another render has work and no thread: so two renders on one thread take turns.
 
 use std::io;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long a thread stays with a render while another has none: long beside what it costs to begin again.
+/// How long a thread stays with a render while another has no thread: long compared to the cost of starting again.
 const TURN: Duration = Duration::from_millis(20);
 
-/// What threads share: a render.
+/// A task that threads share: a render.
 pub(super) trait Task: Send + Sync {
-    /// Whether there is something to do for another thread.
+    /// Whether there is work for another thread.
     fn has_work(&self) -> bool;
 
-    /// A thread is about to work on this.
+    /// Called when a thread is about to work on this.
     fn entered(&self);
 
-    /// Works on it, until nothing is left to do or the thread's turn is over.
+    /// Works on this task until nothing is left to do or the thread's turn is over.
     fn work(&self, turn: &Turn<'_>);
 
-    /// What is to be called when a thread has left, and has let go of this.
+    /// Returns what to call when a thread has left this task and released it.
     fn when_left(&self) -> Box<dyn FnOnce()>;
 }
 
@@ -73,7 +73,7 @@ impl Scheduler {
             let thread = std::thread::Builder::new().name("rayset-trace".into()).spawn(move || work(&shared));
             match thread {
                 Ok(thread) => scheduler.threads.push(thread),
-                // Fewer will do.
+                // Fewer threads will do.
                 Err(_) if !scheduler.threads.is_empty() => break,
                 Err(error) => return Err(error),
             }
@@ -81,7 +81,7 @@ impl Scheduler {
         Ok(scheduler)
     }
 
-    /// Has the threads work on a render until what this returns is dropped.
+    /// Lets the threads work on a render until the returned value is dropped.
     pub(super) fn add(&self, task: Arc<dyn Task>) -> Scheduled<'_> {
         self.shared.lock().tasks.push(Entry { task: task.clone(), threads: 0 });
         self.shared.changed.notify_all();
@@ -94,7 +94,7 @@ impl Drop for Scheduler {
         self.shared.lock().closed = true;
         self.shared.changed.notify_all();
         for thread in self.threads.drain(..) {
-            // The last to hold an engine may be one of its own threads.
+            // The last owner of an engine may be one of its own threads, which cannot join itself.
             if thread.thread().id() != std::thread::current().id() {
                 let _ = thread.join();
             }
@@ -109,7 +109,7 @@ pub(super) struct Scheduled<'a> {
 }
 
 impl Scheduled<'_> {
-    /// There may be something to do again for threads that found nothing.
+    /// Wakes idle threads: there may be work for them again.
     pub(super) fn call_threads(&self) {
         self.shared.call_threads();
     }
@@ -121,20 +121,20 @@ impl Drop for Scheduled<'_> {
     }
 }
 
-/// A thread's place at a render.
+/// A thread's turn at a render.
 pub(super) struct Turn<'a> {
     shared: &'a Shared,
     since: Instant,
 }
 
 impl Turn<'_> {
-    /// Whether the thread is to leave: another render has waited for one.
+    /// Whether the thread is to leave: its turn has been long enough, and another render has work but no thread.
     pub(super) fn is_over(&self) -> bool {
         self.since.elapsed() > TURN
             && self.shared.lock().tasks.iter().any(|entry| entry.threads == 0 && entry.task.has_work())
     }
 
-    /// There is something to do again for threads that found nothing.
+    /// Wakes idle threads: there is work for them again.
     pub(super) fn call_others(&self) {
         self.shared.call_threads();
     }
@@ -154,7 +154,7 @@ fn work(shared: &Shared) {
     }
 }
 
-/// Waits for a render that has work, and takes a place at the one with the fewest threads; `None` at the end.
+/// Waits for a render that has work, and joins the one with the fewest threads; `None` if the scheduler is closed.
 fn next_task(shared: &Shared) -> Option<Arc<dyn Task>> {
     let mut state = shared.lock();
     loop {

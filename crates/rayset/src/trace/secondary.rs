@@ -1,12 +1,13 @@
-//! Rays that start anywhere: which of them travel together.
+//! Grouping of rays with arbitrary origins into coherent packets.
 
 use crate::field::SLAB_SAMPLES;
 use crate::geometry::{Aabb, DVec3, Ray};
 
-/// A packet whose bound over a slab exceeds its lanes' own extent by more than this is split.
+/// A packet is split if its bound over a slab is more than this many times as long as the slab of a single ray.
 const MOST_SPREAD: f64 = 4.0;
 
-/// Splits rays, given by their places, until each group's are close to each other over their first slab.
+/// Splits `members`, which are indices into `rays`, until the rays of each group are close together over their first
+/// slab.
 pub(super) fn coherent_groups(rays: &[(Ray, f64)], members: &[usize], step: f64) -> Vec<Vec<usize>> {
     let length = step * SLAB_SAMPLES as f64;
     let mut done = Vec::new();
@@ -21,7 +22,7 @@ pub(super) fn coherent_groups(rays: &[(Ray, f64)], members: &[usize], step: f64)
             done.push(group);
             continue;
         }
-        // In halves, along the axis on which their middles are farthest apart.
+        // Split in halves along the axis on which the midpoints of the first slabs are farthest apart.
         let middle = |i: usize| rays[i].0.at(0.5 * length);
         let mut middles = Aabb::EMPTY;
         group.iter().for_each(|&i| middles.include(middle(i)));

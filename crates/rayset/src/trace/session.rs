@@ -1,4 +1,4 @@
-//! What outlives scenes and pictures: pages in memory, open files, threads.
+//! Sessions hold what outlives scenes and pictures: pages in memory, open files, threads.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,7 +17,7 @@ use crate::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 /// Pages in memory within a budget, the files that they come from, and the threads that trace. Cheap to clone.
 ///
-/// Any number of scenes can be prepared and rendered at a time, from any threads.
+/// Any number of scenes can be prepared and rendered at the same time, from any thread.
 #[derive(Clone)]
 pub struct Session(Arc<Engine>);
 
@@ -51,8 +51,8 @@ impl Default for SessionBuilder {
 }
 
 impl SessionBuilder {
-    /// What the session may allocate for everything it does, in bytes: pages, compiled scenes, tables of shadows, scratch
-    /// memory of threads. Pictures are the caller's. 1 GiB by default.
+    /// Budget for all memory that the session allocates, in bytes: pages, compiled scenes, shadow tables, scratch
+    /// memory of threads. Pictures belong to the caller and are not included. 1 GiB by default.
     pub fn memory(mut self, bytes: u64) -> Self {
         (self.memory_bytes, self.page_limits) = (bytes, None);
         self
@@ -64,38 +64,38 @@ impl SessionBuilder {
         self
     }
 
-    /// Threads that trace; as many as there are processors by default.
+    /// Number of threads that trace rays; the number of processors by default.
     pub fn threads(mut self, threads: usize) -> Self {
         self.exec.threads = threads.max(1);
         self
     }
 
-    /// How pages are read: io_uring where the system has it, else a pool of threads, by default.
+    /// How pages are read. By default with io_uring if the system has it, otherwise with a pool of threads.
     pub fn io(mut self, kind: BackendKind) -> Self {
         self.io = kind;
         self
     }
 
-    /// Whether files are read past the system's page cache; not by default.
+    /// Whether files are read with direct I/O, bypassing the system's page cache; `false` by default.
     pub fn direct(mut self, direct: bool) -> Self {
         self.exec.direct = direct;
         self
     }
 
-    /// Adds a time to every read, as a distant disk would.
+    /// Adds a delay to every read, to simulate slow storage.
     pub fn read_delay(mut self, delay: Duration) -> Self {
         self.read_delay = delay;
         self
     }
 
-    /// What brings pages in before they are needed; [`Prediction::Packet`] by default.
+    /// How pages are predicted and prefetched before they are needed; [`Prediction::Packet`] by default.
     pub fn prediction(mut self, prediction: Prediction) -> Self {
         self.exec.predictor = prediction.predictor();
         self
     }
 
-    /// Vector instructions; the best that the processor has by default. Those with and without fused multiply–add differ
-    /// in last bits of a picture.
+    /// Vector instruction set; the best that the processor has by default. Pictures with and without fused multiply–add
+    /// differ in the last bits.
     pub fn simd(mut self, simd: SimdLevel) -> Self {
         self.exec.simd = simd;
         self
@@ -107,17 +107,18 @@ impl SessionBuilder {
         self
     }
 
-    /// Samples of a ray that are worked on at a time, 1 to 32; 32 by default.
+    /// Samples of a ray in a slab, which are evaluated together, 1 to 32; 32 by default.
     pub fn slab_samples(mut self, samples: usize) -> Self {
         self.exec.slab_samples = samples;
         self
     }
 
-    /// Starts the threads.
+    /// Creates the session and starts its threads.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] where tiles or slabs are out of range, [`RenderError::Io`] where there is no io_uring and
-    /// it was asked for, [`RenderError::Threads`] where the system gives no thread.
+    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of range,
+    /// [`RenderError::Io`] if io_uring is requested but not available, [`RenderError::Threads`] if the system cannot
+    /// start a thread.
     pub fn build(self) -> Result<Session, RenderError> {
         let mut backend = read::backend(self.io).map_err(RenderError::Io)?;
         if !self.read_delay.is_zero() {
@@ -132,26 +133,27 @@ impl SessionBuilder {
 }
 
 impl Session {
-    /// Begins with default settings: a gibibyte of memory, all processors.
+    /// A builder with default settings: 1 GiB of memory and as many threads as processors.
     pub fn builder() -> SessionBuilder {
         SessionBuilder::default()
     }
 
-    /// Over a working set, and files that are open already.
+    /// Creates a session over a working set and files that are already open.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] where tiles or slabs are out of range, [`RenderError::Threads`] where the system gives no
-    /// thread.
+    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of range,
+    /// [`RenderError::Threads`] if the system cannot start a thread.
     #[doc(hidden)]
     pub fn over(files: PagedFiles, exec: ExecSettings) -> Result<Self, RenderError> {
         Ok(Self(Arc::new(Engine::start(files, exec, None, String::new())?)))
     }
 
-    /// Compiles a scene: checks it, opens what files of it are not open yet, and makes everything that does not depend
-    /// on the camera. Of `settings`, the size is that of views for which none is given.
+    /// Compiles a scene: checks it, opens those of its files that are not open yet, and prepares everything that does
+    /// not depend on the camera. The size in `settings` is the default for views.
     ///
     /// # Errors
-    /// [`RenderError`] where the scene or a setting is invalid, or a file does not open.
+    /// [`RenderError`] if the scene or a setting is invalid, a file cannot be opened, or the session's memory is too
+    /// small.
     pub fn prepare(&self, scene: &Scene, settings: &RenderSettings) -> Result<PreparedScene, RenderError> {
         check(scene, settings)?;
         let mut files = self.0.files();
@@ -162,42 +164,42 @@ impl Session {
         Ok(PreparedScene::new(world, *settings, self.0.clone(), reservation))
     }
 
-    /// How pages are read, in words.
+    /// How pages are read, as text.
     #[must_use]
     pub fn io(&self) -> &str {
         &self.0.name_of_io
     }
 
-    /// What has been read, made and evicted since the session began, or since
+    /// Statistics of the pages read, computed and evicted since the session was created, or since
     /// [`reset_statistics`](Self::reset_statistics).
     #[must_use]
     pub fn statistics(&self) -> Statistics {
         self.0.pages.statistics()
     }
 
-    /// Counts from zero again; peaks start from what is in memory.
+    /// Resets the counts to zero; peaks start from what is now in memory.
     pub fn reset_statistics(&self) {
         self.0.pages.reset_statistics();
     }
 
-    /// Evicts every page that no render uses at this moment.
+    /// Evicts every page that is not retained by a render.
     pub fn evict_all(&self) {
         self.0.pages.clear();
     }
 
-    /// Bytes that pages may take at present.
+    /// The current budget for pages, in bytes.
     #[must_use]
     pub fn page_budget_bytes(&self) -> u64 {
         self.0.pages.budget_bytes()
     }
 
-    /// Threads that trace.
+    /// The configured number of threads that trace rays.
     #[must_use]
     pub fn threads(&self) -> usize {
         self.0.exec.threads
     }
 
-    /// Vector instructions in use.
+    /// The vector instruction set in use.
     #[must_use]
     pub fn simd(&self) -> SimdLevel {
         self.0.exec.simd
@@ -218,7 +220,7 @@ impl Session {
     }
 }
 
-/// One picture, with a session of its own.
+/// Renders one picture in a session of its own.
 ///
 /// # Errors
 /// As [`View::render`](super::View::render).

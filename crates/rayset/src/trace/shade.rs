@@ -1,4 +1,4 @@
-//! Light on samples: Blinn's local shading, two-sided, light by light.
+//! Shading of samples: Blinn's local model, two-sided, light by light.
 
 use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
@@ -8,17 +8,17 @@ use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::DVec3;
 use crate::scene::{Light, LightKind, Lighting};
 
-/// The lights of a scene, and what of samples is the same everywhere.
+/// The lights of a scene, and the outputs that all samples share.
 pub(super) struct Shader {
-    /// `None` if samples have the colours of their transfer functions.
+    /// `None` if the scene is unlit: samples then show the colours of their transfer functions.
     lights: Option<Vec<Light>>,
     constants: Constants,
 }
 
-/// For each light, how much of it reaches each sample; `None` for one that throws no shadows.
+/// For each light, the fraction of it that reaches each sample; `None` for a light that casts no shadows.
 pub(super) type ShadowRows = Vec<Option<Vec<SampleRow>>>;
 
-/// One sample, as light sees it.
+/// One sample, as a surface to be lit.
 struct Surface {
     color: [f32; 3],
     normal: [f32; 3],
@@ -36,12 +36,12 @@ impl Shader {
         Self { lights, constants }
     }
 
-    /// The one colour that every sample gives, if so: a ray's colour then follows from its transmittance.
+    /// The colour of all samples, if they share one and are unlit: a ray's colour then follows from its transmittance.
     pub(super) fn flat_color(&self) -> Option<[f32; 3]> {
         self.constants.color.filter(|_| self.lights.is_none())
     }
 
-    /// Adds the light of the samples that count to their rays.
+    /// Adds the light of the contributing samples to their rays.
     #[expect(clippy::too_many_arguments, reason = "one slab of one packet, its light, and where it goes")]
     pub(super) fn shade(
         &self,
@@ -81,7 +81,7 @@ impl Shader {
         });
     }
 
-    /// What the samples that it shades have in common.
+    /// The outputs that all shaded samples share.
     pub(super) fn constants(&self) -> &Constants {
         &self.constants
     }
@@ -139,17 +139,18 @@ fn lit(
     sum
 }
 
-/// The direction to a point light, and what is left of its light.
+/// The direction to a point light, and the factor by which its light has decayed.
 fn to_point(toward: DVec3, decays: bool) -> ([f32; 3], f32) {
     let distance_squared = toward.length_squared();
     let direction = toward.normalize_or(DVec3::Y).to_array().map(|v| v as f32);
-    // Held where an f32 can hold it: the light itself is infinitely bright.
+    // Clamped to a finite `f32`: at the light itself the factor would be infinite.
     let weakened = if decays { (1.0 / distance_squared).min(1e12) as f32 } else { 1.0 };
     (direction, weakened)
 }
 
 impl Surface {
-    /// What part of a light from a direction is scattered in the object's colour, and what in white.
+    /// The fraction of light from a direction that is scattered in the object's colour, and the fraction scattered in
+    /// white.
     fn scatter(&self, light: [f32; 3]) -> (f32, f32) {
         let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         if self.normal == [0.0; 3] {

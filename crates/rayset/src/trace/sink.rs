@@ -14,27 +14,28 @@ pub type SinkError = Box<dyn std::error::Error + Send + Sync>;
 #[derive(Clone, Copy, Debug)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct FinishedTile<'a> {
-    /// Where it is.
+    /// The tile's rectangle in the picture.
     pub tile: Tile,
-    /// The pass that has ended, from 0.
+    /// The pass that has ended, counted from 0.
     pub pass: u32,
-    /// How many there are: the tile is final after the last.
+    /// Number of passes: the tile is final after the last.
     pub passes: u32,
     /// Its pixels, row after row: red, green, blue (premultiplied, linear light) and opacity.
     pub pixels: &'a [[f32; 4]],
-    /// What else is known of each pixel, where it was asked for; else empty.
+    /// The layers of each pixel if they are requested, otherwise empty.
     pub layers: &'a [LayerPixel],
 }
 
 impl FinishedTile<'_> {
-    /// Whether no later pass will change it.
+    /// Whether the tile is final: no later pass will change it.
     #[must_use]
     pub fn is_final(&self) -> bool {
         self.pass + 1 == self.passes
     }
 }
 
-/// Takes tiles as they are finished, in any order, one at a time, on the thread that called for them. A closure does.
+/// Receives tiles as they are finished, in any order, one at a time, on the thread that called
+/// [`View::render`](super::View::render). Closures implement it.
 pub trait TileSink {
     /// A tile after one of its passes.
     ///
@@ -49,7 +50,7 @@ impl<F: FnMut(&FinishedTile<'_>) -> Result<(), SinkError>> TileSink for F {
     }
 }
 
-/// Takes a picture band by band from the top, as encoders of files want it, and hears how it gets on.
+/// Receives a picture band by band from the top, as file encoders need it, and reports of its progress.
 pub trait BandSink {
     /// A finished band.
     ///
@@ -70,16 +71,16 @@ pub struct Picture {
     pub height: u32,
     /// Pixels, row after row: red, green, blue (premultiplied, linear light) and opacity.
     pub pixels: Vec<[f32; 4]>,
-    /// What else is known of each pixel, where it was asked for; else empty.
+    /// The layers of each pixel if they are requested, otherwise empty.
     pub layers: Vec<LayerPixel>,
 }
 
 impl Picture {
-    /// Writes the picture as a PNG of 8 bits, with the exposure and tone mapping of [`DisplayTransform::default`]. The file gets
-    /// its name when it is whole.
+    /// Writes the picture as an 8-bit PNG, with the exposure and tone mapping of [`DisplayTransform::default`]. The
+    /// file appears under its name only when it is complete.
     ///
     /// # Errors
-    /// [`PngError`]; what stood under the name is then as it was.
+    /// [`PngError`]; a file that exists at `path` is then left unchanged.
     pub fn save_png(&self, path: &Path) -> Result<(), PngError> {
         let file = OutputFile::create(&Destination::new(path)?)?;
         let output = BufWriter::new(file.writer());

@@ -1,16 +1,16 @@
 //! The distance between samples of each ray.
 //!
-//! Automatic steps are δ₀·2^k, with k from the finest of the objects whose bounds the ray meets, and in a cloud from the
-//! smallest radius among the nodes whose bounds it meets: a function of ray and scene alone, whatever packet the ray
-//! travels in. Lattices of different k nest.
+//! Automatic steps are δ₀·2^k. k comes from the finest object whose bounds the ray meets, and within a cloud from the
+//! smallest radius among the nodes whose bounds it meets: a function of ray and scene alone, whatever packet the ray is
+//! traced in. Lattices of different k nest.
 //!
-//! Every sample in a solid, noise or a grid is evaluated, whatever is there. So what they ask for is never less than a
-//! part of the diagonal of the box around them all, and a ray that meets one of them takes a bounded number of steps
-//! through that box, however fine a cloud in it is: both functions of the scene alone.
+//! In a solid, noise or a grid every sample is evaluated, even if it is empty. So the detail that they ask for is never
+//! less than a fraction of the diagonal of the box around them all, and a ray that meets one of them takes a bounded
+//! number of steps through that box, however fine a cloud in it is. Both limits are functions of the scene alone.
 //!
-//! What a node says of its radii is taken for its points only where these lie close together. Where they are scattered, or
-//! of very different radii, most rays that meet the node meet none of its finest points, and there the points themselves are
-//! asked: a ray is as fine as the finest sphere of influence that it passes through.
+//! The radii recorded in a node stand for its points only if the points lie close together. If they are scattered, or
+//! have very different radii, most rays that meet the node meet none of its finest points. Then the points themselves
+//! are tested: a ray is as fine as the finest sphere of influence that it passes through.
 
 use super::RenderError;
 use super::access::{Access, Halt};
@@ -22,16 +22,19 @@ use crate::octree::layout::RUN_POINTS;
 use crate::octree::node::{Node, NodePage};
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step};
 
-/// Finest automatic step: the coarsest times 2 to the minus this.
+/// Finest automatic step: the coarsest times 2^−`FINEST`.
 const FINEST: i32 = 60;
-/// And where the coarsest is not finer itself, no more steps than this across a scene, whatever radii its files name.
+/// Refinement also stops at this many steps across a scene, whatever radii its files contain, unless the coarsest step
+/// is finer already.
 const MOST_REFINED_STEPS: f64 = (1_u64 << 24) as f64;
-/// Points of a node that is wider than so many of its least radii are scattered: most rays that meet it meet none of them.
+/// The points of a node wider than this many of its least radii are scattered: most rays that meet the node meet no
+/// point.
 const SCATTERED: f64 = 256.0;
-/// Where the node asks for steps 2 to the minus this times the coarsest, or finer, scattered points are asked themselves.
+/// If a node asks for steps of 2^`ASKED_THEMSELVES` times the coarsest or finer, its scattered points are tested one by
+/// one.
 const ASKED_THEMSELVES: i32 = -4;
 
-/// In a grid a step is a fraction of so many distances between voxels: half of one, where it is a quarter.
+/// In a grid a step is a fraction of this many voxel spacings: half a spacing if the fraction is a quarter.
 const GRID_DETAIL: f64 = 2.0;
 
 /// Rays of a tile that share a step.
@@ -39,30 +42,30 @@ const GRID_DETAIL: f64 = 2.0;
 pub(super) struct StepGroup {
     /// World space.
     pub(super) step: f64,
-    /// Their places in the tile.
+    /// Their indices among the rays that were grouped.
     pub(super) members: Vec<usize>,
 }
 
 #[derive(Clone)]
 pub(super) struct StepRule {
     coarsest: f64,
-    /// The length of which the coarsest step is the fraction asked for; `None` if steps are fixed.
+    /// The length of which the coarsest step is the requested fraction; `None` if steps are fixed.
     longest: Option<f64>,
     /// The least k.
     finest: i32,
-    /// Whether rays may differ.
+    /// Whether the steps of rays may differ.
     varies: bool,
     floors: Floors,
 }
 
-/// What steps do not fall below.
+/// Lower limits of steps.
 #[derive(Clone, Copy, Debug)]
 struct Floors {
-    /// The least length that a solid, noise or a grid asks for; world space.
+    /// The least detail that a solid, noise or a grid asks for; world space.
     detail: f64,
     /// The least k of a ray.
     exponent: i32,
-    /// And of one that meets a solid, noise or a grid.
+    /// The least k of a ray that meets a solid, noise or a grid.
     exponent_in_solids: i32,
 }
 
@@ -93,7 +96,7 @@ impl StepRule {
                     details.len() > 1 || !program.clouds().all(|(_, volume)| one_radius(&volume.placement)),
                 )
             }
-            // Nothing is there to take a step from.
+            // The scene has nothing to derive a step from.
             Step::Automatic { .. } => (1.0, false),
         };
         if !(coarsest > 0.0 && coarsest.is_finite()) {
@@ -110,14 +113,14 @@ impl StepRule {
             return Err(RenderError::Setting { setting: "step", what });
         }
         let fixed = matches!(settings.step, Step::Fixed(_));
-        // The least k with which steps are at least so long.
+        // The least k with which steps are at least `least` long.
         let exponent = |least: f64| ((least / coarsest).log2().ceil() as i32).clamp(-FINEST, FINEST);
         let floors = Floors {
             detail: floor,
             exponent: exponent(diagonal(within) / MOST_STEPS),
             exponent_in_solids: exponent(around_solids / MOST_STEPS_IN_SOLIDS),
         };
-        // Where even the coarsest step is too fine for solids, rays that meet them differ from the others.
+        // If even the coarsest step is too fine for solids, rays that meet them differ from the others.
         let varies = varies || floors.exponent_in_solids > 0;
         let finest =
             (extent / MOST_REFINED_STEPS / coarsest).log2().ceil().clamp(f64::from(-FINEST), 0.0) as i32;
@@ -157,7 +160,7 @@ impl StepRule {
     }
 }
 
-/// The longest length that an object asks steps to be a fraction of, along any ray.
+/// The largest detail of an object along any ray: the length that steps are to be a fraction of.
 fn largest_detail(action: &Action) -> Option<f64> {
     match action {
         Action::Cloud(volume) => Some(volume.placement.largest_radius_world()),
@@ -167,7 +170,7 @@ fn largest_detail(action: &Action) -> Option<f64> {
     }
 }
 
-/// Whether all of an object's samples are evaluated.
+/// Whether every sample in the bounds of an object is evaluated, empty or not.
 fn is_solid(action: &Action) -> bool {
     matches!(action, Action::Procedural(_) | Action::Grid(_))
 }
@@ -178,12 +181,12 @@ struct Exponents {
     floors: Floors,
     finest: i32,
     of_rays: Vec<i32>,
-    /// Below which they count as this.
+    /// Lower limit of k for each ray.
     least: Vec<i32>,
 }
 
 impl Exponents {
-    /// k for a length: the largest, at most 0, for which 2^k is at most its share of the longest.
+    /// k for a length: the largest k ≤ 0 for which 2^k is at most `length / longest`.
     fn of(&self, length: f64) -> i32 {
         // Rounding in a transform must not halve the steps of rays at random.
         let share = length / self.longest * (1.0 + 1e-6);
@@ -222,7 +225,7 @@ impl Exponents {
         Ok(())
     }
 
-    /// Rays that meet the box of a solid, noise or a grid do not fall below the k of such rays.
+    /// Raises the lower limit of k for rays that meet the box of a solid, noise or a grid.
     fn hold_in_solids(&mut self, program: &Program, rays: &[(Ray, f64)]) {
         let floor = self.floors.exponent_in_solids;
         if self.of_rays.iter().all(|&k| k >= floor) {
@@ -238,8 +241,8 @@ impl Exponents {
         }
     }
 
-    /// Whether the bounds of a cloud say all that is asked of it: its points have one radius, and are not far finer than
-    /// everything else and scattered.
+    /// Whether the bounds of a cloud suffice to determine k: its points have one radius, and are not both scattered and
+    /// far finer than everything else.
     fn is_one_by_bounds(&self, cloud: &CloudPlacement) -> bool {
         let header = cloud.header();
         let (least, radius) = (f64::from(header.radius.min()), f64::from(header.radius.max()));
@@ -247,7 +250,7 @@ impl Exponents {
         least == radius && !(scattered && self.of(cloud.largest_radius_world()) <= ASKED_THEMSELVES)
     }
 
-    /// Rays that meet a box take at most a fraction of a length.
+    /// Lowers k for rays that meet a box: their steps are at most a fraction of a length.
     fn lower_within(&mut self, rays: &[(Ray, f64)], bounds: &Aabb, length: impl Fn(&Ray) -> f64) {
         for (i, (ray, _)) in rays.iter().enumerate() {
             let below = self.of(length(ray));
@@ -264,13 +267,13 @@ impl Exponents {
         cloud: &CloudPlacement,
         rays: &[(Ray, f64)],
     ) -> Result<(), Halt> {
-        // As the cloud sees them; a box is met by a ray here where it is met there.
+        // In the local space of the cloud; a ray meets a box there exactly if it does in world space.
         let rays: Vec<Ray> = rays.iter().map(|(ray, _)| cloud.local_ray(ray)).collect();
         let stretch: Vec<f64> = rays.iter().map(|ray| ray.direction.length()).collect();
         let (least, most) = stretch.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &s| (a.min(s), b.max(s)));
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|ray| beam.include(ray));
-        // Finds the rays that may meet a box, many at a time; which of them do is for each ray to say by itself.
+        // Finds the rays that may meet a box, many at a time; the exact test is made for each ray by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
         let local = LocalRays { rays: &rays, stretch: &stretch, columns: &columns, stretches: (least, most) };
         let mut stack: Vec<Node> = access.root(cloud)?.into_iter().collect();
@@ -298,8 +301,8 @@ impl Exponents {
         Ok(())
     }
 
-    /// Rays that meet the box of a node's own points take at most a fraction of the least that these can be; where they
-    /// are scattered and far finer than everything else, the points are asked themselves.
+    /// Lowers k for rays that meet the box of a node's own points, according to the least radius that these can have;
+    /// if they are scattered and far finer than everything else, the points themselves are tested.
     fn lower_by_node(
         &mut self,
         access: Access<'_>,
@@ -335,7 +338,7 @@ impl Exponents {
         if ask_points == 0 {
             return Ok(());
         }
-        // Runs belong to one node each, and hold a point at least.
+        // Each run belongs to one node and holds at least one point.
         *opened_runs += u64::from(node.own.runs);
         if *opened_runs > cloud.header().points {
             return Err(cloud.broken(node.own.first_page).into());
@@ -343,7 +346,7 @@ impl Exponents {
         self.lower_by_points(access, cloud, node, local, ask_points)
     }
 
-    /// Rays that pass through the spheres of influence of a node's own points take at most a fraction of their radii.
+    /// Lowers k for rays that pass through the spheres of influence of a node's own points, according to their radii.
     fn lower_by_points(
         &mut self,
         access: Access<'_>,
@@ -368,7 +371,7 @@ impl Exponents {
                 run.decode_local_f64(cloud.root_cell, &mut offsets);
                 let center = run.head.position_bounds(cloud.root_cell).center();
                 for (lane, ray) in local.rays.iter().enumerate().filter(|(lane, _)| near >> lane & 1 == 1) {
-                    // A length of one along the ray here, and the squared distance of a point to the ray's line.
+                    // The unit direction in local space, for the squared distance of a point to the ray's line.
                     let (stretch, from) = (local.stretch[lane], center - ray.origin);
                     let direction = ray.direction / stretch;
                     for (i, &radius) in radii.iter().enumerate().take(run.head.len()) {
@@ -387,7 +390,7 @@ impl Exponents {
     }
 }
 
-/// Rays as a cloud sees them.
+/// Rays in the local space of a cloud.
 #[derive(Clone, Copy)]
 struct LocalRays<'a> {
     rays: &'a [Ray],

@@ -1,5 +1,5 @@
-//! The order in which a thread goes about its tiles: one whose page is absent is deferred, and traced again from its
-//! beginning when the page is there.
+//! The order in which a thread processes its tiles: a tile that needs an absent page is deferred, and traced again from
+//! its beginning when the page is resident.
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -9,11 +9,11 @@ use super::predict::Predictor;
 use super::work::TilePlace;
 use crate::working_set::PageClient;
 
-/// Attempts at a tile without waiting. One more waits for every page, so that even a budget that keeps none of them
-/// between attempts gets on.
+/// Number of attempts at a tile without waiting. The next attempt waits for every page, so that even with a budget that
+/// keeps none of them between attempts the tile is finished.
 const IMPATIENT_ATTEMPTS: u32 = 6;
 
-/// A tile, and how to go about it.
+/// An attempt at a tile, with its access to pages.
 #[derive(Clone, Copy)]
 pub(super) struct Attempt<'a> {
     pub(super) place: TilePlace,
@@ -26,17 +26,17 @@ pub(super) struct Deferred {
     place: TilePlace,
     /// Attempts so far.
     attempts: u32,
-    /// The page that the last one lacked.
+    /// The page that the last attempt lacked.
     lacking: Option<Lacking>,
 }
 
 impl Deferred {
-    /// A tile that nobody has tried.
+    /// A tile that has not been attempted.
     pub(super) fn fresh(place: TilePlace) -> Self {
         Self { place, attempts: 0, lacking: None }
     }
 
-    /// Whether the page that it lacked has come.
+    /// Whether the page that it lacked is resident.
     fn is_ready(&self) -> bool {
         self.lacking.as_ref().is_none_or(|lacking| lacking.object.is_resident(lacking.page))
     }
@@ -60,8 +60,8 @@ impl<'a> TileQueue<'a> {
         Self { pages, predictor, asked_bytes, deferred: VecDeque::new() }
     }
 
-    /// A tile whose page has come, else what `take` gives, else the one deferred first, which then waits. What is taken
-    /// waits too where nothing may be deferred.
+    /// A tile whose page has become resident, otherwise what `take` returns, otherwise the tile deferred first, which
+    /// then waits for its pages. A tile from `take` also waits if none may be deferred.
     pub(super) fn next(
         &mut self,
         most_deferred: usize,
@@ -89,7 +89,7 @@ impl<'a> TileQueue<'a> {
         self.deferred.push_back(Deferred { place: attempt.place, attempts: attempt.number, lacking });
     }
 
-    /// What is left where the thread goes elsewhere.
+    /// The deferred tiles that are left when the thread leaves the render.
     pub(super) fn into_deferred(self) -> VecDeque<Deferred> {
         self.deferred
     }

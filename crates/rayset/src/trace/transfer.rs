@@ -1,4 +1,4 @@
-//! Transfer functions over what nodes make, prepared for rows of samples.
+//! Transfer functions over the outputs of nodes, prepared for rows of samples.
 
 use std::sync::Arc;
 
@@ -6,33 +6,33 @@ use super::node_samples::{NodeSamples, each_lane};
 use crate::field::{SLAB_SAMPLES, linear_from_srgb};
 use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer, curve_at};
 
-/// Places of a colour map's index: about as many as a palette with a name has knots, several times over.
+/// Places of a colour map's index: several times the number of knots of a named palette.
 const PLACES: usize = 1024;
-/// Knots for each unit by which a channel changes between two stops: straight lines between them, in linear light, are
-/// within 2e-5 of what lies on the straight line between the stops, display-encoded.
+/// Knots for each unit by which a channel changes between two stops: linear interpolation between knots, in linear
+/// light, is within 2e-5 of linear interpolation between the stops in display-encoded values.
 const KNOTS_PER_UNIT: f64 = 160.0;
-/// Most knots of a map; those of many stops have fewer between two.
+/// Most knots of a map; maps with many stops have fewer knots between two stops.
 const MOST_KNOTS: usize = 1 << 18;
 
-/// A colour map, prepared to be looked up: straight lines in linear light between knots, which are its stops and some
-/// places in between. Which knots a value lies between is found exactly, however near to each other they are.
+/// A colour map, prepared for lookups: linear interpolation in linear light between knots, which are its stops and some
+/// places in between. The two knots around a value are found exactly, however close together they are.
 pub(super) struct ColorTable {
     /// For each knot, the least value that is not before it. Ascending.
     from: Vec<f32>,
     knots: Vec<Knot>,
-    /// For each place of the range, the first knot that is not before it; and one more.
+    /// For each place of the range, the first knot that is not before it; and one final entry.
     index: Vec<u32>,
-    /// −1 where the range descends: then values are turned round.
+    /// −1 if the range descends: values are then negated; otherwise 1.
     sign: f32,
     low: f32,
     places_per_value: f32,
 }
 
-/// From here the colour goes straight to the next knot's.
+/// From here the colour changes linearly to that of the next knot.
 #[derive(Clone, Copy)]
 struct Knot {
     start: f64,
-    /// 1 over the distance of the next knot; 0 where there is none.
+    /// 1 over the distance to the next knot; 0 if there is none, or it is at the same place.
     per_value: f64,
     color: [f32; 3],
     change: [f32; 3],
@@ -54,9 +54,9 @@ impl ColorTable {
                 Knot { start: value_at(at), per_value, color: color.map(|v| v as f32), change }
             })
             .collect();
-        // As the place of a value is defined: the index must agree with it, bit for bit.
+        // The place of a value by its definition: the index must agree with it, bit for bit.
         let place = |value: f32| (f64::from(value) - low) / (high - low);
-        // What lies before the range counts as its beginning, of whose stops the last counts.
+        // A value before the range counts as the beginning of the range; if there are several stops, the last applies.
         let least = |at: f64| if at > 0.0 { least_value(at, place) } else { f32::NEG_INFINITY };
         let from: Vec<f32> = stops.iter().map(|&(at, _)| least(at)).collect();
         let places_per_value = (PLACES as f64 / (high - low)) as f32;
@@ -79,33 +79,33 @@ impl ColorTable {
     pub(super) fn bytes(map: &ColorMap) -> u64 {
         let stops = map.palette.stops();
         let knots: usize = stops.windows(2).map(|pair| pieces(stops.len(), pair[0], pair[1])).sum();
-        // Both lists, and the stops with their colours that they are made from, doubled as they grow.
+        // Both lists, and the stops with colours that they are made from, whose list doubles as it grows.
         let knots = (knots + 1) * (size_of::<Knot>() + size_of::<f32>() + 2 * size_of::<(f64, [f64; 3])>());
         (knots + (PLACES + 2) * size_of::<u32>()) as u64
     }
 
-    /// The place of the index that a value belongs to. Never descends as values ascend.
+    /// The place of the index that a value belongs to; never descends as values ascend.
     #[inline(always)]
     fn place(&self, value: f32) -> usize {
-        // A value that is not a number casts to 0.
+        // NaN casts to 0.
         (((value - self.low) * self.places_per_value) as usize).min(PLACES)
     }
 
     /// The colour of a value, linear light.
     #[inline]
     pub(super) fn color(&self, value: f32) -> [f32; 3] {
-        // What is not a number counts as before the range.
+        // NaN counts as before the range.
         let value = (value * self.sign).max(f32::NEG_INFINITY);
         let place = self.place(value);
         let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
-        // Knots before `first` are at most the value, those from `end` on above it.
+        // Knots before `first` are not above the value; those from `end` on are.
         while first < end {
             let middle = (first + end) / 2;
             if self.from[middle] <= value { first = middle + 1 } else { end = middle }
         }
         let Some(knot) = self.knots.get(first.max(1) - 1) else { return [0.0; 3] };
         let along = (f64::from(value) - knot.start) * knot.per_value;
-        // Before the first knot, its own colour.
+        // Before the first knot, the colour of that knot.
         let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
         std::array::from_fn(|c| knot.color[c] + knot.change[c] * along)
     }
@@ -127,16 +127,17 @@ fn subdivided(stops: &[(f64, [f64; 3])]) -> Vec<(f64, [f64; 3])> {
     knots
 }
 
-/// Into how many pieces the lines between two neighbours of some stops are cut.
+/// The number of pieces into which the line between two neighbours, of `stops` stops in all, is cut.
 fn pieces(stops: usize, (a, from): (f64, [f64; 3]), (b, to): (f64, [f64; 3])) -> usize {
     let most = (MOST_KNOTS / stops.max(1)) as f64;
     let change = (0..3).map(|c| (to[c] - from[c]).abs()).fold(0.0, f64::max);
     if b > a { (change * KNOTS_PER_UNIT).ceil().clamp(1.0, most) as usize } else { 1 }
 }
 
-/// The least value whose place is at least `at`. Places never descend as values ascend.
+/// The least value whose place is at least `at`, for places that never descend as values ascend.
 fn least_value(at: f64, place: impl Fn(f32) -> f64) -> f32 {
-    // Numbers in their order: those below 0 from the largest pattern of bits to the smallest, then the others.
+    // Floating-point numbers in ascending order: negative ones from the largest bit pattern to the smallest, then the
+    // others.
     let number = |order: u32| f32::from_bits(if order >> 31 == 1 { order & 0x7fff_ffff } else { !order });
     let (mut low, mut high) = (0x007f_ffff_u32, 0xff80_0000_u32);
     while low < high {
@@ -171,7 +172,7 @@ impl Input {
         }
     }
 
-    /// The named attributes that have to be there.
+    /// A bit for the named attribute that it reads, if any.
     pub(super) fn attributes(self) -> u32 {
         if let Self::Attribute(number) = self { 1 << number } else { 0 }
     }
@@ -184,7 +185,7 @@ pub(super) struct CompiledTransfer {
 }
 
 impl CompiledTransfer {
-    /// Of a program whose attributes have these names, in alphabetical order.
+    /// For a program whose attributes have these names, in alphabetical order.
     pub(super) fn new(transfer: &Transfer, names: &[Arc<str>]) -> Self {
         let (input, output) = match transfer {
             Transfer::Opacity { input, curve } => (input, Output::Opacity(curve.clone())),
@@ -197,7 +198,7 @@ impl CompiledTransfer {
         matches!(self.output, Output::Color(_))
     }
 
-    /// Rewrites a block of opacities. Where there was nothing, nothing comes to be.
+    /// Applies the function to a block. Samples whose opacity is 0 stay as they are.
     pub(super) fn apply(&self, block: &mut NodeSamples, wants_color: bool) {
         each_lane(block.touched, |lane| {
             for j in 0..SLAB_SAMPLES {
@@ -233,7 +234,7 @@ mod tests {
     use super::*;
     use crate::scene::Palette;
 
-    /// Worst difference of a table's colour of some values from the map's own.
+    /// The largest difference between the colours of a table and those of its map, for some values.
     fn worst(map: &ColorMap, values: impl Iterator<Item = f32>) -> f64 {
         let table = ColorTable::new(map);
         let error = |v: f32| {

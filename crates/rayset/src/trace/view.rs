@@ -1,4 +1,4 @@
-//! One look at a prepared scene: its tiles, and rendering them.
+//! A view of a prepared scene: its tiles, and how they are rendered.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::cancel::CancelToken;
 use crate::geometry::curve::hilbert_order;
 use crate::scene::{Camera, RayMaker, RenderSettings};
 
-/// A prepared scene seen by a camera, in a picture of some size.
+/// A prepared scene seen by a camera, in a picture of a given size.
 ///
 /// Cheap to make: nothing of the scene is compiled or copied for it.
 #[derive(Clone)]
@@ -28,18 +28,18 @@ impl std::fmt::Debug for View {
 }
 
 impl PreparedScene {
-    /// A look at the scene, in a picture of the settings' size.
+    /// A view of the scene, in a picture of the size given in the settings.
     ///
     /// # Errors
-    /// [`RenderError::Camera`] where the camera makes no rays.
+    /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is out of range.
     pub fn view(&self, camera: &Camera) -> Result<View, RenderError> {
         self.view_of_size(camera, self.0.settings.width, self.0.settings.height)
     }
 
-    /// A look at the scene, in a picture of `width` by `height` pixels, each 1 to 1 048 576.
+    /// A view of the scene, in a picture of `width` by `height` pixels, each 1 to 1 048 576.
     ///
     /// # Errors
-    /// [`RenderError::Camera`] where the camera makes no rays, [`RenderError::Setting`] where the size is out of range.
+    /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is out of range.
     pub fn view_of_size(&self, camera: &Camera, width: u32, height: u32) -> Result<View, RenderError> {
         if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
             let what = format!("{width}x{height} is not between 1x1 and 1048576x1048576");
@@ -51,7 +51,7 @@ impl PreparedScene {
     }
 }
 
-/// Cancels what nobody waits for any more.
+/// Cancels a render that nobody waits for any more.
 struct CancelWhenDropped<'a>(&'a CancelToken);
 
 impl Drop for CancelWhenDropped<'_> {
@@ -67,9 +67,9 @@ impl View {
         Region { columns: 0..self.settings.width, rows: 0..self.settings.height }
     }
 
-    /// The tiles of a part of the picture, in the order that is best for throughput: along a space-filling curve, so that
-    /// what is traced at a time needs the same pages. Tiles lie on a lattice of the whole picture; those at the edges of
-    /// the region are cut, and what lies outside the picture is left out.
+    /// The tiles of a region of the picture, in the order that is best for throughput: along a space-filling curve, so
+    /// that tiles traced at the same time need the same pages. Tiles lie on a lattice over the whole picture; those at
+    /// the edges of the region are clipped, and what lies outside the picture is left out.
     #[must_use]
     pub fn tiles(&self, region: &Region) -> Vec<Tile> {
         let whole = self.region();
@@ -93,7 +93,7 @@ impl View {
                 Tile { x, y, width, height }
             })
             .collect();
-        // Look-ahead tiles lie along a curve of their own, so that each is come to once.
+        // Look-ahead tiles follow a curve of their own, so that each is visited once.
         let lookahead_tile = |tile: &Tile| (tile.x / LOOKAHEAD_TILE_PIXELS, tile.y / LOOKAHEAD_TILE_PIXELS);
         let first = (region.columns.start / LOOKAHEAD_TILE_PIXELS, region.rows.start / LOOKAHEAD_TILE_PIXELS);
         let columns = region.columns.end.div_ceil(LOOKAHEAD_TILE_PIXELS).saturating_sub(first.0);
@@ -109,14 +109,14 @@ impl View {
         tiles
     }
 
-    /// Renders tiles and hands them to `sink`, on the calling thread, as they are finished; the session's threads trace
-    /// them. Returns when all are handed out.
+    /// Renders tiles on the session's threads, and hands each to `sink` on the calling thread when it is finished.
+    /// Returns when all tiles have been handed out.
     ///
-    /// Several calls may run at a time over one session, for one view or many; none changes a pixel of another.
+    /// Several calls may run at the same time in one session, for one view or many; none changes a pixel of another.
     ///
     /// # Errors
-    /// [`RenderError`] where a tile does not lie in the picture, a page cannot be had, the sink refuses a tile, or
-    /// `cancel` is cancelled. All threads have then let go of this render.
+    /// [`RenderError`] if a tile does not lie in the picture, a page cannot be obtained, the sink refuses a tile, or
+    /// `cancel` is cancelled. All threads have then released this render.
     pub fn render(
         &self,
         work: &Work,
@@ -127,7 +127,7 @@ impl View {
         if work.tiles.is_empty() {
             return Ok(RenderCounts::default());
         }
-        // The render stops where anything of it fails, and the caller's other work does not.
+        // If any part of the render fails, the render stops; the caller's other work does not.
         let stop = CancelToken::new();
         let of_render = stop.clone();
         let _linked = cancel.register(Arc::new(move || of_render.cancel()));

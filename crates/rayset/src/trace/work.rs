@@ -1,4 +1,4 @@
-//! What is to be rendered: tiles of a picture, in an order, and passes over them.
+//! What is to be rendered: tiles of a picture in a given order, and passes over them.
 
 use std::ops::Range;
 
@@ -6,10 +6,11 @@ use crate::field::LANES;
 
 /// Longest edge of a tile in pixels.
 pub const MAX_TILE_PIXELS: u32 = 8;
-/// Edge of the squares of pixels whose tiles follow each other: those that are looked ahead at together.
+/// Edge of look-ahead tiles in pixels: squares whose tiles follow each other in the order of tracing and are predicted
+/// together.
 pub(super) const LOOKAHEAD_TILE_PIXELS: u32 = 32;
 
-/// Pixels of a picture.
+/// A rectangle of pixels of a picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Region {
     /// Columns.
@@ -25,7 +26,7 @@ impl Region {
         self.columns.len() as u64 * self.rows.len() as u64
     }
 
-    /// The smallest that holds all tiles, of which there is at least one.
+    /// The smallest region that contains all tiles, of which there is at least one.
     pub(super) fn around(tiles: &[Tile]) -> Self {
         let least = |of: fn(&Tile) -> u32| tiles.iter().map(of).min().unwrap_or(0);
         let most = |of: fn(&Tile) -> u32| tiles.iter().map(of).max().unwrap_or(0);
@@ -36,7 +37,7 @@ impl Region {
     }
 }
 
-/// A rectangle of pixels that is traced together: its upper left pixel and its size, each edge 1 to 8.
+/// A rectangle of pixels that are traced together: its upper left pixel and its size, each edge 1 to 8 pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tile {
     /// Left column.
@@ -71,9 +72,9 @@ pub struct Work {
 pub(super) enum Passes {
     /// All in one.
     One,
-    /// So many in each pass, and the rest in a last one.
+    /// The given number of rays in each pass, and the rest in a last pass.
     Of(Vec<u32>),
-    /// One, then as many as there have been.
+    /// One ray, then in each pass as many as in all passes before it.
     Doubling,
 }
 
@@ -84,15 +85,17 @@ impl Work {
         Self { tiles, passes: Passes::One }
     }
 
-    /// The same in passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`, and so on; the
-    /// last traces what is left of the square of [`RenderSettings::samples`](crate::scene::RenderSettings::samples). After each pass every tile is handed out with
-    /// the mean of what its rays have seen so far; after the last this is, bit for bit, what it is in one pass.
+    /// Divides the work into passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`,
+    /// and so on; the last traces what is left of the square of
+    /// [`RenderSettings::samples`](crate::scene::RenderSettings::samples). After each pass every tile is handed out
+    /// with the mean of what its rays have seen so far; after the last pass this is, bit for bit, the result of a
+    /// single pass.
     #[must_use]
     pub fn in_passes(self, rays: &[u32]) -> Self {
         Self { passes: Passes::Of(rays.to_vec()), ..self }
     }
 
-    /// The same in passes that double the number of rays: 1, 1, 2, 4, …
+    /// Divides the work into passes that double the number of rays so far: 1, 1, 2, 4, …
     #[must_use]
     pub fn progressive(self) -> Self {
         Self { passes: Passes::Doubling, ..self }
@@ -100,7 +103,7 @@ impl Work {
 }
 
 impl Passes {
-    /// The rays of each pass, of `rays` in all.
+    /// The range of rays in each pass, of `rays` in all.
     pub(super) fn ranges(&self, rays: u32) -> Vec<Range<u32>> {
         let mut ranges = Vec::new();
         let mut done = 0;
@@ -122,7 +125,7 @@ impl Passes {
 /// A tile in one pass.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TilePlace {
-    /// Place of the tile in the order of the work.
+    /// Index of the tile in the order of the work.
     pub(super) tile: usize,
     pub(super) pass: usize,
 }

@@ -14,14 +14,14 @@ use crate::working_set::PagedFiles;
 /// Everything that a thread needs to trace a packet.
 pub(super) struct World {
     pub(super) program: Program,
-    /// `None` if no light throws shadows.
+    /// `None` if no light casts shadows.
     pub(super) shadows: Option<ShadowWorld>,
     pub(super) shader: Shader,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
-    /// `None` if all rays go straight on.
+    /// `None` if no ray is reflected or refracted.
     pub(super) bounces: Option<Bounces>,
-    /// Whether more is asked of pixels than their colour.
+    /// Whether layers are requested besides the colour of pixels.
     pub(super) layers: bool,
     pub(super) background: Option<[f32; 3]>,
 }

@@ -1,4 +1,4 @@
-//! Hard limits, and what is used of them.
+//! Hard limits, and how much of them is in use.
 
 use super::source::{KINDS, Kind};
 
@@ -12,7 +12,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// A limit for all pages together and none besides.
+    /// A limit for all pages together, and no limits by kind.
     #[must_use]
     pub fn total(bytes: u64) -> Self {
         Self { total: bytes, by_kind: [u64::MAX; KINDS] }
@@ -23,7 +23,7 @@ impl Limits {
         self.total
     }
 
-    /// The same with a limit for one kind.
+    /// Adds a limit for one kind.
     #[must_use]
     pub fn with_kind(mut self, kind: Kind, bytes: u64) -> Self {
         self.by_kind[kind.index()] = bytes;
@@ -31,7 +31,7 @@ impl Limits {
     }
 }
 
-/// Which pages are in the way of another: a limit that it would exceed.
+/// The limit that another page would exceed, and so the pages that have to make room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Obstacle {
     Total,
@@ -39,7 +39,7 @@ pub(super) enum Obstacle {
 }
 
 impl Obstacle {
-    /// The kinds whose pages make room.
+    /// The kinds whose pages can make room.
     pub(super) fn kinds(self) -> impl Iterator<Item = Kind> {
         Kind::EACH.into_iter().filter(move |&kind| self == Self::Total || self == Self::Kind(kind))
     }
@@ -60,7 +60,7 @@ impl Budget {
         Self { limits, used: 0, used_by_kind: [0; KINDS], peak: 0, peak_by_kind: [0; KINDS] }
     }
 
-    /// The limit that so many more bytes of a kind would exceed.
+    /// The limit that `bytes` more bytes of a kind would exceed.
     pub(super) fn obstacle(&self, kind: Kind, bytes: u64) -> Option<Obstacle> {
         if self.used + bytes > self.limits.total {
             Some(Obstacle::Total)
@@ -71,12 +71,12 @@ impl Budget {
         }
     }
 
-    /// Whether the limits leave room for so many bytes of a kind where nothing else is.
+    /// Whether the limits leave room for `bytes` bytes of a kind if nothing else is in memory.
     pub(super) fn could_hold(&self, kind: Kind, bytes: u64) -> bool {
         bytes <= self.limits.total.min(self.limits.by_kind[kind.index()])
     }
 
-    /// A limit that is exceeded now, because it has been lowered.
+    /// A limit that is exceeded now, because the limits have been lowered.
     pub(super) fn excess(&self) -> Option<Obstacle> {
         Kind::EACH.into_iter().find_map(|kind| self.obstacle(kind, 0))
     }
@@ -94,7 +94,7 @@ impl Budget {
         self.used_by_kind[kind.index()] -= bytes;
     }
 
-    /// Bytes that are still free of the limit for all pages.
+    /// Bytes that are still free under the limit for all pages.
     pub(super) fn free(&self) -> u64 {
         self.limits.total.saturating_sub(self.used)
     }

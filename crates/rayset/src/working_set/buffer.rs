@@ -1,12 +1,12 @@
-//! Page-sized memory, aligned as direct input demands.
+//! Page-sized memory, aligned for direct I/O.
 
 use bytemuck::{Pod, Zeroable};
 
-/// Alignment of memory that direct I/O asks for: a logical sector. Offsets and lengths of pages are multiples of 4096 by
-/// the file format; memory aligned to that as well would cost every page another 4096 bytes in the allocator.
+/// Alignment of memory that direct I/O requires: a logical sector. Offsets and lengths of pages are multiples of 4096
+/// by the file format; memory aligned to that as well would cost every page another 4096 bytes in the allocator.
 const ALIGNMENT: usize = 512;
 
-/// What the allocator may take beside a page.
+/// Bytes that the allocator may need in addition to a page.
 pub const OVERHEAD_BYTES: u64 = 2 * ALIGNMENT as u64;
 
 #[derive(Clone, Copy, Pod, Zeroable)]

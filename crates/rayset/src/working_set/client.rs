@@ -1,5 +1,5 @@
-//! One user of a working set, a render for instance: it retains pages, says which it will want and which it will not, and
-//! has its share of the budget. What it says concerns its own pages alone.
+//! One user of a working set, such as a render: it retains pages, hints those that it will need, retires those that it
+//! will not, and has its share of the budget. Its hints and retirements affect only its own pages.
 
 use std::sync::Arc;
 
@@ -11,8 +11,8 @@ use crate::cancel::CancelToken;
 use crate::sync::atomic::Ordering;
 use crate::sync::lock;
 
-/// A user of a working set. Dropping it takes back its hints: those of their pages that nobody has asked for are the first to
-/// go, and so are those that are still on their way.
+/// A user of a working set. Dropping it withdraws its hints: hinted pages that nobody has requested are evicted first,
+/// including those that are still loading.
 pub struct PageClient {
     pub(super) shared: Arc<Shared>,
     pub(super) number: u32,
@@ -27,7 +27,7 @@ impl PageClient {
         Self { shared, number, cancel, hints }
     }
 
-    /// Stops what this client waits for.
+    /// The token that cancels what this client waits for.
     #[must_use]
     pub fn cancel_token(&self) -> &CancelToken {
         &self.cancel
@@ -40,7 +40,7 @@ impl PageClient {
         self.shared.pool.limits().all_kinds() / clients as u64
     }
 
-    /// A page, if it is in memory now. Looking at it so does not count as its use.
+    /// A page, if it is in memory now. This does not count as a use of the page.
     #[must_use]
     pub fn peek(&self, object: &Object, page: u32) -> Option<PageGuard> {
         if let Some(found) = object.in_place(page) {
@@ -54,11 +54,11 @@ impl PageClient {
         }
     }
 
-    /// Asks for pages that will be wanted soon. Those that are absent are read in one batch, as far as there is room
-    /// without evicting a page that is retained, and as long as pages that were read for this client's hints and not yet
-    /// asked for take no more than `most_bytes`. Those that are resident count as used now. Until somebody asks for them
-    /// all wait like pages that were released: if they stayed longer than what is used meanwhile, hints that come to
-    /// nothing would fill a small budget. Returns how many of `pages`, from the first, were dealt with.
+    /// Hints pages that will be needed soon. Absent pages are read in one batch, as long as there is room without
+    /// evicting a retained page, and as long as pages that were read for this client's hints and not yet requested take
+    /// no more than `most_bytes`. Resident pages count as used now. Until they are requested, all of them can be
+    /// evicted like released pages: if they stayed longer than what is used meanwhile, wrong hints would fill a small
+    /// budget. Returns how many of `pages`, from the first, were handled.
     pub fn hint(&self, object: &Arc<Object>, pages: &[u32], most_bytes: u64) -> usize {
         if object.is_in_place() {
             return pages.len();
@@ -109,8 +109,8 @@ impl PageClient {
         dealt_with
     }
 
-    /// A page that will be wanted is there already: it waits like those that are read for a hint. True where nobody else
-    /// had hinted at it. The caller holds the lock of its slot.
+    /// Keeps a hinted page that is resident already, like those that are read for a hint. Returns whether the hint was
+    /// recorded: not if the page is retained or has been hinted before. The caller holds the lock of its slot.
     fn keep(&self, resident: &Arc<Resident>) -> bool {
         resident.last_use.store(self.shared.pool.tick(), Ordering::Relaxed);
         if Arc::strong_count(resident) > 1 {
@@ -124,8 +124,8 @@ impl PageClient {
         fresh
     }
 
-    /// Says that this client will hardly want pages again: they are the first to go. Pages that are not resident, retained,
-    /// or last used by somebody else are left as they are.
+    /// Retires pages that this client is unlikely to need again: they are evicted first. Pages that are absent,
+    /// retained, or last used by another client are left as they are.
     pub fn retire(&self, object: &Arc<Object>, pages: &[u32]) {
         let mine = |resident: &Resident| {
             let user = resident.hint_mark().client().unwrap_or(resident.user.load(Ordering::Relaxed));
@@ -134,13 +134,13 @@ impl PageClient {
         self.shared.retire_if(object, pages, mine);
     }
 
-    /// Says that hints have turned out wrong: those of `pages` that this client hinted at and nobody has asked for since
-    /// are retired.
+    /// Withdraws hints that have turned out wrong: those of `pages` that this client hinted and nobody has requested
+    /// since are retired.
     pub fn retire_unused(&self, object: &Arc<Object>, pages: &[u32]) {
         self.shared.retire_if(object, pages, |resident| resident.hint_mark().client() == Some(self.number));
     }
 
-    /// Takes back all hints so far: those of their pages that nobody has asked for are the first to go.
+    /// Withdraws all hints so far: hinted pages that nobody has requested are evicted first.
     pub fn forget_hints(&self) {
         for (object, page) in self.hints.take_back() {
             let unused = |resident: &Resident| resident.hint_mark().client() == Some(self.number);

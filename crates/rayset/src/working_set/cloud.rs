@@ -14,7 +14,7 @@ pub struct CloudPages {
 }
 
 impl CloudPages {
-    /// Pages of `cloud`, read from `storage` (the cloud's own file, or something that stands for it).
+    /// Pages of `cloud`, read from `storage` (the cloud's own file, or a substitute for it).
     #[must_use]
     pub fn new(cloud: Arc<Cloud>, storage: Arc<dyn Storage>) -> Self {
         Self { cloud, storage }

@@ -1,10 +1,10 @@
-//! Which page gives way: pages that are retired first, then the one that was used the longest time ago.
+//! Which page is evicted: retired pages first, then the least recently used.
 //!
-//! Every page in memory stands in a queue of its kind, with the time of its last use when it came to stand there. A use does
-//! not touch the queue: it only makes the page younger than its entry says. An eviction takes the front of the queue; a page
-//! that turns out to be younger goes to the end, and has its second chance. Each use pays for one such return, so that an
-//! eviction takes the same few steps whatever the number of pages, and no more than [`MOST_LOOKED_AT`]. Where pages are few
-//! ([`FEW`]), every one counts, and all of them are looked at for the oldest.
+//! Every page in memory has an entry in the queue of its kind, with the time of its last use when it was entered. A use
+//! does not touch the queue: it only makes the page younger than its entry says. An eviction takes the front of the
+//! queue; a page that turns out to be younger goes to the end, and so gets a second chance. Each use pays for at most
+//! one such return, so that an eviction takes the same few steps whatever the number of pages, and passes over no more
+//! than [`MOST_LOOKED_AT`] younger pages. If there are only [`FEW`] pages, all of them are searched for the oldest.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -15,12 +15,13 @@ use super::object::{Object, Resident, Slot};
 use super::source::{KINDS, Kind};
 use crate::sync::atomic::Ordering;
 
-/// Pages found younger than their entries, of which an eviction takes the oldest rather than look further.
+/// After this many pages that are younger than their entries, an eviction takes the oldest of them instead of searching
+/// on.
 const MOST_LOOKED_AT: usize = 64;
-/// So many pages are few.
+/// With at most this many pages, an eviction searches all of them.
 const FEW: usize = 128;
 
-/// A page in memory, and when it had been used when it was entered.
+/// A page in memory, with the time of its last use when it was entered.
 #[derive(Clone)]
 struct Entry {
     last_use: u64,
@@ -29,7 +30,7 @@ struct Entry {
     object: Arc<Object>,
 }
 
-/// A page that went.
+/// An evicted page.
 pub(super) struct Evicted {
     pub(super) object: Arc<Object>,
     pub(super) kind: Kind,
@@ -37,24 +38,24 @@ pub(super) struct Evicted {
 }
 
 impl Evicted {
-    /// Its memory, for the page that takes its room.
+    /// Takes its memory, for the page that replaces it.
     pub(super) fn take_buffer(&mut self) -> PageBuffer {
         std::mem::replace(&mut self.resident.buffer, PageBuffer::new(0))
     }
 }
 
-/// What became of an attempt to evict a page.
+/// The outcome of an attempt to evict a page.
 enum Outcome {
     Evicted(Resident),
-    /// It was used since it was entered, at this time.
+    /// It has been used since it was entered, last at this time.
     Younger(u64),
     Retained,
-    /// The entry is of an earlier stay in memory.
+    /// The entry belongs to an earlier stay in memory.
     Stale,
 }
 
 impl Entry {
-    /// Evicts the page unless it is retained, or was used since it was entered and `only_unused` says that this matters.
+    /// Evicts the page unless it is retained or, with `only_unused`, has been used since it was entered.
     fn evict(&self, only_unused: bool) -> Outcome {
         let mut slot = self.object.slot(self.page);
         let Slot::Resident(resident) = &*slot else { return Outcome::Stale };
@@ -77,7 +78,8 @@ impl Entry {
         }
     }
 
-    /// When the page was last used, and whether it is retained; `None` if the entry is of an earlier stay in memory.
+    /// When the page was last used, and whether it is retained; `None` if the entry belongs to an earlier stay in
+    /// memory.
     fn last_use_if_current(&self) -> Option<(u64, bool)> {
         match &*self.object.slot(self.page) {
             Slot::Resident(resident) if resident.serial == self.serial => {
@@ -97,16 +99,16 @@ impl Entry {
 /// The pages of one kind in memory.
 #[derive(Default)]
 struct Queue {
-    /// Every page once, and some that have gone; roughly in the order of their uses.
+    /// Every page once, and some that have been evicted; roughly in the order of their uses.
     by_age: VecDeque<Entry>,
-    /// Those that were retired, in that order, and some that were used since or have gone.
+    /// Retired pages in the order of retirement, and some that have been used or evicted since.
     retired: VecDeque<Entry>,
     /// Pages in memory.
     resident: usize,
 }
 
 impl Queue {
-    /// Entries of pages that have gone stay behind where these went by another way; they must not become many.
+    /// Removes entries of pages that were evicted by another way, before they become too many.
     fn drop_stale(&mut self) {
         if self.by_age.len() > 2 * self.resident + 64 {
             self.by_age.retain(|entry| entry.last_use_if_current().is_some());
@@ -124,10 +126,10 @@ pub(super) struct EvictionQueue {
 }
 
 impl EvictionQueue {
-    /// A page is about to come into memory.
+    /// Enters a page that is about to become resident.
     pub(super) fn insert(&mut self, object: &Arc<Object>, page: u32, resident: &Resident) {
         let queue = &mut self.queues[object.kind(page).index()];
-        // Before it is entered: its slot does not say yet that it is there.
+        // Before the page is entered: its slot is not resident yet, so that its entry would count as stale.
         queue.drop_stale();
         let (last_use, serial) = (resident.last_use.load(Ordering::Relaxed), resident.serial);
         let entry = Entry { last_use, serial, page, object: object.clone() };
@@ -138,14 +140,14 @@ impl EvictionQueue {
         queue.resident += 1;
     }
 
-    /// A page has been retired.
+    /// Records that a page has been retired.
     pub(super) fn retire(&mut self, object: Arc<Object>, page: u32, serial: u32) {
         let queue = &mut self.queues[object.kind(page).index()];
         queue.retired.push_back(Entry { last_use: 0, serial, page, object });
         queue.drop_stale();
     }
 
-    /// Evicts one page that stands in the way; `None` if all of them are retained.
+    /// Evicts one page of the kinds that `obstacle` names; `None` if all of them are retained.
     pub(super) fn evict(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
         self.evict_retired(obstacle).or_else(|| self.evict_oldest(obstacle, now))
     }
@@ -175,7 +177,7 @@ impl EvictionQueue {
         })
     }
 
-    /// Looks at all pages for the oldest that is not retained.
+    /// Searches all pages for the oldest that is not retained.
     fn take_oldest(&mut self, obstacle: Obstacle) -> Option<(Kind, Entry, Resident)> {
         loop {
             let mut oldest: Option<(u64, Kind, usize)> = None;
@@ -194,14 +196,14 @@ impl EvictionQueue {
             let entry = self.queues[kind.index()].by_age.remove(at)?;
             match entry.evict(false) {
                 Outcome::Evicted(resident) => return Some((kind, entry, resident)),
-                // Somebody has come in between.
+                // Another thread has retained it in between.
                 Outcome::Younger(_) | Outcome::Retained => self.queues[kind.index()].by_age.push_back(entry),
                 Outcome::Stale => {}
             }
         }
     }
 
-    /// Takes the page at the front of the queues that has not been used since it came to stand there.
+    /// Takes the first page, from the front of the queues, that has not been used since it was entered.
     fn take_in_turn(
         &mut self,
         obstacle: Obstacle,
@@ -210,7 +212,7 @@ impl EvictionQueue {
     ) -> Option<(Kind, Entry, Resident)> {
         let mut oldest_younger: Option<(Kind, Entry)> = None;
         let mut looked_at = 0;
-        // Every page once as it stands, and once more after its second chance.
+        // Every page once as entered, and once more after its second chance.
         for _ in 0..2 * pages {
             let (kind, entry) = self.pop_front(obstacle)?;
             let queue = &mut self.queues[kind.index()].by_age;
@@ -270,13 +272,13 @@ impl EvictionQueue {
         evicted
     }
 
-    /// Entries in all queues, those of pages that have gone included.
+    /// Number of entries in all queues, including those of pages that have been evicted.
     #[cfg(test)]
     pub(super) fn entries(&self) -> usize {
         self.queues.iter().map(|queue| queue.by_age.len() + queue.retired.len()).sum()
     }
 
-    /// Bytes of the pages that are retained: looks at them all.
+    /// Bytes of the pages that are retained; searches all pages.
     pub(super) fn retained_bytes(&self) -> u64 {
         let entries = self.queues.iter().flat_map(|queue| &queue.by_age);
         let retained = entries.filter(|entry| matches!(entry.last_use_if_current(), Some((_, true))));

@@ -18,13 +18,13 @@ pub struct PagedFiles {
 }
 
 impl PagedFiles {
-    /// Over a working set, without files.
+    /// A working set, without files so far.
     #[must_use]
     pub fn new(pages: WorkingSet) -> Self {
         Self { pages, clouds: Vec::new(), grids: Vec::new() }
     }
 
-    /// Adds a cloud whose pages are read from `storage`. One that is there already stays as it is.
+    /// Adds a cloud whose pages are read from `storage`. A cloud that has been added already stays as it is.
     pub fn add(&mut self, cloud: &Arc<Cloud>, storage: Arc<dyn Storage>) {
         if self.find(cloud).is_none() {
             let object = self.pages.add(Arc::new(CloudPages::new(cloud.clone(), storage)));
@@ -32,10 +32,11 @@ impl PagedFiles {
         }
     }
 
-    /// Adds a cloud whose pages are read from its own storage or file, past the system's page cache where `direct` says so.
+    /// Adds a cloud whose pages are read from its own storage or file, bypassing the system's page cache if `direct` is
+    /// set.
     ///
     /// # Errors
-    /// The system's, where the file does not open.
+    /// The system's error, if the file cannot be opened.
     pub fn open(&mut self, cloud: &Arc<Cloud>, direct: bool) -> io::Result<()> {
         if self.find(cloud).is_none() {
             let storage = match cloud.storage() {
@@ -47,10 +48,11 @@ impl PagedFiles {
         Ok(())
     }
 
-    /// Adds a grid whose pages are read from its own storage or file, past the system's page cache where `direct` says so.
+    /// Adds a grid whose pages are read from its own storage or file, bypassing the system's page cache if `direct` is
+    /// set.
     ///
     /// # Errors
-    /// The system's, where the file does not open.
+    /// The system's error, if the file cannot be opened.
     pub fn open_grid(&mut self, grid: &Arc<Grid>, direct: bool) -> io::Result<()> {
         if self.find_grid(grid).is_none() {
             let storage = match grid.storage() {
@@ -63,16 +65,16 @@ impl PagedFiles {
         Ok(())
     }
 
-    /// Closes the files that nobody but this has: no scene, and no page in memory.
+    /// Closes the files that no scene refers to any more, and evicts their pages.
     pub(crate) fn drop_unused(&mut self) {
-        // This list, and the source of the pages.
+        // References of this list and of the source of the pages.
         const OWN: usize = 2;
         let pages = &self.pages;
         self.clouds.retain(|(cloud, object)| keep(Arc::strong_count(cloud) > OWN, pages, object));
         self.grids.retain(|(grid, object)| keep(Arc::strong_count(grid) > OWN, pages, object));
     }
 
-    /// The object of a cloud and its number.
+    /// The number of a cloud, and its object.
     #[must_use]
     pub fn find(&self, cloud: &Arc<Cloud>) -> Option<(usize, &Arc<Object>)> {
         let at = self.clouds.iter().position(|(known, _)| Arc::ptr_eq(known, cloud))?;
@@ -86,7 +88,7 @@ impl PagedFiles {
     }
 }
 
-/// Lets go of the pages of an object that is not used.
+/// Forgets the pages of an object that is not used; returns `used`.
 fn keep(used: bool, pages: &WorkingSet, object: &Object) -> bool {
     if !used {
         pages.forget(object);

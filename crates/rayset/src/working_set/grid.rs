@@ -14,7 +14,7 @@ pub struct GridPages {
 }
 
 impl GridPages {
-    /// Pages of `grid`, read from `storage` (the grid's own file, or something that stands for it).
+    /// Pages of `grid`, read from `storage` (the grid's own file, or a substitute for it).
     #[must_use]
     pub fn new(grid: Arc<Grid>, storage: Arc<dyn Storage>) -> Self {
         Self { grid, storage }

@@ -11,12 +11,12 @@ use crate::sync::atomic::{Ordering, fence};
 pub struct PageGuard(Held);
 
 enum Held {
-    // Fields are dropped in this order: whoever waits for room is told when the page is free.
+    // Fields are dropped in this order: threads that wait for room are notified when the page is free.
     Resident(Arc<Resident>, #[expect(dead_code, reason = "it acts when it is dropped")] Release),
     InPlace(PageInPlace),
 }
 
-/// Tells those who wait for room that a page has been released.
+/// Notifies threads that wait for room that a page has been released.
 struct Release(Arc<Shared>);
 
 impl PageGuard {
@@ -45,7 +45,7 @@ impl Deref for PageGuard {
 
 impl Drop for Release {
     fn drop(&mut self) {
-        // Either we see the one who waits, or that one sees that the page is free: see `PagePool::reserve`.
+        // Either this thread sees the waiting one, or that one sees that the page is free: see `PagePool::reserve`.
         fence(Ordering::SeqCst);
         self.0.pool.released();
     }

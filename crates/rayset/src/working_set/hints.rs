@@ -1,4 +1,4 @@
-//! What clients have hinted at, and how much of it nobody has asked for yet.
+//! The pages that clients have hinted, and how much of them has not been requested yet.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,18 +10,18 @@ use crate::sync::{Mutex, lock};
 /// The hints of one client.
 #[derive(Default)]
 pub(super) struct Hints {
-    /// Bytes of pages that were read for a hint and not yet asked for.
+    /// Bytes of pages that were read for a hint and have not been requested yet.
     pub(super) unused_bytes: AtomicU64,
-    /// Hints of earlier eras have been taken back.
+    /// The current era: hints of earlier eras have been withdrawn.
     pub(super) era: AtomicU32,
-    /// Pages hinted at, and some that have been asked for or have gone since.
+    /// Hinted pages, including some that have been requested or evicted since.
     pages: Mutex<Hinted>,
 }
 
 #[derive(Default)]
 struct Hinted {
     pages: Vec<(Arc<Object>, u32)>,
-    /// How many there were when those that are settled were last taken out.
+    /// How many were left when settled ones were last removed.
     unsettled: usize,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Clients {
 }
 
 impl Hints {
-    /// Notes pages that a client has hinted at.
+    /// Records pages that a client has hinted.
     pub(super) fn note(&self, object: &Arc<Object>, pages: &[u32], client: u32) {
         if pages.is_empty() {
             return;
@@ -50,7 +50,7 @@ impl Hints {
         }
     }
 
-    /// Ends an era; returns the pages that were hinted at.
+    /// Ends an era; returns the pages that were hinted in it.
     pub(super) fn take_back(&self) -> Vec<(Arc<Object>, u32)> {
         self.era.fetch_add(1, Ordering::Relaxed);
         std::mem::take(&mut lock(&self.pages).pages)
@@ -58,25 +58,25 @@ impl Hints {
 }
 
 impl Clients {
-    /// A new client; returns its number.
+    /// Registers a new client; returns its number.
     pub(super) fn enter(&mut self, hints: &Arc<Hints>) -> u32 {
-        // Half of all words tell hints that were read from others.
+        // Client numbers have 31 bits: the last bit of a word tells hints that were read from others.
         self.last = self.last % (u32::MAX >> 1) + 1;
         self.hints.insert(self.last, hints.clone());
         self.last
     }
 
-    /// A client has gone.
+    /// Removes a client.
     pub(super) fn leave(&mut self, client: u32) {
         self.hints.remove(&client);
     }
 
-    /// How many there are.
+    /// Number of clients.
     pub(super) fn len(&self) -> usize {
         self.hints.len()
     }
 
-    /// The hints of one of them.
+    /// The hints of one client.
     pub(super) fn hints_of(&self, client: u32) -> Option<&Arc<Hints>> {
         self.hints.get(&client)
     }

@@ -1,18 +1,19 @@
-//! Pages in memory, inside a budget that holds.
+//! Pages in memory, within a hard budget.
 //!
-//! A [`WorkingSet`] brings in pages of any number of objects, for any number of threads and [clients](PageClient). A page is
-//! *absent*, *loading* or *resident*; a resident page is *retained* by guards or merely kept until its room is needed. Room
-//! is made by evicting pages that were retired, then the least recently used; retained pages stay, and a release never
-//! evicts.
+//! A [`WorkingSet`] loads pages of any number of objects, for any number of threads and [clients](PageClient). A page
+//! is *absent*, *loading* or *resident*; a resident page is *retained* by guards, or merely kept until its room is
+//! needed. Room is made by evicting retired pages first, then the least recently used; retained pages stay, and a
+//! release never evicts.
 //!
-//! Invariants, whatever the threads do:
-//! 1. The bytes of all pages, loading ones included, never exceed the budget, nor a kind's its own.
-//! 2. A page is read at most once at a time, however many threads want it, and checked before anyone sees it.
-//! 3. A lookup of a resident page takes one lock, that of its own slot, which nobody holds across a read, a wait or
-//!    a search.
+//! Invariants, for any interleaving of threads:
+//! 1. The bytes of all pages, loading ones included, never exceed the budget, nor those of a kind the budget of that
+//!    kind.
+//! 2. A page is never read by two reads at the same time, however many threads request it, and is checked before use.
+//! 3. A lookup of a resident page takes one lock, that of its own slot, which is never held across a read, a wait or a
+//!    search.
 //!
-//! `request` follows a page on its way into memory, `eviction` says which gives way, `pool` holds the locks and their
-//! order; `object` has the states of pages, `guard` what retains them, `client` and `hints` who wants them.
+//! `request` brings a page into memory, `eviction` chooses the page to evict, `pool` defines the locks and their order;
+//! `object` has the states of pages, `guard` what retains them, `client` and `hints` who requests them.
 
 mod budget;
 mod buffer;
@@ -54,8 +55,8 @@ pub use self::stats::{KindStatistics, Statistics};
 use crate::cancel::CancelToken;
 use crate::sync::atomic::Ordering;
 
-/// How long a thread waits for room, or for a page, while no page is on its way: long enough for any release to happen,
-/// short enough not to hang for ever.
+/// How long a thread waits for room, or for a page, while no page is loading: long enough for any release to happen,
+/// short enough not to hang forever.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Pages in memory, shared by threads. Cheap to clone.
@@ -65,7 +66,7 @@ pub struct WorkingSet {
 }
 
 impl WorkingSet {
-    /// An empty set with a budget and something to read with.
+    /// An empty set with a budget and a backend to read with.
     #[must_use]
     pub fn new(limits: Limits, backend: Arc<dyn ReadBackend>) -> Self {
         Self::with_patience(limits, backend, PATIENCE)
@@ -81,14 +82,14 @@ impl WorkingSet {
         PageClient::new(self.shared.clone(), cancel.clone())
     }
 
-    /// Adds an object, none of whose pages is resident. Pages of one object are cached once, whoever uses it. Where its
-    /// storage lies in memory, its pages are used where they are and count in no budget.
+    /// Adds an object, none of whose pages is resident. Pages of one object are cached once, whoever uses it. If its
+    /// storage is in memory, its pages are used in place and do not count towards any budget.
     #[must_use]
     pub fn add(&self, source: Arc<dyn PageSource>) -> Arc<Object> {
         Arc::new(Object::new(source))
     }
 
-    /// Bytes that the set itself takes for an object of `pages` pages, outside the budget.
+    /// Bytes that the set itself needs for an object of `pages` pages, outside the budget.
     #[must_use]
     pub fn overhead_bytes(pages: u32) -> u64 {
         u64::from(pages) * Object::BYTES_A_PAGE as u64
@@ -106,14 +107,14 @@ impl WorkingSet {
         self.shared.count_evictions(&evicted);
     }
 
-    /// Evicts all pages of an object that are not retained: it will not be used again. Takes a time that grows with the
-    /// number of pages in memory.
+    /// Evicts all pages of an object that are not retained, because it will not be used again. Takes time proportional
+    /// to the number of pages in memory.
     pub fn forget(&self, object: &Object) {
         let evicted = self.shared.pool.evict_object(object);
         self.shared.count_evictions(&evicted);
     }
 
-    /// What has happened since the set was made, or since [`reset_statistics`](Self::reset_statistics).
+    /// Statistics since the set was created, or since [`reset_statistics`](Self::reset_statistics).
     #[must_use]
     pub fn statistics(&self) -> Statistics {
         Statistics::collect(&self.shared.counters, self.shared.pool.peaks())
@@ -125,7 +126,7 @@ impl WorkingSet {
         self.shared.pool.retained_bytes()
     }
 
-    /// Sets all counters to zero; the peak starts again from what is resident.
+    /// Sets all counters to zero; peaks start again from what is in memory now.
     pub fn reset_statistics(&self) {
         self.shared.counters.iter().for_each(Counters::reset);
         self.shared.period.fetch_add(1, Ordering::Relaxed);

@@ -1,8 +1,8 @@
 //! Models of the page pool: every test runs a few threads under a scheduler that tries one order of their steps after
-//! another (`shuttle`), and fails where any order breaks a promise, or leaves all of them waiting.
+//! another (`shuttle`), and fails if any order breaks a promise or leaves all threads waiting.
 //!
-//! `cargo test -p rayset --features model --lib models`. There is no time in a model: a wait ends by a notification alone,
-//! so that one which is lost shows as a deadlock. A patience of zero stands for one that has run out.
+//! `cargo test -p rayset --features model --lib models`. There is no time in a model: a wait only ends by a
+//! notification, so that a lost notification shows as a deadlock. A patience of zero stands for one that has run out.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -17,14 +17,14 @@ use crate::sync::atomic::{AtomicBool, AtomicUsize};
 use crate::sync::{Mutex, lock};
 
 const PAGE: usize = 512;
-/// Orders tried of each model.
+/// Number of orders tried for each model.
 const ORDERS: usize = 4000;
 const RUN_OUT: Duration = Duration::ZERO;
 const ENDLESS: Duration = Duration::from_secs(3600);
 
 /// Pages that hold their own number. One cannot be read, one is damaged, and the check of one panics.
 struct Numbers {
-    /// Reads under way, page by page.
+    /// Number of reads in flight, page by page.
     in_flight: Vec<AtomicUsize>,
 }
 
@@ -78,7 +78,7 @@ impl PageSource for Source {
     }
 }
 
-/// A thread for each read; or reads that are held back until somebody lets them go.
+/// A backend with a thread for each read, or with reads that are held back until they are let go.
 #[derive(Default)]
 struct Backend {
     held: AtomicBool,
@@ -109,7 +109,7 @@ impl Backend {
     }
 }
 
-/// A set with room for so many pages.
+/// A set with room for `room` pages.
 fn set(room: usize, patience: Duration) -> (WorkingSet, Arc<Object>, Arc<Backend>) {
     let backend = Arc::new(Backend::default());
     let limits = Limits::total((room * PAGE) as u64);
@@ -140,7 +140,7 @@ fn threads(
     threads.into_iter().for_each(|thread| thread.join().expect("no panic"));
 }
 
-/// Retains a page, looks at it, releases it.
+/// Retains a page, checks its bytes, and releases it.
 fn look(client: &PageClient, object: &Arc<Object>, page: u32) {
     let guard = client.retain(object, page).expect("a page");
     assert!(guard.iter().all(|&b| b == page as u8), "another page's bytes");
@@ -148,7 +148,8 @@ fn look(client: &PageClient, object: &Arc<Object>, page: u32) {
     assert!(guard.iter().all(|&b| b == page as u8), "evicted while it was retained");
 }
 
-/// Nothing is left behind: nothing retained, every page can be had again, and all of the budget can be given back.
+/// Checks that nothing is left behind: nothing is retained, every page can be retained again, and the whole budget can
+/// be released.
 fn check_end(set: &WorkingSet, object: &Arc<Object>) {
     assert_eq!(set.retained_bytes(), 0);
     assert!(set.statistics().peak_bytes <= set.budget_bytes());
@@ -291,7 +292,7 @@ fn threads_that_make_pages_and_wait_for_each_others_room_do_not_wait_for_ever() 
         let (set, object, _) = set(2, RUN_OUT);
         let of_thread = |own: u32, other: u32| {
             Box::new(move |client: &PageClient, object: &Arc<Object>| {
-                // An error where both have taken all the room; a page where one was first.
+                // An error if both have taken all the room; a page if one was first.
                 let outcome = client.retain_computed(object, own, |bytes| {
                     bytes.fill(own as u8);
                     client.retain(object, other).map(drop)
@@ -334,7 +335,7 @@ fn a_cancelled_client_stops_waiting_whatever_becomes_of_its_page() {
         let (set, object, backend) = set(1, ENDLESS);
         backend.held.store(true, Ordering::SeqCst);
         let cancel = CancelToken::new();
-        // One waits for its read, the others for that page or its room; none of them comes.
+        // One waits for its read, the others for that page or for room; none of them arrives.
         let waiting: Vec<_> = [0, 0, 1]
             .into_iter()
             .map(|page| {
@@ -350,7 +351,7 @@ fn a_cancelled_client_stops_waiting_whatever_becomes_of_its_page() {
             thread::spawn(move || cancel.cancel())
         };
         waiting.into_iter().chain([canceller]).for_each(|thread| thread.join().expect("no panic"));
-        // What was read ends behind them, and the set goes on.
+        // The reads end after them, and the set keeps working.
         backend.let_go();
         check_end(&set, &object);
     });
@@ -384,7 +385,7 @@ fn hints_retirements_and_forgetting_leave_every_count_at_zero() {
         .map(thread::spawn)
         .into();
         threads.into_iter().for_each(|thread| thread.join().expect("no panic"));
-        // As many hints as ever can be taken up again, once those that are still being read are there.
+        // As many hints as before are accepted again, once those that are still being read are resident.
         let client = set.client(&CancelToken::new());
         [0, 1, 2, 3].into_iter().for_each(|page| look(&client, &object, page));
         set.clear();

@@ -19,26 +19,26 @@ use super::source::{Kind, PageFault, PageSource};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard, lock};
 
-/// A page in memory. It is retained as long as anything but its slot refers to it: references are added under the lock of
-/// the slot alone.
+/// A page in memory. It is retained as long as anything but its slot refers to it; references are only added under the
+/// lock of the slot.
 pub(super) struct Resident {
     pub(super) buffer: PageBuffer,
-    /// Of this stay in memory; tells apart what refers to an earlier one.
+    /// Identifies this stay in memory, so that entries of an earlier stay can be told apart.
     pub(super) serial: u32,
     pub(super) last_use: AtomicU64,
-    /// The client that asked for it last.
+    /// The client that requested it last.
     pub(super) user: AtomicU32,
-    /// It will hardly be wanted again: the first to go.
+    /// It is unlikely to be needed again: evicted first.
     pub(super) retired: AtomicBool,
-    /// The hint that brought it in, or keeps it, and that nobody has used yet: see [`HintMark`].
+    /// The hint that loaded or keeps it, as long as nobody has requested the page since: see [`HintMark`].
     pub(super) hint: AtomicU32,
 }
 
-/// What [`Resident::hint`] says.
+/// The decoded value of [`Resident::hint`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum HintMark {
     None,
-    /// Hinted at by this client, and there already.
+    /// Hinted by this client when it was resident already.
     Kept(u32),
     /// Read for a hint of this client.
     Read(u32),
@@ -79,24 +79,24 @@ pub(super) enum Slot {
     Absent,
     Loading,
     Resident(Arc<Resident>),
-    /// In a box: slots are many and faults are few.
+    /// Boxed, because slots are many and faults are few.
     Failed(Box<PageFault>),
 }
 
 /// An object of a working set: its source and the state of each of its pages.
 pub struct Object {
     pub(super) source: Arc<dyn PageSource>,
-    /// Empty where the source has its pages in memory.
+    /// Empty if the source has its pages in memory.
     slots: Vec<Mutex<Slot>>,
     /// For each page, the period of the statistics in which it was last read.
     touched: Vec<AtomicU32>,
     in_place: Option<InPlace>,
 }
 
-/// Memory that pages lie in.
+/// Memory that contains pages.
 type Memory = Arc<dyn AsRef<[u8]> + Send + Sync>;
 
-/// A page where it lies in memory for good.
+/// A page that is used in place, in memory that holds it permanently.
 pub(super) struct PageInPlace {
     memory: Memory,
     range: Range<usize>,
@@ -104,12 +104,12 @@ pub(super) struct PageInPlace {
 
 impl PageInPlace {
     pub(super) fn bytes(&self) -> &[u8] {
-        // Memory that changes its length behind our back has no such part any more.
+        // The range may have become invalid, if the memory has changed its length.
         (*self.memory).as_ref().get(self.range.clone()).unwrap_or(&[])
     }
 }
 
-/// Pages that lie in memory and are used where they are.
+/// Pages that lie in memory and are used in place.
 struct InPlace {
     memory: Memory,
     /// Whether each page has been checked.
@@ -138,10 +138,10 @@ impl Object {
         }
     }
 
-    /// What the set itself keeps for every page of an object, in memory or not.
+    /// Bytes that the set itself keeps for every page of an object, resident or not.
     pub(super) const BYTES_A_PAGE: usize = size_of::<Mutex<Slot>>() + size_of::<AtomicU32>();
 
-    /// What its lists of pages take.
+    /// Bytes of its lists of pages.
     #[cfg(test)]
     pub(super) fn bytes_kept(&self) -> usize {
         self.slots.capacity() * size_of::<Mutex<Slot>>() + self.touched.capacity() * size_of::<AtomicU32>()
@@ -151,7 +151,7 @@ impl Object {
         lock(&self.slots[page as usize])
     }
 
-    /// Whether a page can be had now without waiting.
+    /// Whether a page can be retained now without waiting.
     #[must_use]
     pub fn is_resident(&self, page: u32) -> bool {
         self.is_in_place() || matches!(&*self.slot(page), Slot::Resident(_))
@@ -170,12 +170,12 @@ impl Object {
         self.touched[page as usize].swap(period, Ordering::Relaxed) != period
     }
 
-    /// Whether pages lie in memory for good and need no working set.
+    /// Whether pages lie in memory permanently and need no working set.
     pub(super) fn is_in_place(&self) -> bool {
         self.in_place.is_some()
     }
 
-    /// A page where it lies in memory, checked the first time; `None` if pages have to be brought in.
+    /// A page in place, checked the first time; `None` if pages have to be loaded.
     pub(super) fn in_place(&self, page: u32) -> Option<Result<PageInPlace, PageFault>> {
         let InPlace { memory, checked } = self.in_place.as_ref()?;
         let start = self.source.offset(page);

@@ -1,9 +1,10 @@
-//! The page pool: the budget, the order in which pages give way, and those who wait.
+//! The page pool: the budget, the eviction queue, and the threads that wait.
 //!
-//! **Locks**, in the order in which they are taken: a client's list of its hints, or the pool's; then a slot's; then the
-//! table of clients. None is held across a read, a check, or a wait for anything but its own condition; the pool's is held
-//! for a search through all pages only where an object is forgotten, where a budget is too small (to say by how much), and
-//! where entries of pages that have gone are thrown out, as many as have come since the last time.
+//! **Locks**, in the order in which they are taken: that of a client's list of hints, or of the pool; then that of a
+//! slot; then that of the table of clients. None is held across a read, a check, or a wait for anything but its own
+//! condition. The lock of the pool is held for a search through all pages only if an object is forgotten, if a budget
+//! is too small (to say by how much), or to remove entries of pages that have been evicted, at a cost proportional to
+//! the entries added since the last time.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,24 +19,24 @@ use crate::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
 use crate::sync::thread::{self, ThreadId};
 use crate::sync::{Condvar, Mutex, MutexGuard, lock, wait_timeout};
 
-/// Page buffers taken from the allocator at a time, besides the one that is wanted.
+/// Page buffers taken from the allocator at a time, besides the one that is requested.
 const BUFFERS_AT_A_TIME: u64 = 31;
 
-/// A wait looks again after this, whether it was notified or not.
+/// A waiting thread checks its condition again after this, whether it was notified or not.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 struct State {
     budget: Budget,
     queue: EvictionQueue,
-    /// Pages whose room is reserved and whose bytes are on their way.
+    /// Pages whose room is reserved and whose bytes are still to come, not counting those in `computing`.
     loading: u64,
-    /// For each page that is being computed, the thread that does so.
+    /// For each page that is being computed, the thread that computes it.
     computing: Vec<ThreadId>,
-    /// Those of `computing` that wait themselves, for room or for a page.
+    /// Threads of `computing` that are themselves waiting, for room or for a page.
     halted: Vec<ThreadId>,
-    /// Memory of evicted pages, to be used again by the reservation that caused the eviction.
+    /// Memory of evicted pages, to be reused by the reservation that caused the eviction.
     recycled: Vec<PageBuffer>,
-    /// Memory that was taken from the allocator together with some that is in use.
+    /// Buffers that were allocated together with others that are in use.
     preallocated: Vec<PageBuffer>,
     last_serial: u32,
 }
@@ -44,21 +45,22 @@ pub(super) struct PagePool {
     state: Mutex<State>,
     changed: Condvar,
     clock: AtomicU64,
-    /// Threads that wait for room, and all that wait. Notifying costs a system call, whether anybody listens or not.
+    /// Number of threads that wait for room, and (`waiting`) of all that wait. Notifying costs a system call even if no
+    /// thread waits.
     waiting_for_room: AtomicUsize,
     waiting: AtomicUsize,
-    /// How long a thread waits for room, or for a page, while no page is on its way.
+    /// How long a thread waits for room, or for a page, while no page is loading.
     patience: Duration,
 }
 
-/// Why a wait ended without what was waited for.
+/// Why a wait ended without a result.
 pub(super) enum WaitError {
     Cancelled,
-    /// Nothing that could end it is on its way.
+    /// Nothing that could end the wait is in progress.
     Hopeless,
 }
 
-/// A page is being computed by the thread that holds this.
+/// Held by a thread while it computes a page.
 pub(super) struct Computing<'a> {
     pool: &'a PagePool,
     thread: ThreadId,
@@ -95,7 +97,7 @@ impl PagePool {
         }
     }
 
-    /// The time of a use.
+    /// A new time stamp for a use of a page.
     pub(super) fn tick(&self) -> u64 {
         self.clock.fetch_add(1, Ordering::Relaxed)
     }
@@ -104,19 +106,20 @@ impl PagePool {
         lock(&self.state).budget.limits.clone()
     }
 
-    /// Sets new limits and evicts until they hold, as far as pages are neither retained nor loading. Returns what went.
+    /// Sets new limits and evicts pages that are neither retained nor loading until the limits hold, if possible.
+    /// Returns what was evicted.
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut state = lock(&self.state);
         state.budget.limits = limits;
         state.drop_unused_memory();
         let evicted = state.evict_excess(self.tick());
         drop(state);
-        // There may be room now for somebody who waits.
+        // There may be room now for a waiting thread.
         self.notify_waiting();
         evicted
     }
 
-    /// Evicts everything that is neither retained nor loading. Returns what went.
+    /// Evicts everything that is neither retained nor loading. Returns what was evicted.
     pub(super) fn evict_all(&self) -> Vec<Evicted> {
         let mut state = lock(&self.state);
         let mut evicted = Vec::new();
@@ -127,7 +130,7 @@ impl PagePool {
         evicted
     }
 
-    /// The same of one object.
+    /// Evicts the pages of one object that are neither retained nor loading. Returns what was evicted.
     pub(super) fn evict_object(&self, object: &Object) -> Vec<Evicted> {
         let mut state = lock(&self.state);
         let evicted = state.queue.evict_object(object);
@@ -140,20 +143,21 @@ impl PagePool {
         evicted
     }
 
-    /// A page has been retired.
+    /// Records that a page has been retired.
     pub(super) fn retire(&self, object: &Arc<Object>, page: u32, serial: u32) {
         lock(&self.state).queue.retire(object.clone(), page, serial);
     }
 
-    /// Room for one page, as far as pages that are not retained can make it. Also returns what was evicted on the way.
+    /// Reserves room for one page, if evicting pages that are not retained makes enough. Also returns what was evicted.
     pub(super) fn try_reserve(&self, kind: Kind, object: &Object) -> (Option<PageBuffer>, Vec<Evicted>) {
         let mut evicted = Vec::new();
         let room = lock(&self.state).reserve(kind, object.bytes(), self.tick(), &mut evicted);
         (room, evicted)
     }
 
-    /// Room for one page that a thread waits for: waits for releases if it must, but not longer than its patience while
-    /// no page is on its way. What is on its way can be evicted when it is there, however slow the disk.
+    /// Reserves room for one page that a thread waits for. Waits for releases if it must, but not longer than its
+    /// patience while no page is loading: a page that is loading can be evicted once it is resident, however slow the
+    /// disk.
     pub(super) fn reserve(
         &self,
         kind: Kind,
@@ -165,7 +169,7 @@ impl PagePool {
         if let Some(room) = lock(&self.state).reserve(kind, bytes, self.tick(), evicted) {
             return Ok(room);
         }
-        // Whoever releases a page from now on notifies; what was released before, the next search sees.
+        // A thread that releases a page from now on notifies; what was released before is seen by the next search.
         self.waiting_for_room.fetch_add(1, Ordering::SeqCst);
         fence(Ordering::SeqCst);
         let room = self.wait_for(cancel, |state| {
@@ -176,9 +180,9 @@ impl PagePool {
         room?
     }
 
-    /// Waits until `ready` gives something, but not longer than the patience while no page is on its way. It is asked
-    /// under the lock of the pool, which every change of a slot from loading takes before it notifies: whoever waits was
-    /// counted before that, so no change is missed.
+    /// Waits until `ready` returns something, but not longer than the patience while no page is loading. `ready` is
+    /// called under the lock of the pool, which every change of a slot from loading takes before it notifies: a waiting
+    /// thread was counted before that, so no change is missed.
     pub(super) fn wait_until<T>(
         &self,
         cancel: &CancelToken,
@@ -225,8 +229,8 @@ impl PagePool {
         state
     }
 
-    /// Says that the calling thread computes the page that it has reserved room for, until the guard is dropped: whatever
-    /// it waits for meanwhile, its own page does not count as on its way.
+    /// Declares that the calling thread computes the page that it has reserved room for, until the guard is dropped:
+    /// while it waits for anything meanwhile, its own page does not count as loading.
     pub(super) fn computing(&self) -> Computing<'_> {
         let thread = thread::current().id();
         let mut state = lock(&self.state);
@@ -235,8 +239,8 @@ impl PagePool {
         Computing { pool: self, thread }
     }
 
-    /// A page for which room was reserved is there: from now on it can be had, and evicted unless `hold` retains it.
-    /// Returns what `hold` does, and what had to go, where limits have been lowered meanwhile.
+    /// Makes a page resident for which room was reserved: from now on it can be retained, and evicted unless `hold`
+    /// retains it. Returns the result of `hold`, and what was evicted because limits have been lowered meanwhile.
     pub(super) fn loaded<T>(
         &self,
         object: &Arc<Object>,
@@ -258,19 +262,19 @@ impl PagePool {
         (held, evicted)
     }
 
-    /// A page will not come: its slot says why, and its room is free again.
+    /// Reports that a page will not become resident: its slot says why, and its room is free again.
     pub(super) fn failed(&self, object: &Object, page: u32, slot: Slot, buffer: PageBuffer) {
         let mut state = lock(&self.state);
         state.loading -= 1;
         *object.slot(page) = slot;
         state.budget.give_back(object.kind(page), object.bytes());
-        // For whoever takes the room: freed and taken again, pages would crumble the allocator's memory.
+        // Kept for the next reservation: freeing and allocating pages again would fragment the heap.
         state.recycled.push(buffer);
         drop(state);
         self.notify_waiting();
     }
 
-    /// A slot has changed: wakes all who wait.
+    /// Reports that a slot has changed: wakes all waiting threads.
     pub(super) fn notify(&self) {
         drop(lock(&self.state));
         self.notify_waiting();
@@ -282,10 +286,10 @@ impl PagePool {
         }
     }
 
-    /// A page has been released.
+    /// Reports that a page has been released.
     pub(super) fn released(&self) {
         if self.waiting_for_room.load(Ordering::SeqCst) > 0 {
-            // Whoever has searched in vain holds the lock until it waits.
+            // A thread that has searched in vain holds the lock until it waits.
             drop(lock(&self.state));
             self.changed.notify_all();
         }
@@ -310,14 +314,15 @@ impl PagePool {
 }
 
 impl State {
-    /// Whether a page is on its way while the calling thread waits: being read, or computed by a thread that does not wait
-    /// itself. Threads that compute pages and wait for the room of each other's would else wait for ever.
+    /// Whether a page is loading while the calling thread waits: being read, or computed by a thread that is not
+    /// waiting itself. Otherwise threads that compute pages and wait for room taken by each other's pages would wait
+    /// forever.
     fn is_moving(&self) -> bool {
         let waits = |thread: &ThreadId| *thread == thread::current().id() || self.halted.contains(thread);
         self.loading > 0 || !self.computing.iter().all(waits)
     }
 
-    /// The calling thread is about to wait; who it is, where it computes a page.
+    /// Records that the calling thread is about to wait; returns its id if it computes a page.
     fn halt(&mut self) -> Option<ThreadId> {
         if self.computing.is_empty() {
             return None;
@@ -341,7 +346,7 @@ impl State {
         Some(evicted)
     }
 
-    /// Evicts until the limits hold, as far as pages are neither retained nor loading.
+    /// Evicts pages that are neither retained nor loading until the limits hold, if possible.
     fn evict_excess(&mut self, now: u64) -> Vec<Evicted> {
         let mut evicted = Vec::new();
         while let Some(page) = self.budget.excess().and_then(|obstacle| self.evict(obstacle, now)) {
@@ -358,8 +363,7 @@ impl State {
         self.preallocated.clear();
     }
 
-    /// Takes room for a page, as far as evictions can make it; what they take out is added to `evicted`, without its
-    /// memory.
+    /// Takes room for a page, if evictions can make enough; evicted pages are added to `evicted`, without their memory.
     fn reserve(
         &mut self,
         kind: Kind,
@@ -379,7 +383,7 @@ impl State {
             Some(at) => self.recycled.swap_remove(at),
             None => self.take_preallocated(bytes),
         };
-        // Memory of other sizes goes back to the system, or the process would exceed what the budget says.
+        // Memory of other sizes goes back to the system; otherwise the process would exceed its budget.
         self.recycled.clear();
         let unused: u64 = self.preallocated.iter().map(|b| b.bytes().len() as u64).sum();
         if unused > self.budget.free() {
@@ -388,8 +392,8 @@ impl State {
         Some(buffer)
     }
 
-    /// Memory for a page, many at a time: taken one by one, in between what else is allocated, pages would crumble the
-    /// allocator's memory, and the process would exceed its budget.
+    /// Memory for a page, allocated many pages at a time: allocated one by one, in between other allocations, pages
+    /// would fragment the heap, and the process would exceed its budget.
     fn take_preallocated(&mut self, bytes: u64) -> PageBuffer {
         let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
         if let Some(at) = self.preallocated.iter().position(fits) {

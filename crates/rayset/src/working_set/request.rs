@@ -1,7 +1,7 @@
-//! The way of a page into memory, in its order: a client asks for it ([`retain`](PageClient::retain)); it is missing, so
-//! room is made (`make_room`) and a read submitted (`read_of`); what was read is checked and becomes resident (`complete`);
-//! and whoever waited (`wait_for_page`) retains it. [`retain_computed`](PageClient::retain_computed) makes a page instead
-//! of reading it.
+//! The way of a page into memory, step by step: a client requests it ([`retain`](PageClient::retain)); it is absent, so
+//! room is made (`make_room`) and a read is submitted (`read_of`); what was read is checked and becomes resident
+//! (`complete`); and threads that waited (`wait_for_page`) retain it. [`retain_computed`](PageClient::retain_computed)
+//! computes a page instead of reading it.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -21,11 +21,11 @@ use crate::cancel::Registration as Registered;
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 impl PageClient {
-    /// Retains a page, reading it if need be.
+    /// Retains a page, reading it if it is absent.
     ///
     /// # Errors
-    /// [`PageFault`] where the page cannot be read, is damaged, or has no room although nothing is loading, and where the
-    /// client is cancelled while it waits.
+    /// [`PageFault`] if the page cannot be read or is damaged, if there is no room for it although nothing is loading,
+    /// or if the client is cancelled while it waits.
     pub fn retain(&self, object: &Arc<Object>, page: u32) -> Result<PageGuard, PageFault> {
         if let Some(found) = object.in_place(page) {
             return found.map(PageGuard::from);
@@ -54,10 +54,10 @@ impl PageClient {
         }
     }
 
-    /// Retains a page if it is resident now; `None` if it is absent or on its way.
+    /// Retains a page if it is resident now; `None` if it is absent or loading.
     ///
     /// # Errors
-    /// [`PageFault`] where the page could not be read, or is damaged.
+    /// [`PageFault`] if the page could not be read or is damaged.
     pub fn retain_resident(&self, object: &Object, page: u32) -> Option<Result<PageGuard, PageFault>> {
         if let Some(found) = object.in_place(page) {
             return Some(found.map(PageGuard::from));
@@ -73,7 +73,7 @@ impl PageClient {
         }
     }
 
-    /// Makes room for a page that this thread has set to loading, and has it read.
+    /// Makes room for a page that this thread has set to loading, and submits its read.
     fn read(&self, object: &Arc<Object>, page: u32) -> Result<(), PageFault> {
         let buffer = self.make_room(object, page)?;
         let read = self.shared.read_of(object, page, buffer, self.number, None);
@@ -81,7 +81,7 @@ impl PageClient {
         Ok(())
     }
 
-    /// Room for a page that this thread has set to loading; where there is none, the page is absent again.
+    /// Reserves room for a page that this thread has set to loading; if there is none, the page becomes absent again.
     fn make_room(&self, object: &Arc<Object>, page: u32) -> Result<PageBuffer, PageFault> {
         let mut evicted = Vec::new();
         let _woken = self.registered();
@@ -99,7 +99,7 @@ impl PageClient {
         })
     }
 
-    /// Waits until a page that is loading is there.
+    /// Waits until a page that is loading is resident, and retains it.
     fn wait_for_page(
         &self,
         object: &Arc<Object>,
@@ -115,7 +115,7 @@ impl PageClient {
                     Some(Some(Ok(self.shared.guard(object, resident, self.number, counters))))
                 }
                 Slot::Failed(fault) => Some(Some(Err((**fault).clone()))),
-                // Loaded and evicted again before this thread woke up, or a hint that found no room.
+                // The page was loaded and evicted again before this thread woke up, or a hint found no room for it.
                 Slot::Absent => Some(None),
             });
             match outcome {
@@ -138,14 +138,15 @@ impl PageClient {
         result
     }
 
-    /// Retains a page that is made, not read: `compute` fills its bytes where it is absent, on the calling thread, which
-    /// may retain other pages meanwhile. Another thread that wants the page waits for it, or makes it where this one fails.
+    /// Retains a page that is computed, not read: if it is absent, `compute` fills its bytes on the calling thread,
+    /// which may retain other pages meanwhile. Another thread that requests the page waits for it, or computes it if
+    /// this one fails.
     ///
-    /// Panics where `compute` panics; the page is an error from then on.
+    /// Panics if `compute` panics; requests for the page fail from then on.
     ///
     /// # Errors
-    /// What `compute` returns, which leaves the page absent; a [`PageFault`] where there is no room, where an earlier
-    /// `compute` has panicked, where the page is being made by a thread that waits for this one, or where the client is
+    /// The error that `compute` returns, which leaves the page absent; a [`PageFault`] if there is no room, an earlier
+    /// `compute` has panicked, the page is being computed by a thread that waits for this one, or the client is
     /// cancelled while it waits.
     pub fn retain_computed<E: From<PageFault>>(
         &self,
@@ -178,7 +179,7 @@ impl PageClient {
         }
     }
 
-    /// Waits until a page that another thread computes is there, or will not come.
+    /// Waits until a page that another thread computes is resident or has failed.
     fn wait_while_loading(&self, object: &Arc<Object>, page: u32) -> Result<(), PageFault> {
         let started = Instant::now();
         let _woken = self.registered();
@@ -221,7 +222,7 @@ impl PageClient {
                 Err(error)
             }
             Err(panic) => {
-                // Whoever waits for the page must learn that it will not come.
+                // Threads that wait for the page must learn that it has failed.
                 let fault = PageFault::Panicked { name: object.source.name(), page };
                 self.shared.pool.failed(object, page, Slot::Failed(Box::new(fault)), buffer);
                 resume_unwind(panic);
@@ -229,7 +230,7 @@ impl PageClient {
         }
     }
 
-    /// While this lives, a cancellation wakes those who wait in the pool.
+    /// While this lives, a cancellation wakes the threads that wait in the pool.
     fn registered(&self) -> Registered<'_> {
         let shared = self.shared.clone();
         self.cancel.register(Arc::new(move || shared.pool.notify()))
@@ -237,7 +238,7 @@ impl PageClient {
 }
 
 impl Shared {
-    /// A guard on a page that has been asked for. The caller holds the lock of its slot.
+    /// A guard on a page that has been requested. The caller holds the lock of its slot.
     fn guard(
         self: &Arc<Self>,
         object: &Object,
@@ -256,14 +257,14 @@ impl Shared {
         PageGuard::new(resident, self)
     }
 
-    /// A page that was to come is absent again.
+    /// Makes a page that was to be loaded absent again.
     pub(super) fn give_up(&self, object: &Object, page: u32) {
         *object.slot(page) = Slot::Absent;
         self.pool.notify();
     }
 
-    /// The request that will make a page resident, for a client; `hint` is the era of a hint, where nobody has asked for
-    /// it.
+    /// The read that will make a page resident, for a client; `hint` is the era of the hint if the page is read for
+    /// one.
     pub(super) fn read_of(
         self: &Arc<Self>,
         object: &Arc<Object>,
@@ -289,7 +290,7 @@ impl Shared {
         }
     }
 
-    /// A read has ended: the page is checked, and resident, or failed.
+    /// Completes a read: checks the page, which then is resident or failed.
     fn complete(
         self: &Arc<Self>,
         object: &Arc<Object>,
@@ -302,7 +303,7 @@ impl Shared {
         let (name, offset) = (|| object.source.name(), object.source.offset(page));
         let checked = match outcome {
             Ok(()) => {
-                // A source is anybody's: one that panics must not leave threads waiting for ever.
+                // Sources may be user code: one that panics must not leave threads waiting forever.
                 let check = AssertUnwindSafe(|| object.source.check(page, buffer.bytes()));
                 let checked = catch_unwind(check).unwrap_or_else(|_| Err("its check panicked".into()));
                 checked.map_err(|what| PageFault::Damaged { name: name(), page, offset, what })
@@ -311,7 +312,7 @@ impl Shared {
         };
         match checked {
             Ok(()) => {
-                // A page whose hint has been taken back meanwhile is the first to go.
+                // A page whose hint has been withdrawn meanwhile is evicted first.
                 let wanted = hint.is_none_or(|era| self.is_hint_of(client, era));
                 let mark = if hint.is_some() && wanted { HintMark::Read(client) } else { HintMark::None };
                 if !wanted {
@@ -330,11 +331,11 @@ impl Shared {
         }
     }
 
-    /// A page as it comes into memory; the first to go where it is `retired` already.
+    /// A page as it becomes resident; evicted first if it is `retired` already.
     fn resident(&self, buffer: PageBuffer, client: u32, mark: HintMark, retired: bool) -> Resident {
         Resident {
             buffer,
-            // Given by the pool.
+            // Set by the pool.
             serial: 0,
             last_use: AtomicU64::new(self.pool.tick()),
             user: AtomicU32::new(client),

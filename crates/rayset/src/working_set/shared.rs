@@ -1,4 +1,4 @@
-//! What all clients of a working set share.
+//! The state that all clients of a working set share.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use super::stats::Counters;
 use crate::sync::atomic::{AtomicU32, Ordering};
 use crate::sync::{Mutex, lock};
 
-/// What all clients share.
+/// The state that all clients share.
 pub(super) struct Shared {
     pub(super) pool: PagePool,
     pub(super) backend: Arc<dyn ReadBackend>,
@@ -45,8 +45,8 @@ impl Shared {
         clients.hints_of(client).is_some_and(|hints| hints.era.load(Ordering::Relaxed) == era)
     }
 
-    /// Settles a hint: the page was asked for, or will not be. True where it was read for the hint. The caller holds the
-    /// lock of the page's slot, or has taken the page out.
+    /// Settles a hint: the page has been requested, or will not be. Returns whether it was read for the hint. The
+    /// caller holds the lock of the page's slot, or has evicted the page.
     pub(super) fn settle_hint(&self, resident: &Resident, bytes: u64) -> bool {
         let mark = resident.hint_mark();
         if mark == HintMark::None {
@@ -65,7 +65,7 @@ impl Shared {
         }
     }
 
-    /// Retires those of `pages` that are not retained, and that `wanted` says.
+    /// Retires those of `pages` that are not retained and for which `wanted` holds.
     pub(super) fn retire_if(&self, object: &Arc<Object>, pages: &[u32], wanted: impl Fn(&Resident) -> bool) {
         if object.is_in_place() {
             return;

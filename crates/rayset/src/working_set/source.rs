@@ -1,4 +1,4 @@
-//! What a working set holds pages of, and why a page cannot be had.
+//! The sources of a working set's pages, and why a page may be unavailable.
 
 use std::io;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ pub enum Kind {
     Points,
     /// Bricks of a grid.
     Voxels,
-    /// Light that reaches places, computed.
+    /// Light that reaches places; computed, not read.
     Shadows,
 }
 
@@ -26,7 +26,7 @@ impl Kind {
     /// Every kind.
     pub const ALL: &[Self] = &Self::EACH;
 
-    /// The same, with their number in the type.
+    /// Every kind, as an array.
     pub(super) const EACH: [Self; KINDS] = [Self::Octree, Self::Points, Self::Voxels, Self::Shadows];
 
     pub(super) fn index(self) -> usize {
@@ -45,7 +45,7 @@ impl Kind {
     }
 }
 
-/// Something on disk that consists of pages.
+/// A source of pages, such as a file.
 pub trait PageSource: Send + Sync {
     /// Number of pages.
     fn pages(&self) -> u32;
@@ -53,20 +53,20 @@ pub trait PageSource: Send + Sync {
     fn page_bytes(&self) -> usize;
     /// What a page holds.
     fn kind(&self, page: u32) -> Kind;
-    /// Where a page starts in the storage.
+    /// Offset of a page in the storage, in bytes.
     fn offset(&self, page: u32) -> u64;
     /// What the pages are read from.
     fn storage(&self) -> Arc<dyn Storage>;
-    /// Checks the bytes of a page that has just been read; the error says what is wrong with them.
+    /// Checks the bytes of a page that has just been read.
     ///
     /// # Errors
-    /// A sentence for the user.
+    /// What is wrong with the bytes, in words for the user.
     fn check(&self, page: u32, bytes: &[u8]) -> Result<(), String>;
-    /// What to call the source in messages.
+    /// The name of the source in messages.
     fn name(&self) -> String;
 }
 
-/// Why a page could not be had.
+/// Why a page could not be obtained.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PageFault {
@@ -94,7 +94,7 @@ pub enum PageFault {
         /// What is wrong.
         what: String,
     },
-    /// What should have made the page panicked.
+    /// The function that computes the page panicked.
     #[error("{name}: making page {page} panicked")]
     Panicked {
         /// The source.
@@ -102,7 +102,7 @@ pub enum PageFault {
         /// The page.
         page: u32,
     },
-    /// The page is being made by a thread that waits itself, and nothing that could end its wait is on its way.
+    /// The page is being computed by a thread that waits itself, and nothing that could end its wait is in progress.
     #[error("{name}: page {page} is being made by a thread that waits for others that wait for it")]
     Stuck {
         /// The source.
@@ -118,7 +118,7 @@ pub enum PageFault {
     Full {
         /// The budget.
         budget: u64,
-        /// The smallest that would have done at this moment.
+        /// The smallest budget that would have sufficed at this moment.
         needed: u64,
     },
 }

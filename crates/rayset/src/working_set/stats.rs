@@ -1,4 +1,4 @@
-//! What the working set did, by kind.
+//! Statistics of the working set, by kind of page.
 
 use std::time::Instant;
 
@@ -24,7 +24,7 @@ pub(super) struct Counters {
 }
 
 impl Counters {
-    /// A request has waited since `started`.
+    /// Counts a request that has waited since `started`.
     pub(super) fn stalled(&self, started: Instant) {
         self.stalls.fetch_add(1, Ordering::Relaxed);
         self.stall_nanoseconds.fetch_add(started.elapsed().as_nanos() as u64, Ordering::Relaxed);
@@ -51,7 +51,7 @@ impl Counters {
     }
 }
 
-/// What happened to the pages of one kind.
+/// Statistics of the pages of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct KindStatistics {
@@ -63,11 +63,11 @@ pub struct KindStatistics {
     pub late: u64,
     /// Pages read because of a hint.
     pub hinted: u64,
-    /// Of these, the ones that were there when they were first asked for, or were being read.
+    /// Of these, the ones that were resident or being read when they were first requested.
     pub hinted_in_time: u64,
     /// Requests that had to wait.
     pub stalls: u64,
-    /// Time waited, of all threads together.
+    /// Time waited in nanoseconds, summed over all threads.
     pub stall_nanoseconds: u64,
     /// Pages read.
     pub reads: u64,
@@ -81,17 +81,17 @@ pub struct KindStatistics {
     pub computed: u64,
     /// The same, each page counted once.
     pub computed_unique: u64,
-    /// Most bytes at any time, pages being read included.
+    /// Most bytes in memory at any time, including pages being read.
     pub peak_bytes: u64,
 }
 
-/// What a working set did.
+/// Statistics of a working set.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct Statistics {
     /// By kind, in the order of [`Kind::ALL`].
     by_kind: [KindStatistics; KINDS],
-    /// Most bytes at any time, of all kinds together.
+    /// Most bytes in memory at any time, of all kinds together.
     pub peak_bytes: u64,
 }
 

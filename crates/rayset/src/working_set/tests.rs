@@ -1,4 +1,4 @@
-//! What needs the inside of a working set: waits that end, pages whose making fails, hints that are settled.
+//! Tests that need the inside of a working set: waits that end, pages whose computation fails, hints that are settled.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -61,7 +61,8 @@ fn zeros(pages: u32, page_bytes: u64, delay_milliseconds: u64) -> Arc<Zeros> {
     Arc::new(Zeros { pages, page_bytes, delay_milliseconds: delay_milliseconds.into() })
 }
 
-/// A set with room for so many pages, whose threads wait so long, and an object whose reads take so long.
+/// A set with room for `room` pages, whose threads have the given patience, and an object whose reads take the given
+/// delay.
 fn set(
     room: u64,
     patience_milliseconds: u64,
@@ -75,7 +76,7 @@ fn set(
     (set, client, object, zeros)
 }
 
-/// What `work` returns on a thread of its own, which must end in time.
+/// Runs `work` on a thread of its own, which must end in time; returns its result.
 fn in_time<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
     let (send, receive) = mpsc::channel();
     std::thread::spawn(move || send.send(work()));
@@ -100,7 +101,7 @@ fn threads_that_compute_pages_and_wait_for_each_others_room_do_not_wait_for_ever
             std::thread::spawn(move || {
                 client
                     .retain_computed(&object, thread, |_| {
-                        // Until all four have their room.
+                        // Waits until all four have their room.
                         while client.shared.pool.peaks().0 < 4 * PAGE {
                             std::thread::yield_now();
                         }
@@ -145,7 +146,7 @@ fn a_page_that_is_computed_for_long_is_waited_for() {
         })
     };
     begun.wait();
-    // One wants the page, another its room: both wait six times as long as they would for nothing.
+    // One thread waits for the page, another for its room: both wait six times as long as their patience.
     let (of_client, of_object) = (client.clone(), object.clone());
     let same = std::thread::spawn(move || {
         of_client.retain_computed(&of_object, 0, |_| Ok::<(), PageFault>(())).map(drop)
@@ -192,7 +193,7 @@ fn a_panic_while_a_page_is_computed_reaches_the_caller_and_fails_the_page_for_al
     assert!(matches!(waited, Err(PageFault::Panicked { page: 7, .. })), "{waited:?}");
     let later = client.retain(&object, 7).map(drop);
     assert!(matches!(later, Err(PageFault::Panicked { page: 7, .. })), "{later:?}");
-    // Its room is free again, and the set goes on serving everybody else.
+    // Its room is free again, and the set keeps serving other requests.
     let all: Vec<_> = (0..4).map(|page| client.retain(&object, page).expect("there is room")).collect();
     assert_eq!(all.len(), 4);
 }
@@ -210,7 +211,7 @@ fn a_budget_full_of_retained_pages_is_an_error_that_names_what_is_needed() {
     drop(client.retain(&object, 3).expect("released pages give way"));
 }
 
-/// How many of 40 hints are taken up where unused ones may take eight pages.
+/// How many of 40 hinted pages are accepted if unused ones may take eight pages.
 fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {
     client.hint(object, &(20..60).collect::<Vec<_>>(), 8 * PAGE)
 }
@@ -252,7 +253,7 @@ fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
     assert_eq!(hints_taken(&client, &object), 8);
 }
 
-/// A billion points are some 200 000 pages; what the set keeps of them must be small beside any budget.
+/// A billion points are some 200 000 pages; what the set stores for them must be small compared to any budget.
 #[test]
 fn a_page_takes_at_most_32_bytes_outside_the_budget() {
     assert!(WorkingSet::overhead_bytes(1) <= 32, "{} bytes", WorkingSet::overhead_bytes(1));
@@ -273,7 +274,7 @@ fn pages_of_every_size_have_memory_of_their_own_size() {
     assert!(set.statistics().peak_bytes <= 4 * PAGE);
 }
 
-/// Pages that are retired go by another way than the queue that they stand in by age.
+/// Retired pages are evicted by another way than the queue of pages by age.
 #[test]
 fn what_is_kept_of_pages_that_have_gone_does_not_grow_with_their_number() {
     let (_set, client, object, _) = set(4, 10_000, 0);
@@ -289,7 +290,7 @@ fn what_is_kept_of_pages_that_have_gone_does_not_grow_with_their_number() {
     assert!(entries <= 2 * (2 * 4 + 65), "{entries} entries of 4 pages");
 }
 
-/// All have been used since they came, the first of them last.
+/// All pages have been used since they were loaded, the first of them last.
 #[test]
 fn of_many_pages_that_are_all_younger_than_they_seem_an_old_one_goes() {
     let pages = 300;

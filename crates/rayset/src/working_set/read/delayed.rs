@@ -1,4 +1,4 @@
-//! A slower disk than there is: every read starts a fixed time after it was submitted.
+//! Simulation of a slower disk: every read starts a fixed time after it was submitted.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -13,7 +13,7 @@ struct Queue {
     closed: bool,
 }
 
-/// Adds a latency to another backend, as a distant disk would; any number of reads wait at the same time.
+/// Adds a latency to another backend, like distant storage; any number of reads wait at the same time.
 pub struct Delayed {
     inner: Arc<dyn ReadBackend>,
     delay: Duration,
@@ -25,7 +25,7 @@ impl Delayed {
     /// Delays every read of `inner`.
     ///
     /// # Errors
-    /// What the system says to the thread that keeps time.
+    /// The system's error, if the thread that keeps time cannot be started.
     pub fn new(inner: Arc<dyn ReadBackend>, delay: Duration) -> std::io::Result<Self> {
         let shared: Arc<(Mutex<Queue>, Condvar)> = Arc::default();
         let (queue, target) = (shared.clone(), inner.clone());

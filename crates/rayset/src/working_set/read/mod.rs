@@ -1,6 +1,6 @@
-//! Reading pages: what is read from ([`Storage`]), and how ([`ReadBackend`]).
+//! Reading pages: what to read from ([`Storage`]), and how ([`ReadBackend`]).
 //!
-//! A backend takes batches and answers each read on whatever thread it likes. None of this can change a picture.
+//! A backend takes batches and completes each read on any thread. None of this can change a picture.
 
 mod delayed;
 mod pool;
@@ -22,25 +22,25 @@ pub use self::uring::Uring;
 use super::PageBuffer;
 pub use crate::storage::{BackendKind, FileStorage, MemoryStorage, Storage};
 
-/// What is called when a read has ended, with the buffer and the outcome.
+/// Called when a read has ended, with the buffer and the outcome.
 pub type Completion = Box<dyn FnOnce(PageBuffer, io::Result<()>) + Send>;
 
 /// A request to fill a buffer.
 pub struct Read {
     /// What to read from.
     pub storage: Arc<dyn Storage>,
-    /// Where.
+    /// Offset in the storage, in bytes.
     pub offset: u64,
-    /// Where to; all of it is filled.
+    /// The buffer to fill completely.
     pub buffer: PageBuffer,
-    /// Whom to tell. Must be called exactly once.
+    /// Must be called exactly once, when the read has ended.
     pub done: Completion,
 }
 
 impl Read {
-    /// Carries the request out on the calling thread.
+    /// Carries out the request on the calling thread.
     pub fn run(mut self) {
-        // A storage is anybody's: one that panics must not leave threads waiting for ever.
+        // Storages may be user code: one that panics must not leave threads waiting forever.
         let read = AssertUnwindSafe(|| self.storage.read_exact_at(self.buffer.bytes_mut(), self.offset));
         let outcome = catch_unwind(read).unwrap_or_else(|_| Err(io::Error::other("the storage panicked")));
         (self.done)(self.buffer, outcome);
@@ -49,21 +49,21 @@ impl Read {
 
 /// A way to carry out reads.
 pub trait ReadBackend: Send + Sync {
-    /// Starts a batch of reads, in the order of their urgency, and returns without waiting for them.
+    /// Starts a batch of reads, most urgent first, and returns without waiting for them.
     fn submit(&self, batch: Vec<Read>);
-    /// What to call it in reports.
+    /// The name of the backend in reports.
     fn name(&self) -> String;
 }
 
-/// Reads in flight at once, and threads of the pool.
+/// Most reads in flight at once through io_uring.
 pub const DEPTH: usize = 32;
-/// Threads of the pool: enough to keep a disk busy, few enough to cost no memory.
+/// Threads of the pool: enough to keep a disk busy, few enough to need little memory.
 const POOL_THREADS: usize = 16;
 
 /// Makes a backend.
 ///
 /// # Errors
-/// What the system says to io_uring, where that was asked for by name.
+/// The system's error, if io_uring is requested explicitly and is not available.
 pub fn backend(kind: BackendKind) -> io::Result<Arc<dyn ReadBackend>> {
     let pool = || Arc::new(Pool::new(POOL_THREADS)) as Arc<dyn ReadBackend>;
     #[cfg(target_os = "linux")]

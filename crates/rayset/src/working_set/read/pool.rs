@@ -1,4 +1,5 @@
-//! Threads that read at positions: works everywhere, and keeps a disk as busy as anything at these page sizes.
+//! A pool of threads with positional reads: works everywhere, and keeps a disk as busy as any other way at these page
+//! sizes.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -6,7 +7,7 @@ use std::thread::JoinHandle;
 
 use super::{Read, ReadBackend};
 
-/// Most of what a reading thread calls is the kernel; checks of a page need little.
+/// Reading threads mostly call the kernel; checks of a page need little stack.
 const STACK_BYTES: usize = 128 << 10;
 
 #[derive(Default)]
@@ -64,7 +65,7 @@ fn serve(shared: &Shared) {
 impl ReadBackend for Pool {
     fn submit(&self, batch: Vec<Read>) {
         if self.threads.is_empty() {
-            // The system gave us no thread: read here.
+            // The system could not start a thread: read on this one.
             return batch.into_iter().for_each(Read::run);
         }
         let one = batch.len() == 1;
@@ -89,7 +90,7 @@ impl Drop for Pool {
 pub(super) fn join(threads: &mut Vec<JoinHandle<()>>) {
     for thread in threads.drain(..) {
         if thread.thread().id() != std::thread::current().id() {
-            // A thread that panicked has said so itself.
+            // A thread that panicked has reported it itself.
             let _ = thread.join();
         }
     }

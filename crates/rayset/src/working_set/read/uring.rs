@@ -1,4 +1,4 @@
-//! io_uring: one thread, one ring, whole batches a system call.
+//! io_uring: one thread, one ring, a whole batch per system call.
 
 use std::collections::VecDeque;
 use std::io;
@@ -14,9 +14,9 @@ use super::{Read, ReadBackend};
 #[derive(Default)]
 struct Queue {
     reads: VecDeque<Read>,
-    /// The thread has nothing to do and has to be woken.
+    /// The thread has nothing to do and must be woken.
     asleep: bool,
-    /// The thread waits for reads to end, and would start others at once if told of them.
+    /// The thread waits for reads to end, but can start others at once if it is notified of them.
     reaping: bool,
     closed: bool,
 }
@@ -24,11 +24,11 @@ struct Queue {
 struct Shared {
     queue: Mutex<Queue>,
     filled: Condvar,
-    /// Tells a thread that is in the kernel of new reads.
+    /// Notifies a thread that waits in the kernel of new reads.
     bell: OwnedFd,
 }
 
-/// What to wait for: that the bell can be read.
+/// The event to wait for: the bell has become readable.
 const POLLIN: u32 = 1;
 /// Marks the completion of a wait for the bell.
 const BELL: u64 = u64::MAX;
@@ -43,7 +43,7 @@ impl Uring {
     /// Opens a ring for `depth` reads in flight.
     ///
     /// # Errors
-    /// What the system says; old kernels and some containers have no io_uring.
+    /// The system's error; old kernels and some containers have no io_uring.
     pub fn new(depth: u32) -> io::Result<Self> {
         // One more for the bell.
         let ring = IoUring::new((depth + 1).next_power_of_two())?;
@@ -52,7 +52,7 @@ impl Uring {
         if !probe.is_supported(opcode::Read::CODE) || !probe.is_supported(opcode::PollAdd::CODE) {
             return Err(io::Error::new(io::ErrorKind::Unsupported, "this kernel's io_uring cannot read"));
         }
-        // Some systems let a ring be made and then forbid its use.
+        // Some systems allow a ring to be created but not to be used.
         ring.submit()?;
         let bell = eventfd(0, EventfdFlags::CLOEXEC)?;
         let shared = Arc::new(Shared { queue: Mutex::default(), filled: Condvar::new(), bell });
@@ -92,7 +92,7 @@ impl Driver {
             let room = self.flight.len() - self.flying;
             let count = room.min(queue.reads.len());
             let batch: Vec<Read> = queue.reads.drain(..count).collect();
-            // With no room for more there is nothing to be told.
+            // Without room for more reads there is no need to be notified.
             queue.reaping = self.flying + count < self.flight.len();
             drop(queue);
             batch.into_iter().for_each(|read| self.start(read));
@@ -103,7 +103,7 @@ impl Driver {
         }
     }
 
-    /// Has the ring complete a request when the bell rings.
+    /// Makes the ring complete a request when the bell rings.
     fn listen(&mut self) {
         if self.listening {
             return;
@@ -115,18 +115,18 @@ impl Driver {
         self.listening = unsafe { self.ring.submission().push(&entry) }.is_ok();
     }
 
-    /// The bell has rung: silences it.
+    /// Resets the bell after it has rung.
     fn heard(&mut self) {
         self.listening = false;
         let mut count = [0; 8];
-        // It holds a count, so this does not wait; what it was does not matter.
+        // It holds a count, so this does not block; the value of the count does not matter.
         let _ = rustix::io::read(&self.shared.bell, &mut count);
     }
 
     fn start(&mut self, mut read: Read) {
         let place = self.flight.iter().position(Option::is_none);
         let (Some(fd), Some(place)) = (read.storage.file().map(AsRawFd::as_raw_fd), place) else {
-            // Nothing that the kernel could read by itself.
+            // The storage is not a file that the kernel can read.
             return read.run();
         };
         let bytes = read.buffer.bytes_mut();
@@ -147,13 +147,14 @@ impl Driver {
         }
     }
 
-    /// Submits what is queued, waits for at least one completion, and answers all there are.
+    /// Submits what is queued, waits for at least one completion, and handles all completions there are.
     fn reap(&mut self) {
         loop {
             match self.ring.submit_and_wait(1) {
                 Ok(_) => break,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                // The kernel has taken nothing or is short of memory for the moment: completions free some.
+                // The kernel has accepted nothing or is short of memory for the moment; handling completions frees
+                // some.
                 Err(_) if !self.ring.completion().is_empty() => break,
                 Err(_) => std::thread::yield_now(),
             }
@@ -171,7 +172,7 @@ impl Driver {
         if result < 0 {
             (read.done)(read.buffer, Err(io::Error::from_raw_os_error(-result)));
         } else if (result as usize) < wanted {
-            // A short read: at the end of the file, or interrupted. Reading it again tells which.
+            // A short read: at the end of the file, or interrupted. Reading again shows which.
             read.run();
         } else {
             (read.done)(read.buffer, Ok(()));
@@ -205,7 +206,7 @@ impl ReadBackend for Uring {
         if asleep {
             self.shared.filled.notify_one();
         } else if reaping {
-            // Any number rings. Should it fail, the reads start when one that is flying ends.
+            // Any number rings the bell. If this fails, the reads start when one in flight ends.
             let _ = rustix::io::write(&self.shared.bell, &1_u64.to_le_bytes());
         }
     }
