@@ -291,7 +291,7 @@ impl GridVolume {
             out.attributes[number][lane].0[j] = if own { value as f32 } else { 0.0 };
         }
         if required.normal || required.boundary {
-            let over_voxels = brick.gradient(cell, within) * header.scale;
+            let over_voxels = brick.neighborhood(cell).gradient(within) * header.scale;
             let gradient = self.world_gradient * over_voxels * self.outward;
             let length = gradient.length();
             if required.normal && length > 0.0 {
@@ -345,16 +345,64 @@ impl Brick<'_> {
         a + (b - a) * f.z
     }
 
-    /// Central differences over one voxel to either side. Every brick holds a voxel on either side of each of its
-    /// cells.
-    fn gradient(&self, cell: [usize; 3], f: DVec3) -> DVec3 {
-        let difference = |axis: usize| {
-            let (mut before, mut behind) = (cell, cell);
-            before[axis] -= 1;
-            behind[axis] += 1;
+    /// The voxels that the gradient within a cell needs. Every brick holds a voxel on either side of each of its cells.
+    fn neighborhood(&self, cell: [usize; 3]) -> Neighborhood {
+        match self.kind {
+            VoxelKind::U8 => self.rows_of_four(cell, |[a]| f32::from(a)),
+            VoxelKind::I16 => self.rows_of_four(cell, |bytes| f32::from(i16::from_le_bytes(bytes))),
+            VoxelKind::U16 => self.rows_of_four(cell, |bytes| f32::from(u16::from_le_bytes(bytes))),
+            VoxelKind::F32 => self.rows_of_four(cell, f32::from_le_bytes),
+        }
+    }
+
+    fn rows_of_four<const BYTES: usize>(
+        &self,
+        [x, y, z]: [usize; 3],
+        value: impl Fn([u8; BYTES]) -> f32,
+    ) -> Neighborhood {
+        let n = self.kind.brick_voxels();
+        let mut voxels = [[[0.0; 4]; 4]; 4];
+        for (k, plane) in voxels.iter_mut().enumerate() {
+            for (j, row) in plane.iter_mut().enumerate() {
+                let at = (((z + k - 1) * n + y + j - 1) * n + x - 1) * BYTES;
+                let (bytes, _) = self.bytes[at..at + 4 * BYTES].as_chunks::<BYTES>();
+                for (voxel, &bytes) in row.iter_mut().zip(bytes) {
+                    *voxel = f64::from(value(bytes));
+                }
+            }
+        }
+        Neighborhood(voxels)
+    }
+}
+
+/// The 4 × 4 × 4 voxels around a cell: from one before its first on each axis to one behind its last; z, y, x.
+struct Neighborhood([[[f64; 4]; 4]; 4]);
+
+impl Neighborhood {
+    /// Interpolates as [`Brick::trilinear`] does, in the cell whose first voxel is `[x, y, z]`.
+    fn trilinear(&self, [x, y, z]: [usize; 3], f: DVec3) -> f64 {
+        let along_x = |y: usize, z: usize| {
+            let row = &self.0[z][y];
+            row[x] + (row[x + 1] - row[x]) * f.x
+        };
+        let along_y = |z: usize| {
+            let (a, b) = (along_x(y, z), along_x(y + 1, z));
+            a + (b - a) * f.y
+        };
+        let (a, b) = (along_y(z), along_y(z + 1));
+        a + (b - a) * f.z
+    }
+
+    /// Central differences over one voxel to either side.
+    fn gradient(&self, f: DVec3) -> DVec3 {
+        let difference = |before: [usize; 3], behind: [usize; 3]| {
             0.5 * (self.trilinear(behind, f) - self.trilinear(before, f))
         };
-        DVec3::new(difference(0), difference(1), difference(2))
+        DVec3::new(
+            difference([0, 1, 1], [2, 1, 1]),
+            difference([1, 0, 1], [1, 2, 1]),
+            difference([1, 1, 0], [1, 1, 2]),
+        )
     }
 }
 

@@ -30,7 +30,7 @@ pub(super) struct Resident {
     pub(super) user: AtomicU32,
     /// It is unlikely to be needed again: evicted first.
     pub(super) retired: AtomicBool,
-    /// The hint that loaded or keeps it, as long as nobody has requested the page since: see [`HintMark`].
+    /// Why it was loaded or is kept, as long as nobody has been handed the page since: see [`HintMark`].
     pub(super) hint: AtomicU32,
 }
 
@@ -42,6 +42,9 @@ pub(super) enum HintMark {
     Kept(u32),
     /// Read for a hint of this client.
     Read(u32),
+    /// Read for a request that has not been served yet. Serving it is no second use: the page is as old as its entry in
+    /// the eviction queue says.
+    Requested,
 }
 
 impl HintMark {
@@ -50,12 +53,14 @@ impl HintMark {
             Self::None => 0,
             Self::Kept(client) => client << 1,
             Self::Read(client) => client << 1 | 1,
+            Self::Requested => 1,
         }
     }
 
     pub(super) fn of(word: u32) -> Self {
         match (word >> 1, word & 1) {
-            (0, _) => Self::None,
+            (0, 0) => Self::None,
+            (0, _) => Self::Requested,
             (client, 0) => Self::Kept(client),
             (client, _) => Self::Read(client),
         }
@@ -63,7 +68,7 @@ impl HintMark {
 
     pub(super) fn client(self) -> Option<u32> {
         match self {
-            Self::None => None,
+            Self::None | Self::Requested => None,
             Self::Kept(client) | Self::Read(client) => Some(client),
         }
     }
@@ -176,8 +181,14 @@ impl Object {
     }
 
     /// A page in place, checked the first time; `None` if pages have to be loaded.
+    #[inline]
     pub(super) fn in_place(&self, page: u32) -> Option<Result<PageInPlace, PageFault>> {
-        let InPlace { memory, checked } = self.in_place.as_ref()?;
+        self.in_place.as_ref().map(|in_place| self.page_in_place(in_place, page))
+    }
+
+    #[inline(never)]
+    fn page_in_place(&self, in_place: &InPlace, page: u32) -> Result<PageInPlace, PageFault> {
+        let InPlace { memory, checked } = in_place;
         let start = self.source.offset(page);
         let range = usize::try_from(start).ok().map(|start| start..start + self.source.page_bytes());
         let found =
@@ -185,14 +196,14 @@ impl Object {
         let damaged =
             |what: String| PageFault::Damaged { name: self.source.name(), page, offset: start, what };
         let Some((range, bytes)) = found else {
-            return Some(Err(damaged("the memory ends before the end of the page".into())));
+            return Err(damaged("the memory ends before the end of the page".into()));
         };
         if !checked[page as usize].load(Ordering::Acquire) {
             if let Err(what) = self.source.check(page, bytes) {
-                return Some(Err(damaged(what)));
+                return Err(damaged(what));
             }
             checked[page as usize].store(true, Ordering::Release);
         }
-        Some(Ok(PageInPlace { memory: memory.clone(), range }))
+        Ok(PageInPlace { memory: memory.clone(), range })
     }
 }

@@ -246,13 +246,18 @@ impl Shared {
         client: u32,
         counters: &Counters,
     ) -> PageGuard {
-        resident.last_use.store(self.pool.tick(), Ordering::Relaxed);
+        match resident.hint_mark() {
+            HintMark::Requested => resident.hint.store(HintMark::None.word(), Ordering::Relaxed),
+            mark => {
+                resident.last_use.store(self.pool.tick(), Ordering::Relaxed);
+                if mark != HintMark::None && self.settle_hint(resident, object.bytes()) {
+                    counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        }
         resident.user.store(client, Ordering::Relaxed);
         if resident.retired.load(Ordering::Relaxed) {
             resident.retired.store(false, Ordering::Relaxed);
-        }
-        if self.settle_hint(resident, object.bytes()) {
-            counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
         }
         PageGuard::new(resident, self)
     }
@@ -314,7 +319,11 @@ impl Shared {
             Ok(()) => {
                 // A page whose hint has been withdrawn meanwhile is evicted first.
                 let wanted = hint.is_none_or(|era| self.is_hint_of(client, era));
-                let mark = if hint.is_some() && wanted { HintMark::Read(client) } else { HintMark::None };
+                let mark = match hint {
+                    None => HintMark::Requested,
+                    Some(_) if wanted => HintMark::Read(client),
+                    Some(_) => HintMark::None,
+                };
                 if !wanted {
                     self.hint_was_used(client, object.bytes());
                 }

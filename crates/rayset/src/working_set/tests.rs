@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+use super::object::HintMark;
 use super::read::{Pool, Storage};
 use super::*;
 
@@ -301,4 +302,31 @@ fn of_many_pages_that_are_all_younger_than_they_seem_an_old_one_goes() {
     drop(client.retain(&object, pages).expect("a page"));
     let gone: Vec<u32> = (0..pages).filter(|&page| !object.is_resident(page)).collect();
     assert!(gone.len() == 1 && gone[0] >= 32, "{gone:?}, which was used as one of the last");
+}
+
+#[test]
+fn pages_that_were_there_when_they_were_hinted_at_never_count_as_read_for_a_hint() {
+    let (_set, client, object, _) = set(64, 10_000, 0);
+    (0..5).for_each(|page| drop(client.retain(&object, page).expect("a page")));
+    assert_eq!(client.hint(&object, &[0, 1, 2, 3, 4], 8 * PAGE), 5);
+    (0..5).for_each(|page| drop(client.retain(&object, page).expect("a page")));
+    assert_eq!(hints_taken(&client, &object), 8);
+    for mark in [HintMark::None, HintMark::Kept(1), HintMark::Read(1), HintMark::Kept(7), HintMark::Requested]
+    {
+        assert_eq!(HintMark::of(mark.word()), mark);
+    }
+}
+
+/// A page that was read for a request has been used once, when it came: nobody used it a second time.
+#[test]
+fn pages_that_were_used_once_go_in_the_order_in_which_they_came() {
+    let pages = 300;
+    let (set, client, _, _) = set(u64::from(pages), 10_000, 0);
+    let object = set.add(Arc::new(Source(zeros(2 * pages, PAGE, 0))));
+    for page in 0..2 * pages {
+        drop(client.retain(&object, page).expect("a page"));
+        let first = (page + 1).saturating_sub(pages);
+        assert!(first == 0 || !object.is_resident(first - 1), "page {} outlived its turn", first - 1);
+        assert!(object.is_resident(first), "page {first} went too early");
+    }
 }
