@@ -7,6 +7,7 @@
 
 use std::io;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group};
@@ -95,6 +96,9 @@ fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, neighbours: u32,
     }
 }
 
+/// No two sequences of requests begin alike: of one that is repeated all pages would soon be in memory.
+static SEED: AtomicU64 = AtomicU64::new(1);
+
 /// The time of `count` requests, divided among threads.
 fn time(
     set: &WorkingSet,
@@ -105,9 +109,9 @@ fn time(
 ) -> Duration {
     let started = Instant::now();
     std::thread::scope(|scope| {
-        for thread in 0..threads {
-            scope
-                .spawn(move || requests(set, object, pages, neighbours, count.div_ceil(threads), thread + 1));
+        for _ in 0..threads {
+            let seed = SEED.fetch_add(1, Ordering::Relaxed);
+            scope.spawn(move || requests(set, object, pages, neighbours, count.div_ceil(threads), seed));
         }
     });
     started.elapsed()
