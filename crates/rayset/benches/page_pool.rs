@@ -142,6 +142,7 @@ fn pool(criterion: &mut Criterion) {
 
 criterion_group!(benches, pool);
 
+#[expect(clippy::print_stdout, reason = "what it counts is its output")]
 fn main() {
     if let Ok(once) = std::env::var("RAYSET_POOL_ONCE") {
         let numbers: Vec<u32> = once.split(',').map(|n| n.parse().expect("a number")).collect();
