@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
-use crate::simulated::Job;
+/// A read or a write that the arm is to do, or has done.
+pub(crate) type Job = u64;
 
 /// A block.
 pub const BLOCK_BYTES: u64 = 4096;

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 use crate::disk::{Disk, Extent, Ticket};
-use crate::file_cache::{BLOCK_BYTES, FileCache, FileCaching};
+use crate::file_cache::{BLOCK_BYTES, FileCache, FileCaching, Job};
 
 /// Time that is counted, not measured: nanoseconds since the beginning.
 #[derive(Clone, Debug, Default)]
@@ -26,9 +26,6 @@ impl Clock {
         self.0.set(self.0.get() + nanoseconds);
     }
 }
-
-/// A read or a write that the arm is to do, or has done.
-pub(crate) type Job = u64;
 
 /// The arm. It takes what waits in the order of places, from where it is to the end and then from the beginning: the
 /// elevator of the system's queue, for which the paper hands its reads over sixteen at a time.

@@ -18,7 +18,7 @@ pub use png_out::{PngBands, PngError};
 /// Rows of a picture: premultiplied colour and opacity, in linear light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Band {
-    /// Number of the first row.
+    /// Number of the first row, counted from the top of the whole picture (also if only a region of it is rendered).
     pub first_row: u32,
     /// Width in pixels.
     pub width: u32,

@@ -31,8 +31,6 @@ pub const VERSION: u32 = 1;
 
 /// Most lights of a scene.
 const MOST_LIGHTS: usize = 1024;
-/// Most cameras of an animation.
-const MOST_KEYS: usize = 16_384;
 
 /// The contents of a scene file.
 #[derive(Clone, Debug)]

@@ -1,12 +1,15 @@
 //! Camera, image and render settings of a scene file.
 
+use super::error::SceneFileError;
 use super::reader::{Cursor, Object};
-use super::{MOST_KEYS, SceneFileError};
 use crate::geometry::{Aabb, DVec3};
 use crate::image::{DisplayTransform, ToneMapping};
 use crate::scene::{
     Camera, CameraPath, Projection, RenderSettings, SHORTEST, SampleOffset, Sampling, Shadows, Step,
 };
+
+/// Most cameras of an animation.
+const MOST_KEYS: usize = 16_384;
 
 /// Default width and height of a picture in pixels.
 const SIZE: u32 = 512;

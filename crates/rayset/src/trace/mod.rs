@@ -8,6 +8,7 @@
 mod access;
 mod bands;
 mod bounce;
+mod brick;
 mod cloud;
 mod composite;
 mod counts;

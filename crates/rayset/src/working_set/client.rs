@@ -117,7 +117,7 @@ impl PageClient {
             return false;
         }
         resident.retired.store(false, Ordering::Relaxed);
-        let fresh = resident.hint_mark() == HintMark::None;
+        let fresh = matches!(resident.hint_mark(), HintMark::None | HintMark::Requested);
         if fresh {
             resident.hint.store(HintMark::Kept(self.number).word(), Ordering::Relaxed);
         }

@@ -247,7 +247,10 @@ impl Shared {
         counters: &Counters,
     ) -> PageGuard {
         match resident.hint_mark() {
-            HintMark::Requested => resident.hint.store(HintMark::None.word(), Ordering::Relaxed),
+            // Whoever requested it takes it for the first time.
+            HintMark::Requested if resident.user.load(Ordering::Relaxed) == client => {
+                resident.hint.store(HintMark::None.word(), Ordering::Relaxed);
+            }
             mark => {
                 resident.last_use.store(self.pool.tick(), Ordering::Relaxed);
                 if mark != HintMark::None && self.settle_hint(resident, object.bytes()) {

@@ -18,6 +18,7 @@ struct Zeros {
     pages: u32,
     page_bytes: u64,
     delay_milliseconds: AtomicU64,
+    unreadable_offset: AtomicU64,
 }
 
 struct Source(Arc<Zeros>);
@@ -27,7 +28,10 @@ impl Storage for Zeros {
         Ok(u64::from(self.pages) * self.page_bytes)
     }
 
-    fn read_exact_at(&self, buffer: &mut [u8], _offset: u64) -> io::Result<()> {
+    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        if offset == self.unreadable_offset.load(Ordering::SeqCst) {
+            return Err(io::ErrorKind::InvalidData.into());
+        }
         std::thread::sleep(Duration::from_millis(self.delay_milliseconds.load(Ordering::SeqCst)));
         buffer.fill(0);
         Ok(())
@@ -59,7 +63,8 @@ impl PageSource for Source {
 }
 
 fn zeros(pages: u32, page_bytes: u64, delay_milliseconds: u64) -> Arc<Zeros> {
-    Arc::new(Zeros { pages, page_bytes, delay_milliseconds: delay_milliseconds.into() })
+    let unreadable_offset = u64::MAX.into();
+    Arc::new(Zeros { pages, page_bytes, delay_milliseconds: delay_milliseconds.into(), unreadable_offset })
 }
 
 /// A set with room for `room` pages, whose threads have the given patience, and an object whose reads take the given
@@ -329,4 +334,19 @@ fn pages_that_were_used_once_go_in_the_order_in_which_they_came() {
         assert!(first == 0 || !object.is_resident(first - 1), "page {} outlived its turn", first - 1);
         assert!(object.is_resident(first), "page {first} went too early");
     }
+}
+
+/// A page that could not be read is not on its way any more.
+#[test]
+fn after_a_read_that_failed_nobody_waits_for_it() {
+    let (_set, client, object, zeros) = set(2, 50, 0);
+    zeros.unreadable_offset.store(5 * PAGE, Ordering::SeqCst);
+    assert!(matches!(client.retain(&object, 5).map(drop), Err(PageFault::Read { page: 5, .. })));
+    let held: Vec<_> = (0..2).map(|page| client.retain(&object, page).expect("there is room")).collect();
+    let outcome = in_time({
+        let (client, object) = (client.clone(), object.clone());
+        move || client.retain(&object, 2).map(drop)
+    });
+    assert!(matches!(outcome, Err(PageFault::Full { .. })), "{outcome:?}");
+    drop(held);
 }

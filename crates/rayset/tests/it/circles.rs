@@ -94,7 +94,17 @@ impl File {
                 None => rest.push_str(statement),
             }
         }
-        // Paths in the midst of code.
+        // Paths in the midst of code, those into modules below included.
+        let declared = code.lines().filter_map(|line| line.trim().strip_suffix(';')?.split("mod ").nth(1));
+        for module in declared {
+            let known = format!("{module}::");
+            let before = |at: usize| rest[..at].chars().next_back();
+            let is_path =
+                |at: &usize| before(*at).is_none_or(|c| !(c.is_alphanumeric() || c == '_' || c == ':'));
+            if rest.match_indices(&known).any(|(at, _)| is_path(&at)) {
+                uses.push((names(&format!("self::{module}")), false));
+            }
+        }
         for root in ["crate::", "super::"] {
             for (at, _) in rest.match_indices(root) {
                 let end = rest[at..].find(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
@@ -198,8 +208,10 @@ fn a_circle_is_found() {
         (vec![], "mod a;\nmod b;\npub use self::a::A;\n"),
         (vec!["a".to_owned()], "use crate::b::{B, c};\npub struct A;\n"),
         (vec!["b".to_owned()], "//! B.\n\nfn b() { crate::A }\n"),
+        (vec!["c".to_owned()], "mod d;\nconst C: u8 = 0;\nfn c() { d::d() }\n"),
+        (vec!["c".to_owned(), "d".to_owned()], "pub fn d() { super::C }\n"),
     ];
     let all = Crate { files: files.into_iter().map(|(module, text)| (module, file(text))).collect() };
     let names: Vec<String> = circles(all.arrows()).into_keys().flatten().collect();
-    assert_eq!(names, ["a", "b"]);
+    assert_eq!(names, ["a", "b", "c", "c", "d"]);
 }

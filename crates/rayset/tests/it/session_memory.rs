@@ -94,6 +94,7 @@ fn a_session_allocates_no_more_than_it_was_given() {
             .output()
             .expect("it runs");
         let words = String::from_utf8_lossy(&output.stdout);
+        assert!(words.contains("1 passed"), "{words}{}", String::from_utf8_lossy(&output.stderr));
         assert!(output.status.success(), "{words}{}", String::from_utf8_lossy(&output.stderr));
     }
 }

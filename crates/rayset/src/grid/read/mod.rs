@@ -12,84 +12,15 @@ mod meta;
 mod nifti;
 mod nrrd;
 mod raw;
+mod source;
 mod stored;
 mod vti;
 
-use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use self::data::{Voxels, what_of};
 pub use self::error::ReadError;
 pub use self::raw::RawLayout;
-use self::stored::Stored;
-use super::VoxelKind;
-use crate::geometry::{DAffine3, DVec3};
-
-/// Largest number of voxels along an axis.
-const MOST_VOXELS: u64 = 1 << 24;
-
-/// A volume that is being read.
-pub struct VolumeSource {
-    /// Voxels along each axis.
-    pub size: [u64; 3],
-    /// The type in which they are stored after reading.
-    pub kind: VoxelKind,
-    /// A value is `scale`·stored + `offset`.
-    pub scale: f64,
-    /// See `scale`.
-    pub offset: f64,
-    /// Transforms voxel coordinates (voxel centres at integers) to the space of the file.
-    pub space_from_voxel: DAffine3,
-    stored: Stored,
-    big_endian: bool,
-    voxels: Voxels,
-    header_path: PathBuf,
-    /// Bytes of all voxels as stored in the file, and of those read so far.
-    bytes: u64,
-    position: u64,
-    scratch: Vec<u8>,
-}
-
-/// The description of the voxels in a header.
-#[derive(Clone)]
-struct Described {
-    size: [u64; 3],
-    stored: Stored,
-    big_endian: bool,
-    scale: f64,
-    offset: f64,
-    space_from_voxel: DAffine3,
-    /// Where the header gives the size, and where the axes.
-    size_place: String,
-    axes_place: String,
-}
-
-impl Described {
-    /// Checks that a grid can be built from this. Returns the number of bytes of its voxels in the file.
-    fn check(&self, path: &Path) -> Result<u64, ReadError> {
-        let bytes = self.size.iter().try_fold(self.stored.bytes() as u64, |all, n| all.checked_mul(*n));
-        if self.size.iter().any(|n| !(2..=MOST_VOXELS).contains(n)) {
-            let what = format!("{:?} voxels: 2 to {MOST_VOXELS} are needed along each axis", self.size);
-            return Err(ReadError::header(path, &self.size_place, &what));
-        }
-        let last = DVec3::from_array(self.size.map(|n| (n - 1) as f64));
-        let voxel_from_space = self.space_from_voxel.inverse();
-        let determinant = self.space_from_voxel.matrix3.determinant();
-        let usable = self.space_from_voxel.is_finite()
-            && voxel_from_space.is_finite()
-            && determinant.is_finite()
-            && determinant != 0.0
-            && self.space_from_voxel.transform_point3(last).is_finite();
-        if !usable {
-            let what = "the axes are not independent, a spacing is 0, or a number is not finite or far too large \
-                        or small";
-            return Err(ReadError::header(path, &self.axes_place, what));
-        }
-        bytes.ok_or_else(|| {
-            ReadError::header(path, &self.size_place, "the voxels have more bytes than any file holds")
-        })
-    }
-}
+pub use self::source::VolumeSource;
 
 impl VolumeSource {
     /// Opens a volume in the format of its file name extension.
@@ -111,7 +42,7 @@ impl VolumeSource {
         } else {
             Err(ReadError::Format { path: path.to_owned() })
         };
-        Ok(Self { header_path: path.to_owned(), ..source? })
+        Ok(source?.with_header(path))
     }
 
     /// Opens a raw file, which contains nothing but voxels.
@@ -127,82 +58,5 @@ impl VolumeSource {
     pub fn is_volume(path: &Path) -> bool {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
         [".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz", ".vti"].iter().any(|end| name.ends_with(end))
-    }
-
-    /// The files that are read: the one with the header, and the one with the voxels, which may be the same.
-    #[must_use]
-    pub fn paths(&self) -> [&Path; 2] {
-        [&self.header_path, &self.voxels.path]
-    }
-
-    /// `bytes` is the value that [`Described::check`] returned.
-    fn new(described: &Described, bytes: u64, voxels: Voxels) -> Self {
-        Self {
-            size: described.size,
-            kind: described.stored.kind(),
-            scale: described.scale,
-            offset: described.offset,
-            space_from_voxel: described.space_from_voxel,
-            stored: described.stored,
-            big_endian: described.big_endian,
-            header_path: voxels.path.clone(),
-            voxels,
-            bytes,
-            position: 0,
-            scratch: Vec::new(),
-        }
-    }
-
-    /// Fills a buffer with the next voxels, little-endian, in the type [`kind`](Self::kind). Infinities and NaN become 0.
-    /// After the last voxel, the end of the file and the checksums of compressed data are checked.
-    ///
-    /// # Errors
-    /// [`ReadError::Data`] if the file ends early or late, is damaged, or has a finite number out of the range of single
-    /// precision.
-    pub fn read(&mut self, voxels: &mut [u8]) -> Result<(), ReadError> {
-        let (width, out_width) = (self.stored.bytes(), self.kind.bytes());
-        let bytes = voxels.len() / out_width * width;
-        self.scratch.resize(bytes, 0);
-        let read = self.voxels.data.read_exact(&mut self.scratch);
-        read.map_err(|error| self.wrong(self.position, what_of(&error)))?;
-        for (number, (from, to)) in
-            self.scratch.chunks_exact_mut(width).zip(voxels.chunks_exact_mut(out_width)).enumerate()
-        {
-            if self.big_endian {
-                from.reverse();
-            }
-            if !self.stored.convert(from, to) {
-                let offset = self.position + (number * width) as u64;
-                return Err(self.wrong(offset, "a number is larger than single precision holds".into()));
-            }
-        }
-        self.position += bytes as u64;
-        if self.position == self.bytes { self.check_end() } else { Ok(()) }
-    }
-
-    /// Checks that exactly the expected bytes follow the voxels. The decoders verify checksums at the end of compressed
-    /// data.
-    fn check_end(&mut self) -> Result<(), ReadError> {
-        let Some(rest) = self.voxels.rest else { return Ok(()) };
-        let found = io::copy(&mut (&mut self.voxels.data).take(rest.saturating_add(1)), &mut io::sink());
-        match found {
-            Ok(found) if found == rest => Ok(()),
-            Ok(found) if found < rest => {
-                let what = format!("{rest} bytes of data should follow the voxels, and {found} do");
-                Err(self.wrong(self.bytes, what))
-            }
-            Ok(_) => {
-                let what = "the data go on behind the voxels: they are not of the size that the header says";
-                Err(self.wrong(self.bytes, what.into()))
-            }
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
-                Err(self.wrong(self.bytes, "the file ends before its data do; it is cut off".into()))
-            }
-            Err(error) => Err(self.wrong(self.bytes, error.to_string())),
-        }
-    }
-
-    fn wrong(&self, offset: u64, what: String) -> ReadError {
-        ReadError::Data { path: self.voxels.path.clone(), offset, what }
     }
 }

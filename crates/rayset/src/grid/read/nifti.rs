@@ -10,7 +10,9 @@ use std::path::Path;
 use flate2::bufread::MultiGzDecoder;
 
 use super::data::{Begin, Compression, Place, data_at};
-use super::{Described, ReadError, Stored, VolumeSource};
+use super::error::ReadError;
+use super::source::{Described, VolumeSource};
+use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 
 const HEADER_BYTES: usize = 348;

@@ -8,8 +8,10 @@
 use std::path::Path;
 
 use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes, skip_lines};
+use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
-use super::{Described, ReadError, Stored, VolumeSource};
+use super::source::{Described, VolumeSource};
+use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
 
 #[derive(Default)]

@@ -4,7 +4,9 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::data::Place;
-use super::{Described, ReadError, Stored, VolumeSource};
+use super::error::ReadError;
+use super::source::{Described, VolumeSource};
+use super::stored::Stored;
 use crate::geometry::{DAffine3, DVec3};
 use crate::parse::ParseError;
 

@@ -169,31 +169,6 @@ impl<'a> ReferenceRenderer<'a> {
         }
     }
 
-    /// Renders one pixel with the same step, in world space, on all rays.
-    ///
-    /// # Errors
-    /// [`CameraError`] if the camera is invalid.
-    pub fn pixel(
-        &self,
-        camera: &Camera,
-        settings: &RenderSettings,
-        step_world: f64,
-        x: u32,
-        y: u32,
-    ) -> Result<ReferencePixel, CameraError> {
-        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
-        let sample_offset = settings.sample_offset_of(x, y);
-        let eye = tree::Course::from_eye(ray);
-        let (color, transmittance) = self.follow(settings, &eye, sample_offset, step_world);
-        Ok(match self.scene.background {
-            Some(b) => {
-                let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
-                [behind(0), behind(1), behind(2), 1.0]
-            }
-            None => [color[0], color[1], color[2], 1.0 - transmittance],
-        })
-    }
-
     /// Sum of the shading vectors of a ray's samples, weighted by their contribution to the ray; not normalised.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 //! The tree of rays of a pixel: reflection and refraction, ray by ray and sample by sample.
 
-use super::{Purpose, ReferenceRenderer};
+use super::{Purpose, ReferencePixel, ReferenceRenderer};
 use crate::geometry::{DAffine3, DVec3, Ray};
-use crate::scene::{Lighting, Material, RenderSettings};
+use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
 
 /// If the reflected light contributes less than this to the pixel, the sample shows its own colour.
 const LEAST_REFLECTED: f64 = 1.0 / 256.0;
@@ -36,6 +36,31 @@ struct Mirror {
 }
 
 impl ReferenceRenderer<'_> {
+    /// Renders one pixel with the same step, in world space, on all rays.
+    ///
+    /// # Errors
+    /// [`CameraError`] if the camera is invalid.
+    pub fn pixel(
+        &self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        step_world: f64,
+        x: u32,
+        y: u32,
+    ) -> Result<ReferencePixel, CameraError> {
+        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
+        let sample_offset = settings.sample_offset_of(x, y);
+        let eye = Course::from_eye(ray);
+        let (color, transmittance) = self.follow(settings, &eye, sample_offset, step_world);
+        Ok(match self.scene.background {
+            Some(b) => {
+                let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
+                [behind(0), behind(1), behind(2), 1.0]
+            }
+            None => [color[0], color[1], color[2], 1.0 - transmittance],
+        })
+    }
+
     /// The light of a ray and of all rays that follow from it, and the fraction of the background that is visible.
     pub(super) fn follow(
         &self,

@@ -12,8 +12,10 @@ use self::blocks::{Blocks, Words};
 use self::header::{Group, Header, Tag};
 use self::text::{Ascii, Base64, UntilTag};
 use super::data::{MOST_DEFLATED, Place, Voxels, data_at, regular_file_bytes, what_of};
+use super::error::ReadError;
 use super::fields::{numbers, parsed};
-use super::{Described, ReadError, Stored, VolumeSource};
+use super::source::{Described, VolumeSource};
+use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {

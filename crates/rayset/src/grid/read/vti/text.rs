@@ -2,7 +2,7 @@
 
 use std::io::{self, BufRead, Read};
 
-use super::super::Stored;
+use super::super::stored::Stored;
 
 /// Largest number of characters of a number.
 const MOST_LETTERS: usize = 64;
