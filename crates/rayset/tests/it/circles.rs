@@ -71,27 +71,35 @@ fn names(path: &str) -> Vec<String> {
     path.split("::").map(|name| name.trim().to_owned()).collect()
 }
 
+/// Whether what stands before `use` on its line makes it an import: nothing, or who may see it.
+fn is_import(before: &str) -> bool {
+    let line = before.rsplit('\n').next().unwrap_or_default().trim();
+    line.is_empty() || line == "pub" || (line.starts_with("pub(") && line.ends_with(')'))
+}
+
 impl File {
     fn read(text: &str) -> Self {
         let code = code(text);
         let mut uses = Vec::new();
         let mut rest = String::new();
-        for (at, statement) in code.split(';').enumerate() {
-            let line = statement.trim_start_matches(|c: char| c != '\n' || at == 0).trim_start();
-            let start = statement.rfind("\nuse ").or(statement.rfind("\npub use "));
-            let start =
-                start.or(statement.rfind("\npub(crate) use ")).or(statement.rfind("\npub(super) use "));
-            let start = start.or(statement.rfind("\npub(in crate::trace) use "));
-            let start = start.or(line.starts_with("use ").then(|| statement.len() - line.len()));
-            match start.and_then(|start| statement[start..].split_once("use ").map(|(a, b)| (start, a, b))) {
-                Some((start, visible, tree)) => {
-                    rest.push_str(&statement[..start]);
-                    let mut paths = Vec::new();
-                    expand(tree, &mut paths);
-                    let path = |p: &String| names(p.split(" as ").next().unwrap_or_default());
-                    uses.extend(paths.iter().map(|p| (path(p), visible.contains("pub"))));
+        for statement in code.split(';') {
+            let start = statement.rfind("use ").filter(|&at| is_import(&statement[..at]));
+            let Some(start) = start else {
+                rest.push_str(statement);
+                continue;
+            };
+            let line = statement[..start].rfind('\n').map_or(0, |at| at + 1);
+            let visible = &statement[line..start];
+            rest.push_str(&statement[..line]);
+            let mut paths = Vec::new();
+            expand(&statement[start + 4..], &mut paths);
+            for path in paths {
+                let mut path = names(path.split(" as ").next().unwrap_or_default());
+                // In a module within the file.
+                if visible.starts_with(' ') && path[0] == "super" {
+                    path[0] = "self".to_owned();
                 }
-                None => rest.push_str(statement),
+                uses.push((path, visible.contains("pub")));
             }
         }
         // Paths in the midst of code, those into modules below included.
