@@ -140,3 +140,66 @@ fn statics_are_found_however_visible() {
         assert!(!is_static(line), "{line}");
     }
 }
+
+/// Where a ray's time goes: from the first call of a render to the inner loop of the kernel.
+const RAYS_WAY: [&str; 2] = ["trace", "field"];
+const MOST_LINES_OF_A_FUNCTION: usize = 60;
+const MOST_LINES_OF_A_FILE: usize = 450;
+/// The brute-force renderer is read on its own, and no ray of a picture passes through it.
+const BESIDE_THE_WAY: &str = "trace/reference";
+
+/// How the words begin that may stand before `fn`; comments begin otherwise.
+const BEFORE_FN: [&str; 6] = ["pub", "const", "async", "unsafe", "extern", "\"C"];
+
+/// The lengths of functions that are longer than allowed, each with the function's first line.
+fn long_functions(text: &str, most: usize) -> Vec<(usize, String)> {
+    let lines: Vec<&str> = text.lines().collect();
+    let mut long = Vec::new();
+    for (i, line) in lines.iter().enumerate() {
+        let code = line.trim_start();
+        let indent = &line[..line.len() - code.len()];
+        let is_function = (code.split_whitespace())
+            .find(|word| !BEFORE_FN.iter().any(|before| word.starts_with(before)))
+            .is_some_and(|word| word == "fn");
+        // The body of a function of one line, or of a macro's, is not sought.
+        if !is_function || !code.ends_with(['{', '(', '<']) {
+            continue;
+        }
+        let end = format!("{indent}}}");
+        let length = 1 + lines[i..].iter().take_while(|line| **line != end).count();
+        if length > most {
+            long.push((length, code.to_owned()));
+        }
+    }
+    long
+}
+
+#[test]
+fn functions_and_files_on_a_rays_way_are_short() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    RAYS_WAY.iter().for_each(|module| sources(&root.join(module), &mut files));
+    files.retain(|path| !path.starts_with(root.join(BESIDE_THE_WAY)));
+    assert!(files.len() > 40, "a ray's way has moved: {}", root.display());
+    for path in files {
+        let text = std::fs::read_to_string(&path).expect("a source file");
+        let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+        let lines = code.lines().count();
+        assert!(lines <= MOST_LINES_OF_A_FILE, "{} has {lines} lines", path.display());
+        let long = long_functions(code, MOST_LINES_OF_A_FUNCTION);
+        assert!(long.is_empty(), "{}: {long:?}", path.display());
+    }
+}
+
+#[test]
+fn long_functions_are_found_whatever_stands_before_them() {
+    let body = "    let a = 1;\n".repeat(4);
+    for head in
+        ["fn f() {", "pub(super) const fn f<T>(", "pub unsafe extern \"C\" fn f() {", "async fn f() {"]
+    {
+        let text = format!("{head}\n{body}}}\n");
+        assert_eq!(long_functions(&text, 5).len(), 1, "{head}");
+        assert!(long_functions(&text, 6).is_empty(), "{head}");
+    }
+    assert!(long_functions("fn f() { 1 }\nconst A: [u8; 1] = [\n1,\n2,\n3,\n4,\n5,\n];\n", 5).is_empty());
+}
