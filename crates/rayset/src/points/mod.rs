@@ -7,6 +7,7 @@
 mod array;
 mod column;
 mod error;
+mod formats;
 #[cfg(feature = "las")]
 mod las;
 mod mesh;
@@ -20,8 +21,6 @@ mod source;
 mod synthetic;
 mod text;
 
-use std::path::Path;
-
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub use self::array::ArraySource;
@@ -29,17 +28,14 @@ pub use self::array::ArraySource;
 pub(crate) use self::array::ArraySource;
 pub use self::column::{ColumnInfo, ColumnType, Values};
 pub use self::error::{Place, ReadError};
+pub use self::formats::{ReadOptions, open};
 #[cfg(all(feature = "internals", feature = "las"))]
 #[doc(hidden)]
 pub use self::las::LasSource;
-#[cfg(all(not(feature = "internals"), feature = "las"))]
-use self::las::LasSource;
 pub use self::mesh::MeshSource;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub use self::ply::PlySource;
-#[cfg(not(feature = "internals"))]
-use self::ply::PlySource;
 pub use self::ply_write::PlyWriter;
 pub use self::slices::{ColumnLengthError, ColumnSlice, PositionSlice, SliceSource};
 pub use self::source::{ColorDepth, PointBatch, PointSource, Schema};
@@ -47,35 +43,3 @@ pub use self::synthetic::{View, Workload};
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub use self::text::TextSource;
-#[cfg(not(feature = "internals"))]
-use self::text::TextSource;
-use crate::setters::setters;
-
-/// Information for a reader that some formats do not contain.
-#[derive(Clone, Debug, Default)]
-#[cfg_attr(not(feature = "internals"), non_exhaustive)]
-pub struct ReadOptions {
-    /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
-    pub text_columns: Option<Vec<String>>,
-}
-
-setters!(ReadOptions { with_text_columns => text_columns: Option<Vec<String>> });
-
-/// Opens a file, in the format that its extension indicates.
-///
-/// # Errors
-/// [`ReadError`] if the file cannot be opened, its header is malformed, or its extension is unknown.
-pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    Ok(match extension.as_str() {
-        "ply" => Box::new(PlySource::open(path)?),
-        #[cfg(feature = "las")]
-        "las" | "laz" => Box::new(LasSource::open(path)?),
-        #[cfg(not(feature = "las"))]
-        "las" | "laz" => return Err(ReadError::NotCompiled { path: path.to_owned(), feature: "las" }),
-        "xyz" | "txt" | "csv" | "asc" | "pts" => {
-            Box::new(TextSource::open(path, options.text_columns.as_deref())?)
-        }
-        _ => return Err(ReadError::UnknownFormat { path: path.to_owned() }),
-    })
-}

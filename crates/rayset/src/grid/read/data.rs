@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 
 use super::ReadError;
+use crate::regular_file;
 
 /// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.
 pub(super) const MOST_DEFLATED: u64 = 1032;
@@ -17,6 +18,13 @@ pub(super) struct Voxels {
     pub(super) data: Box<dyn Read + Send>,
     /// Number of bytes that must follow the voxels in `data`: 0 if the voxels come last. `None` if anything may follow.
     pub(super) rest: Option<u64>,
+}
+
+/// Whether a file begins as those of gzip do. Errors are left to whoever opens it.
+pub(super) fn is_gzip(path: &Path) -> bool {
+    let mut magic = [0; 2];
+    regular_file::open(path).is_ok_and(|mut file| file.read_exact(&mut magic).is_ok())
+        && magic == [0x1f, 0x8b]
 }
 
 /// How the data are compressed.

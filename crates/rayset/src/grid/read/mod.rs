@@ -8,6 +8,7 @@
 mod data;
 mod error;
 mod fields;
+mod formats;
 mod meta;
 mod nifti;
 mod nrrd;
@@ -23,26 +24,13 @@ pub use self::raw::RawLayout;
 pub use self::source::VolumeSource;
 
 impl VolumeSource {
-    /// Opens a volume in the format of its file name extension.
+    /// Opens a volume in its own format, which its first bytes tell or, where these say nothing, the extension of its name.
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be opened, its header is invalid, or it is too small for the voxels that its header
     /// promises.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-        let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
-        let source = if ends(&[".nrrd", ".nhdr"]) {
-            nrrd::open(path)
-        } else if ends(&[".mha", ".mhd"]) {
-            meta::open(path)
-        } else if ends(&[".nii", ".nii.gz"]) {
-            nifti::open(path)
-        } else if ends(&[".vti"]) {
-            vti::open(path)
-        } else {
-            Err(ReadError::Format { path: path.to_owned() })
-        };
-        Ok(source?.with_header(path))
+        formats::open(path)
     }
 
     /// Opens a raw file, which contains nothing but voxels.
@@ -53,10 +41,9 @@ impl VolumeSource {
         raw::open(path, layout)
     }
 
-    /// Whether a file name has the extension of a volume format.
+    /// Whether a file is a volume, by its first bytes or, where these say nothing, by the extension of its name.
     #[must_use]
     pub fn is_volume(path: &Path) -> bool {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-        [".nrrd", ".nhdr", ".mha", ".mhd", ".nii", ".nii.gz", ".vti"].iter().any(|end| name.ends_with(end))
+        formats::is_volume(path)
     }
 }

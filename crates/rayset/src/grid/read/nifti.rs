@@ -72,7 +72,7 @@ impl Fields<'_> {
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    let zipped = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gz"));
+    let zipped = super::data::is_gzip(path);
     let fields = fields(path, zipped)?;
     let (size, volumes) = size(&fields)?;
     let stored = match fields.i16(DATATYPE) {

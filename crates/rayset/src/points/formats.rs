@@ -1,0 +1,89 @@
+//! The formats that points are read from, and how the format of a file is recognized: by its first bytes, and only where
+//! these say nothing by its name.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+#[cfg(feature = "las")]
+use super::las::LasSource;
+use super::ply::PlySource;
+use super::text::TextSource;
+use super::{PointSource, ReadError};
+use crate::setters::setters;
+
+/// Information for a reader that some formats do not contain.
+#[derive(Clone, Debug, Default)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
+pub struct ReadOptions {
+    /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
+    pub text_columns: Option<Vec<String>>,
+}
+
+setters!(ReadOptions { with_text_columns => text_columns: Option<Vec<String>> });
+
+/// Bytes from the start of a file by which its format is recognized.
+const HEAD_BYTES: u64 = 4096;
+
+type Opened = Result<Box<dyn PointSource>, ReadError>;
+
+/// A format that points are read from.
+struct Format {
+    /// Endings of the names of its files, without the dot, in lower case.
+    extensions: &'static [&'static str],
+    /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of this format, whatever its
+    /// name.
+    begins: fn(&[u8]) -> bool,
+    open: fn(&Path, &ReadOptions) -> Opened,
+}
+
+/// In this order: the first that recognizes the beginning of a file reads it.
+const FORMATS: &[Format] = &[
+    Format {
+        extensions: &["ply"],
+        begins: |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
+        open: |path, _| Ok(Box::new(PlySource::open(path)?)),
+    },
+    Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
+    Format {
+        extensions: &["xyz", "txt", "csv", "asc", "pts"],
+        // Any text may be a table; others may be, too.
+        begins: |_| false,
+        open: |path, options| Ok(Box::new(TextSource::open(path, options.text_columns.as_deref())?)),
+    },
+];
+
+#[cfg(feature = "las")]
+fn open_las(path: &Path, _: &ReadOptions) -> Opened {
+    Ok(Box::new(LasSource::open(path)?))
+}
+
+#[cfg(not(feature = "las"))]
+fn open_las(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "las" })
+}
+
+/// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name.
+///
+/// # Errors
+/// [`ReadError`] if the file cannot be opened, its header is malformed, or its format is unknown.
+pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
+    let head = head(path)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let named = |format: &&Format| format.extensions.iter().any(|e| name.ends_with(&format!(".{e}")));
+    let format = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(|| FORMATS.iter().find(named));
+    match format {
+        Some(format) => (format.open)(path, options),
+        None => Err(ReadError::UnknownFormat { path: path.to_owned() }),
+    }
+}
+
+/// The first bytes of a file. Empty if it is a pipe or a device, whose bytes can be read only once.
+fn head(path: &Path) -> Result<Vec<u8>, ReadError> {
+    let io = |source| ReadError::Io { path: path.to_owned(), source };
+    let mut head = Vec::new();
+    if std::fs::metadata(path).map_err(io)?.is_file() {
+        File::open(path).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    }
+    Ok(head)
+}
