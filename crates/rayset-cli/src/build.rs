@@ -4,15 +4,16 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
+use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
-use rayset::build::{GridBuildError, GridBuildOptions};
 use rayset::points::{self, ReadOptions};
 use rayset::volumes::{RawLayout, VolumeSource};
 
+use crate::budget::{name_smallest_budget, name_smallest_grid_budget};
 use crate::memory::{PROCESS_BYTES, peak_rss};
 use crate::outputs::Outputs;
 use crate::progress::Meter;
-use crate::{report, values};
+use crate::{input, report, values};
 
 /// Build a cloud file from points, or a grid file from a volume.
 ///
@@ -44,9 +45,10 @@ pub(crate) struct BuildArgs {
     /// Factor on the weight, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     weight_scale: f64,
-    /// Further columns to keep, as in intensity,classification
+    /// Columns to keep besides positions, radii, weights and colours, as in intensity,classification; `all`, or `none`. By
+    /// default all that together take at most 16 bytes a point
     #[arg(long, value_delimiter = ',')]
-    attributes: Vec<String>,
+    attributes: Option<Vec<String>>,
     /// Leave colours out
     #[arg(long)]
     no_color: bool,
@@ -90,14 +92,27 @@ enum Invalid {
 }
 
 pub(crate) fn run(args: &BuildArgs) -> Result<()> {
-    if args.raw.is_some() || args.inputs.iter().any(|path| VolumeSource::is_volume(path)) {
-        return build_grid(args);
+    let inputs = input::expand(&args.inputs)?;
+    if args.raw.is_some() || inputs.iter().any(|path| VolumeSource::is_volume(path)) {
+        return build_grid(args, &inputs);
     }
     let options = options(args)?;
-    let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
+    let output = Outputs::beside(&inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
     let read = ReadOptions::default().with_text_columns(args.columns.clone());
-    let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let sources: Vec<_> = inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let named = args.attributes.as_deref().unwrap_or_default();
+    let attributes = match (&args.attributes, named) {
+        (None, _) => {
+            let columns = input::customary_columns(&sources);
+            columns.remark().into_iter().for_each(report::remark);
+            columns.kept
+        }
+        (Some(_), [one]) if one == "all" => input::all_columns(&sources).kept,
+        (Some(_), [one]) if one == "none" => Vec::new(),
+        (Some(_), _) => named.to_vec(),
+    };
+    let options = options.with_attributes(attributes);
     let meter = Meter::new("points", args.json);
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
     let built = build::to_file(sources, &args.output, &options, &control);
@@ -118,9 +133,9 @@ struct GridSummary {
     peak_rss_bytes: Option<u64>,
 }
 
-fn build_grid(args: &BuildArgs) -> Result<()> {
-    let [input] = args.inputs.as_slice() else { bail!("a grid is built from one volume at a time") };
-    let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
+fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
+    let [input] = inputs else { bail!("a grid is built from one volume at a time") };
+    let output = Outputs::beside(inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
     let source = match &args.raw {
         Some(layout) => VolumeSource::open_raw(input, layout)?,
@@ -134,14 +149,7 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
     let built = build::grid_to_file(source, &args.output, &options, &control);
     meter.finish();
-    let header = built.map_err(|e| match e {
-        GridBuildError::Memory { needed, .. } => anyhow::anyhow!(
-            "--memory {} is too small; the smallest that would do is {} bytes",
-            report::bytes(args.memory),
-            needed + PROCESS_BYTES
-        ),
-        other => other.into(),
-    })?;
+    let header = built.map_err(|e| name_smallest_grid_budget(e, args.memory))?;
     if args.json {
         return report::json(&GridSummary {
             size: header.size,
@@ -170,29 +178,6 @@ fn build_grid(args: &BuildArgs) -> Result<()> {
     Ok(())
 }
 
-/// The library is given the budget less the memory of the process itself; its error must state the whole budget.
-pub(crate) fn name_smallest_budget(error: build::BuildError, memory: u64) -> anyhow::Error {
-    match error {
-        build::BuildError::Memory { needed, .. } => {
-            let needed = needed + PROCESS_BYTES;
-            anyhow::anyhow!(
-                "--memory {} is too small; the smallest that would do is {needed} bytes ({})",
-                report::bytes(memory),
-                report::bytes(needed)
-            )
-        }
-        build::BuildError::OutOfRange { quantity, count, records, farthest, factor } => {
-            let option = quantity.option().replace('_', "-");
-            let scale = factor.map_or_else(String::new, |factor| format!("--{option} {factor:e}, or "));
-            anyhow::anyhow!(
-                "{count} of {records} records have {quantity} {farthest:e}, which cannot be stored; say {scale}--invalid \
-                 skip-all if these stand for missing values"
-            )
-        }
-        other => other.into(),
-    }
-}
-
 fn options(args: &BuildArgs) -> Result<BuildOptions> {
     let precision = match args.precision.as_str() {
         "exact" => Precision::Exact,
@@ -211,7 +196,6 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
         .with_length_scale(args.length_scale)
         .with_weight(args.weight.as_deref().map(values::rule).transpose()?)
         .with_weight_scale(args.weight_scale)
-        .with_attributes(args.attributes.clone())
         .with_keep_color(!args.no_color)
         .with_invalid(match args.invalid {
             Invalid::Skip => InvalidPolicy::Skip,

@@ -10,8 +10,9 @@ use rayset::output::Destination;
 use rayset::points::Workload;
 
 use crate::interrupts::TemporaryFolder;
+use crate::look::CameraArgs;
 use crate::progress::Meter;
-use crate::render::{self, CameraArgs};
+use crate::render;
 use crate::{generate, memory, report, values};
 
 /// Make a cloud larger than its memory budget, build it, render it, and say what the working set did.
@@ -65,7 +66,7 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
         &options,
         &build::BuildControl::from(&meter as &dyn build::Progress),
     )
-    .map_err(|e| crate::build::name_smallest_budget(e, args.memory))?;
+    .map_err(|e| crate::budget::name_smallest_budget(e, args.memory))?;
     meter.finish();
     report::say(format_args!(
         "   {} of pages, {:.1} times the memory that may be used",

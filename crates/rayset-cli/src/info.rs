@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use rayset::Grid;
 use rayset::file::{AttributeInfo, Column};
@@ -10,15 +10,21 @@ use rayset::geometry::{Aabb, DVec3};
 use rayset::memory::{self, SceneNeeds};
 use rayset::scene::{CloudObject, RenderSettings, Scene};
 
-use crate::kinds::{self, Built};
+use crate::input::{self, CacheArgs, Input, Resources};
 use crate::memory::PROCESS_BYTES;
 use crate::report;
 
-/// Say what is in a cloud or grid file, and how much memory it wants
+/// Memory of the whole process for building what has not been built.
+const BUILD_MEMORY: u64 = 256 << 20;
+
+/// Say what is in a cloud or grid file, or in points or voxels, and how much memory it wants
 #[derive(Args)]
 pub(crate) struct InfoArgs {
-    /// Cloud or grid file
-    cloud: PathBuf,
+    /// Cloud or grid file, or files of points or voxels, which are built first, into the cache
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    #[command(flatten)]
+    cache: CacheArgs,
     /// Report as JSON
     #[arg(long)]
     json: bool,
@@ -79,9 +85,12 @@ impl Attribute {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    let cloud = match kinds::open(&args.cloud)? {
-        Built::Cloud(cloud) => cloud,
-        Built::Grid(grid) => return grid_info(&grid, args.json),
+    let resources = Resources { memory: BUILD_MEMORY, threads: None };
+    let opened = input::open(&args.inputs, &args.cache, resources)?;
+    let cloud = match &opened.input {
+        Input::Cloud(cloud) => cloud,
+        Input::Grid(grid) => return grid_info(grid, args.json),
+        Input::Scene(path) => bail!("{} is a scene; `rayset check` says what is in it", path.display()),
     };
     let h = cloud.header();
     let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));

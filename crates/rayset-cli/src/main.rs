@@ -3,14 +3,16 @@
 mod bench;
 mod bench_cloud;
 mod bench_features;
+mod budget;
 mod build;
 mod check;
 mod demo;
 mod figure;
 mod generate;
 mod info;
+mod input;
 mod interrupts;
-mod kinds;
+mod look;
 mod memory;
 mod outputs;
 mod progress;
@@ -44,13 +46,13 @@ enum Command {
     /// Build a cloud file from points (PLY, LAS, LAZ, XYZ, TXT, CSV, ASC, PTS) or a grid file from a volume (NRRD, MHA,
     /// MHD, NII, VTI, raw)
     Build(Box<build::BuildArgs>),
-    /// Say what is in a cloud file, and how much memory it wants
+    /// Say what is in a cloud or grid, or in any file of points or voxels, and how much memory it wants
     Info(info::InfoArgs),
     /// Check a cloud file
     Verify(verify::VerifyArgs),
     /// Check a scene file before it is rendered
     Check(check::CheckArgs),
-    /// Render a scene or a cloud to a PNG picture
+    /// Render a scene, a cloud, a grid, or any file of points or voxels to a picture
     Render(Box<render::RenderArgs>),
     /// Make a figure of the paper
     Figure(figure::FigureArgs),

@@ -7,7 +7,7 @@ use clap::Args;
 use rayset::Grid;
 use rayset::file::Depth;
 
-use crate::kinds::{self, Built};
+use crate::input::{self, Built};
 use crate::report;
 
 /// Check a cloud or grid file: by default every page's checksum and records
@@ -24,7 +24,7 @@ pub(crate) struct VerifyArgs {
 }
 
 pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
-    let cloud = match kinds::open(&args.cloud)? {
+    let cloud = match input::open_built(&args.cloud)? {
         Built::Cloud(cloud) => cloud,
         Built::Grid(grid) => return verify_grid(args, &grid),
     };

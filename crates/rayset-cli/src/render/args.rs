@@ -5,19 +5,21 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Args;
 
-use super::camera::CameraArgs;
-use super::picture::{LookArgs, PictureArgs};
+use super::picture::PictureArgs;
 use super::work::WorkArgs;
+use crate::input::CacheArgs;
+use crate::look::{CameraArgs, LookArgs};
 use crate::values::{self, Frames};
 
-/// Render a scene or a cloud to a PNG picture.
+/// Render a scene, a cloud, a grid, or any file of points or voxels to a picture.
 ///
-/// The picture depends on the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
+/// Points and voxels that have not been built are built first, into a cache. The picture depends on the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
 /// change a pixel.
 #[derive(Args, Clone)]
 pub(crate) struct RenderArgs {
-    /// Scene file (.json) or cloud file
-    pub(super) input: PathBuf,
+    /// Scene file (.json), cloud or grid file, one volume, or files of points: several, folders and patterns make one cloud
+    #[arg(required = true)]
+    pub(super) inputs: Vec<PathBuf>,
     /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo, opacity, instanceId,
     /// samples, bytes
     #[arg(short, long)]
@@ -28,6 +30,11 @@ pub(crate) struct RenderArgs {
     /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
     #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
     pub(super) frames: Option<Frames>,
+    /// Write the scene that a cloud or grid without one is rendered as, to this file
+    #[arg(long)]
+    pub(super) write_scene: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) cache: CacheArgs,
     #[command(flatten)]
     pub(super) picture: PictureArgs,
     #[command(flatten)]

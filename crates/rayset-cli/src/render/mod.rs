@@ -1,11 +1,11 @@
 //! `rayset render`: [`run`] is the way from arguments to a picture.
 
 mod args;
-mod camera;
 mod picture;
 mod report;
 mod shot;
 mod sink;
+mod warnings;
 mod work;
 
 use std::path::{Path, PathBuf};
@@ -19,7 +19,6 @@ use rayset::scene::Camera;
 use rayset::{PreparedScene, Region};
 
 pub(crate) use self::args::{RenderArgs, defaults};
-pub(crate) use self::camera::CameraArgs;
 use self::report::RenderReport;
 use self::shot::Shot;
 use self::sink::{Format, PictureSink};
@@ -40,6 +39,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         .map(|(path, camera)| Ok((outputs.add(&path, None)?, camera)))
         .collect::<Result<Vec<_>>>()?;
     let stats = args.stats.as_ref().map(|path| outputs.add(path, None)).transpose()?;
+    if let Some(path) = &args.write_scene {
+        shot.write_scene(&outputs.add(path, None)?)?;
+    }
     let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(shot.loading_bytes);
     let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
     let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
@@ -58,7 +60,7 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
             .collect(),
         (None, Some(frames)) => {
             let path = shot.path.as_ref().with_context(|| {
-                format!("{} has no \"animation\"; --frames has nothing to follow", args.input.display())
+                format!("{} has no \"animation\"; --frames has nothing to follow", args.inputs[0].display())
             })?;
             frames.of(path)?.map(|frame| (numbered(frame), path.camera(frame))).collect()
         }

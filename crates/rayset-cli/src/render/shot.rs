@@ -1,16 +1,20 @@
-//! What is to be rendered: a scene file, or a cloud whose look is given on the command line.
+//! What is to be rendered: a scene file, or a cloud or grid whose look is chosen.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::image::DisplayTransform;
+use rayset::output::Destination;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
 
 use super::args::RenderArgs;
-use super::camera::warn_of_small_radii;
-use crate::kinds;
+use super::warnings;
+use super::work::DEFAULT_MEMORY;
+use crate::input::{self, Input, Opened, Resources};
+use crate::look::{self, Chosen};
+use crate::{outputs, report};
 
 /// A scene with its camera and settings.
 pub(super) struct Shot {
@@ -23,27 +27,37 @@ pub(super) struct Shot {
     pub(super) files: Vec<PathBuf>,
     /// An upper bound of the memory that reading the scene took.
     pub(super) loading_bytes: u64,
+    /// The scene that was chosen for a cloud or grid.
+    pub(super) chosen: Option<String>,
+    /// Keeps what was built of the input.
+    _input: Opened,
 }
 
 impl Shot {
     pub(super) fn new(args: &RenderArgs) -> Result<Self> {
-        let shot = if is_scene(&args.input) { Self::of_scene(args) } else { Self::of_cloud(args) }?;
-        // Errors in what was requested are reported before an output is created.
-        shot.scene.check()?;
-        shot.scene.check_step(shot.settings.step)?;
-        Ok(shot)
-    }
-
-    fn of_scene(args: &RenderArgs) -> Result<Self> {
-        if let Some(option) = args.look.given() {
-            bail!("{option} is for clouds; {} says itself what its objects look like", args.input.display());
-        }
-        if args.camera.is_given() {
-            bail!("the camera stands in {}; change it there", args.input.display());
-        }
-        let mut file = SceneFile::load(&args.input)?;
+        let resources =
+            Resources { memory: args.work.memory.unwrap_or(DEFAULT_MEMORY), threads: args.work.threads };
+        let opened = input::open(&args.inputs, &args.cache, resources)?;
+        let size = args.picture.size();
+        let (mut file, chosen) = match &opened.input {
+            Input::Scene(path) => (scene_file(args, path)?, None),
+            Input::Cloud(cloud) => {
+                let chosen = look::of_cloud(cloud, &args.look, &args.camera, size)?;
+                let (file, text) = parsed(cloud.path(), &chosen)?;
+                warnings::of_small_radii(cloud.header(), &file.camera, file.settings);
+                (file, Some(text))
+            }
+            Input::Grid(grid) => {
+                let (file, text) =
+                    parsed(grid.path(), &look::of_grid(grid, &args.look, &args.camera, size)?)?;
+                (file, Some(text))
+            }
+        };
         args.picture.apply(&mut file.settings, &mut file.display_transform);
-        file.files.push(args.input.clone());
+        file.files.extend(opened.files.iter().cloned());
+        // Errors in what was requested are reported before an output is created.
+        file.scene.check()?;
+        file.scene.check_step(file.settings.step)?;
         Ok(Self {
             scene: file.scene,
             camera: file.camera,
@@ -52,17 +66,15 @@ impl Shot {
             display_transform: file.display_transform,
             files: file.files,
             loading_bytes: file.loading_bytes,
+            chosen,
+            _input: opened,
         })
     }
 
-    fn of_cloud(args: &RenderArgs) -> Result<Self> {
-        let cloud = kinds::open_cloud(&args.input)?;
-        let (mut settings, mut display_transform) = (args.look.settings()?, DisplayTransform::default());
-        args.picture.apply(&mut settings, &mut display_transform);
-        let camera = args.camera.camera(cloud.header(), settings)?;
-        warn_of_small_radii(cloud.header(), &camera, settings);
-        let (scene, files) = (args.look.scene(&cloud)?, vec![args.input.clone()]);
-        Ok(Self { scene, path: None, camera, settings, display_transform, files, loading_bytes: 0 })
+    /// Writes the scene that was chosen.
+    pub(super) fn write_scene(&self, to: &Destination) -> Result<()> {
+        let text = self.chosen.as_ref().context("--write-scene: the input is a scene file already")?;
+        outputs::write(to, text.as_bytes())
     }
 
     /// The camera, turned about the centre of the scene.
@@ -80,7 +92,21 @@ impl Shot {
     }
 }
 
-/// Scene files have the extension `.json`.
-pub(crate) fn is_scene(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
+/// Reads a scene file, which says itself what can be chosen for clouds and grids.
+fn scene_file(args: &RenderArgs, path: &Path) -> Result<SceneFile> {
+    if let Some(option) = args.look.given() {
+        bail!("{option} is for clouds and grids; {} says itself what its objects look like", path.display());
+    }
+    if args.camera.is_given() {
+        bail!("the camera stands in {}; change it there", path.display());
+    }
+    Ok(SceneFile::load(path)?)
+}
+
+/// The scene that was chosen for a file, and its text.
+fn parsed(path: &Path, chosen: &Chosen) -> Result<(SceneFile, String)> {
+    report::remark(&chosen.line);
+    let text = serde_json::to_string_pretty(&chosen.scene)?;
+    let file = SceneFile::parse(path, &text).context("the scene chosen for this input is wrong")?;
+    Ok((file, text))
 }

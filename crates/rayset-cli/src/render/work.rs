@@ -15,7 +15,7 @@ use crate::memory::PROCESS_BYTES;
 use crate::{report, values};
 
 /// Memory if neither the command line nor the file specifies any.
-const DEFAULT_MEMORY: u64 = 256 << 20;
+pub(super) const DEFAULT_MEMORY: u64 = 256 << 20;
 
 #[derive(Args, Clone)]
 #[command(next_help_heading = "Work")]

@@ -223,6 +223,21 @@ impl OpenFile {
         Ok(())
     }
 
+    /// Reads a page by its number within a section of pages. Returns its offset in the file and its bytes, which have yet to
+    /// be checked.
+    ///
+    /// # Errors
+    /// [`OpenError`] if there is no such page, or it cannot be read.
+    pub(crate) fn page(&self, kind: SectionKind, index: u32) -> Result<(u64, Vec<u8>), OpenError> {
+        let section = self.header.section(kind).filter(|section| index < section.pages);
+        let section =
+            section.ok_or_else(|| self.wrong_section(kind, "a page that should be there is not"))?;
+        let offset = section.offset + u64::from(index) * u64::from(self.header.page_bytes);
+        let mut page = vec![0; self.header.page_bytes as usize];
+        self.storage.read_exact_at(&mut page, offset).map_err(|e| self.ends_early(offset, e))?;
+        Ok((offset, page))
+    }
+
     fn ends_early(&self, at: u64, source: io::Error) -> OpenError {
         if source.kind() == io::ErrorKind::UnexpectedEof {
             let what =

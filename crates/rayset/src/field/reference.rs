@@ -39,6 +39,8 @@ pub struct ReferenceField {
     pub kernel: Kernel,
     /// Whether kernels are normalised to integrate to one.
     pub normalised: bool,
+    /// Channels of class labels.
+    labels: Vec<usize>,
 }
 
 impl ReferenceField {
@@ -66,18 +68,28 @@ impl ReferenceField {
                     a.extend(c.map(|v| linear_from_srgb(f64::from(v) / 255.0)));
                 }
             }
-            for &index in &columns.scalars {
-                for (a, v) in attributes.iter_mut().zip(run.attribute(header, index)) {
+            let positions = run.positions(header.root_cell());
+            for &number in &columns.scalars {
+                if let Some(axis) = number.checked_sub(header.attributes.len()) {
+                    attributes.iter_mut().zip(&positions).for_each(|(a, p)| a.push(p[axis]));
+                    continue;
+                }
+                for (a, v) in attributes.iter_mut().zip(run.attribute(header, number)) {
                     a.push(if v.is_finite() { f64::from(v) } else { 0.0 });
                 }
             }
-            for (i, position) in run.positions(header.root_cell()).into_iter().enumerate() {
+            for (i, position) in positions.into_iter().enumerate() {
                 let (radius, weight) = (f64::from(radii[i]), f64::from(weights[i]));
                 let attributes = std::mem::take(&mut attributes[i]);
                 points.push(JudgePoint { position, radius, weight, attributes });
             }
         })?;
-        Ok(Self { points, kernel, normalised })
+        let is_label = |&number: &usize| header.attributes.get(number).is_some_and(|a| a.is_class);
+        let first = columns.first_scalar();
+        let labels = (columns.scalars.iter().enumerate())
+            .filter_map(|(place, number)| is_label(number).then_some(first + place))
+            .collect();
+        Ok(Self { points, kernel, normalised, labels })
     }
 
     /// The points that reach a ray anywhere, and so any of its samples.
@@ -88,13 +100,16 @@ impl ReferenceField {
             let across = c - ray.direction * c.dot(ray.direction);
             across.length_squared() <= p.radius * p.radius * (1.0 + 1e-9)
         };
-        Self { points: self.points.iter().filter(reaches).cloned().collect(), ..*self }
+        let points = self.points.iter().filter(reaches).cloned().collect();
+        Self { points, labels: self.labels.clone(), ..*self }
     }
 
     /// The field at the position `q`, in the cloud's space.
     #[must_use]
     pub fn sample(&self, q: DVec3) -> ReferenceSample {
         let mut sum = ReferenceSample::default();
+        // The largest contribution of a point, and the point's attributes.
+        let mut most: (f64, &[f64]) = (0.0, &[]);
         for p in &self.points {
             let offset = q - p.position;
             let inverse = 1.0 / (p.radius * p.radius);
@@ -110,6 +125,15 @@ impl ReferenceField {
             sum.attributes.resize(p.attributes.len(), 0.0);
             for (sum, a) in sum.attributes.iter_mut().zip(&p.attributes) {
                 *sum += value * a;
+            }
+            if value > most.0 {
+                most = (value, &p.attributes);
+            }
+        }
+        // Labels are not averaged; divided by the density, as all attributes are, each is that of one point.
+        for &label in &self.labels {
+            if let (Some(sum_of_labels), Some(own)) = (sum.attributes.get_mut(label), most.1.get(label)) {
+                *sum_of_labels = own * sum.density;
             }
         }
         sum

@@ -35,6 +35,8 @@ pub struct DecodedRun {
     pub(super) weight: [f32; RUN_POINTS],
     /// One column for each channel of [`AttributeColumns`].
     pub(super) attribute: Vec<[f32; RUN_POINTS]>,
+    /// One column for each attribute of class labels.
+    pub(super) label: Vec<[f32; RUN_POINTS]>,
     /// Positions and inverse radii in double precision, for runs that are too wide for single precision.
     pub(super) wide: Option<Box<WideRun>>,
     spare_wide: Option<Box<WideRun>>,
@@ -51,8 +53,10 @@ pub(super) struct WideRun {
 pub struct AttributeColumns {
     /// The points' colour, decoded to linear light: three channels.
     pub color: bool,
-    /// Indices of attribute columns of the file, one channel each.
+    /// Numbers of attributes that are averaged, one channel each: [`Header::attribute_number`].
     pub scalars: Vec<usize>,
+    /// Numbers of attributes of class labels, of which samples have that of the point that contributes most.
+    pub labels: Vec<usize>,
 }
 
 impl AttributeColumns {
@@ -157,12 +161,29 @@ impl RunDecoder {
                 blue[i] = self.linear_from_srgb[usize::from(c[2])];
             }
         }
-        for (column, &index) in scalars.iter_mut().zip(&self.columns.scalars) {
-            for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
-                // A value that is not finite counts as 0, so that it does not spoil its neighbours.
-                *o = if v.is_finite() { v } else { 0.0 };
+        for (column, &number) in scalars.iter_mut().zip(&self.columns.scalars) {
+            match number.checked_sub(header.attributes.len()) {
+                None => decode_attribute(run, header, number, column),
+                Some(axis) => {
+                    let center = out.center[axis];
+                    for (o, &offset) in column.iter_mut().zip(&out.position[axis]).take(run.head.len()) {
+                        *o = (center + f64::from(offset)) as f32;
+                    }
+                }
             }
         }
+        out.label.resize(self.columns.labels.len(), [0.0; RUN_POINTS]);
+        for (column, &number) in out.label.iter_mut().zip(&self.columns.labels) {
+            decode_attribute(run, header, number, column);
+        }
+    }
+}
+
+/// Decodes a stored attribute. A value that is not finite counts as 0, so that it does not spoil its neighbours.
+#[inline(always)]
+fn decode_attribute(run: &Run<'_>, header: &Header, index: usize, column: &mut [f32; RUN_POINTS]) {
+    for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
+        *o = if v.is_finite() { v } else { 0.0 };
     }
 }
 
@@ -184,6 +205,7 @@ impl Default for DecodedRun {
             chunk_reach_squared: [-1.0; CHUNKS],
             weight: [0.0; RUN_POINTS],
             attribute: Vec::new(),
+            label: Vec::new(),
             wide: None,
             spare_wide: None,
         }

@@ -11,6 +11,8 @@ pub struct Channels {
     pub gradient: bool,
     /// Number of weighted attributes.
     pub attributes: usize,
+    /// Number of attributes of class labels, which are not averaged.
+    pub labels: usize,
 }
 
 /// One value for each sample of a slab.
@@ -27,6 +29,8 @@ pub struct FieldSamples {
     pub gradient: [Vec<SampleRow>; 3],
     /// Σ v·ω·a for each attribute.
     pub attribute: Vec<Vec<SampleRow>>,
+    /// For each attribute of class labels, the label of the point whose v·ω is largest, the first of equals, and that v·ω.
+    pub label: Vec<[Vec<SampleRow>; 2]>,
     /// Lanes that have received contributions since [`clear`](Self::clear); the rows of all other lanes are stale.
     pub touched: u64,
     /// Scratch memory, kept from run to run; its contents need not be cleared.
@@ -42,6 +46,7 @@ impl FieldSamples {
             density: rows(true),
             gradient: std::array::from_fn(|_| rows(channels.gradient)),
             attribute: (0..channels.attributes).map(|_| rows(true)).collect(),
+            label: (0..channels.labels).map(|_| [rows(true), rows(true)]).collect(),
             touched: 0,
             pairs: None,
         }
@@ -50,7 +55,8 @@ impl FieldSamples {
     /// The channels for which rows are allocated.
     #[must_use]
     pub fn channels(&self) -> Channels {
-        Channels { gradient: !self.gradient[0].is_empty(), attributes: self.attribute.len() }
+        let (attributes, labels) = (self.attribute.len(), self.label.len());
+        Channels { gradient: !self.gradient[0].is_empty(), attributes, labels }
     }
 
     /// Forgets all contributions.
@@ -71,7 +77,7 @@ impl FieldSamples {
                 self.gradient[channel][lane].0.fill(0.0);
             }
         }
-        for rows in &mut self.attribute {
+        for rows in self.attribute.iter_mut().chain(self.label.iter_mut().flatten()) {
             rows[lane].0.fill(0.0);
         }
     }

@@ -64,7 +64,9 @@ impl Splatter {
     }
 
     fn with_kernel<K: LaneKernel>(&self, job: SplatJob<'_>) -> SplatCounts {
-        match (self.channels.gradient, self.channels.attributes) {
+        // Labels are kept in memory, as attributes are where there are many.
+        let attributes = if self.channels.labels > 0 { ANY } else { self.channels.attributes };
+        match (self.channels.gradient, attributes) {
             (false, 0) => self.with_channels::<K, false, 0>(job),
             (false, COLOR) => self.with_channels::<K, false, COLOR>(job),
             (false, _) => self.with_channels::<K, false, ANY>(job),
@@ -160,7 +162,7 @@ fn places(block: usize) -> Range<usize> {
     16 * block..16 * block + 16
 }
 
-/// Adds one point to the attributes, whose sums are in memory.
+/// Adds one point to the attributes, whose sums are in memory, and to the labels.
 #[inline(always)]
 fn add_attributes<S: Simd>(
     weighted: f32x16<S>,
@@ -173,6 +175,15 @@ fn add_attributes<S: Simd>(
     for (rows, column) in samples.attribute.iter_mut().zip(&run.attribute) {
         let row = &mut rows[lane].0[places(block)];
         weighted.mul_add(column[point], f32x16::from_slice(weighted.simd, row)).store_slice(row);
+    }
+    for ([rows, most], column) in samples.label.iter_mut().zip(&run.label) {
+        let row = &mut rows[lane].0[places(block)];
+        let most = &mut most[lane].0[places(block)];
+        let before = f32x16::from_slice(weighted.simd, most);
+        let wins = weighted.simd_gt(before);
+        let label = f32x16::splat(weighted.simd, column[point]);
+        wins.select(label, f32x16::from_slice(weighted.simd, row)).store_slice(row);
+        wins.select(weighted, before).store_slice(most);
     }
 }
 

@@ -7,6 +7,8 @@ use super::format::{GridHeader, RANGES_PER_PAGE};
 use crate::container::{
     FileKind, OpenError, OpenFile, PAGE_HEAD_BYTES, PageError, PageHead, PageKind, ScanError, SectionKind,
 };
+use crate::geometry::DVec3;
+use crate::points::{ColumnType, PointBatch, Values};
 use crate::storage::{MemoryStorage, Storage};
 
 /// An open grid: its checked header, and where its pages are read from.
@@ -121,6 +123,66 @@ impl Grid {
     pub fn verify(&self) -> Result<u64, ScanError> {
         self.for_each_page(|_, _| {})?;
         Ok(self.header.pages())
+    }
+
+    /// About `most` voxels, or all if there are fewer, from bricks evenly spaced along the file: their positions in the space
+    /// of the file, and a column of their values, scaled as the header says. A function of the file alone.
+    ///
+    /// # Errors
+    /// [`ScanError`] if a page cannot be read or is damaged.
+    pub fn sample(&self, most: usize) -> Result<PointBatch, ScanError> {
+        /// Most bricks that are read.
+        const MOST_BRICKS: u64 = 64;
+        let header = &self.header;
+        let (bricks, voxels) = (header.brick_pages(), header.size.iter().product::<u64>());
+        let read = bricks.min(MOST_BRICKS);
+        let mut batch = PointBatch { position: Vec::new(), columns: vec![Values::empty(ColumnType::F64)] };
+        if most == 0 || read == 0 {
+            return Ok(batch);
+        }
+        let stride = (voxels / bricks * read + voxels % bricks).div_ceil(most as u64).max(1);
+        let file = self.reopened()?;
+        let mut count = 0_u64;
+        for index in 0..read {
+            let brick = (2 * index + 1) * bricks / (2 * read);
+            let page = brick as u32;
+            let (offset, bytes) = file.page(SectionKind::VOXELS, page)?;
+            let damaged = |source| ScanError::Damaged { path: self.path.clone(), page, offset, source };
+            self.check_page(page, &bytes).map_err(damaged)?;
+            self.for_each_own_voxel(brick, &bytes, |place, value| {
+                if count.is_multiple_of(stride) {
+                    let place = DVec3::from_array(place.map(|i| i as f64));
+                    batch.position.push(header.space_from_voxel.transform_point3(place).to_array());
+                    batch.columns[0].push(header.value(value));
+                }
+                count += 1;
+            });
+        }
+        Ok(batch)
+    }
+
+    /// Passes the voxels of a brick that no other brick has as its own to `take`: their places and stored values.
+    fn for_each_own_voxel(&self, brick: u64, page: &[u8], mut take: impl FnMut([u64; 3], f64)) {
+        let header = &self.header;
+        let (kind, bricks) = (header.kind, header.bricks());
+        let (n, cells) = (kind.brick_voxels() as u64, kind.brick_cells());
+        let corner = [brick % bricks[0], brick / bricks[0] % bricks[1], brick / bricks[0] / bricks[1]];
+        // Voxel 1 of a brick is its first own; the last of a row belongs to the last brick alone.
+        let own: [std::ops::Range<u64>; 3] = std::array::from_fn(|axis| {
+            let first = corner[axis] * cells;
+            let end = if corner[axis] + 1 == bricks[axis] { header.size[axis] } else { first + cells };
+            1..(1 + end - first).min(n)
+        });
+        for z in own[2].clone() {
+            for y in own[1].clone() {
+                for x in own[0].clone() {
+                    let at = ((z * n + y) * n + x) as usize * kind.bytes();
+                    let local = [x, y, z];
+                    let place = std::array::from_fn(|axis| corner[axis] * cells + local[axis] - 1);
+                    take(place, f64::from(kind.value(&page[PAGE_HEAD_BYTES + at..])));
+                }
+            }
+        }
     }
 
     /// Reads all voxels into memory, x fastest, as stored (without scale and offset): for small grids.

@@ -64,7 +64,7 @@ impl Cloud {
         self.storage.as_ref()
     }
 
-    fn reopened(&self) -> Result<OpenFile, OpenError> {
+    pub(super) fn reopened(&self) -> Result<OpenFile, OpenError> {
         match &self.storage {
             Some(storage) => OpenFile::over(&self.path, storage.clone(), FileKind::Cloud),
             None => OpenFile::open(&self.path, FileKind::Cloud),

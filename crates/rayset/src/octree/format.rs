@@ -151,6 +151,34 @@ const STORED: u8 = 1;
 const CLASSES: u8 = 2;
 
 impl Header {
+    /// The number of the attribute that a name stands for: a stored one by its index, otherwise a coordinate, `x`, `y`,
+    /// and `z` or `height`, by its axis and the number of stored attributes.
+    #[must_use]
+    pub fn attribute_number(&self, name: &str) -> Option<usize> {
+        let axis = || match name {
+            "x" => Some(0),
+            "y" => Some(1),
+            "z" | "height" => Some(2),
+            _ => None,
+        };
+        let stored = self.attributes.iter().position(|attribute| attribute.name == name);
+        stored.or_else(|| axis().map(|axis| self.attributes.len() + axis))
+    }
+
+    /// The least and the greatest value of the attribute with this [number](Self::attribute_number).
+    ///
+    /// Panics if there is none of this number.
+    #[must_use]
+    pub fn attribute_range(&self, number: usize) -> (f64, f64) {
+        match self.attributes.get(number) {
+            Some(attribute) => (attribute.min, attribute.max),
+            None => {
+                let axis = number - self.attributes.len();
+                (self.bounds.min[axis], self.bounds.max[axis])
+            }
+        }
+    }
+
     /// The root cell.
     #[doc(hidden)]
     #[must_use]

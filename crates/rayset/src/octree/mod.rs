@@ -9,6 +9,7 @@ pub mod format;
 pub mod layout;
 pub mod node;
 pub mod page;
+mod sample;
 pub mod verify;
 
 pub use crate::container::OpenError;

@@ -132,7 +132,7 @@ impl CloudObject {
         let header = self.cloud.header();
         match &self.transfer.color {
             ColorRule::Points if !header.has_color => Err(TransferError::Missing("colours").into()),
-            ColorRule::Map { input: MapInput::Attribute(i), .. } if *i >= header.attributes.len() => {
+            ColorRule::Map { input: MapInput::Attribute(i), .. } if *i >= header.attributes.len() + 3 => {
                 Err(TransferError::Missing("such attribute").into())
             }
             _ => Ok(()),
@@ -273,7 +273,7 @@ impl Node {
         if count > MOST_ATTRIBUTES { Err(SceneError::TooManyAttributes { count }) } else { Ok(()) }
     }
 
-    /// The attributes of the objects below, each with the range of its values.
+    /// The attributes of the objects below, each with the range of its values; of clouds also their coordinates.
     #[must_use]
     pub fn attributes(&self) -> BTreeMap<String, (f64, f64)> {
         let mut known: BTreeMap<String, (f64, f64)> = BTreeMap::new();
@@ -283,8 +283,12 @@ impl Node {
         };
         self.for_each_once(&mut |node| match &node.shape {
             Shape::Cloud(object) => {
-                for a in &object.cloud.header().attributes {
-                    add(&a.name, (a.min, a.max));
+                let header = object.cloud.header();
+                let stored = header.attributes.iter().map(|a| a.name.as_str());
+                for name in stored.chain(["x", "y", "z", "height"]) {
+                    if let Some(number) = header.attribute_number(name) {
+                        add(name, header.attribute_range(number));
+                    }
                 }
             }
             Shape::Grid(object) => add(GRID_ATTRIBUTE, object.grid.header().value_range()),

@@ -32,7 +32,9 @@ pub enum OpacityRule {
 pub enum MapInput {
     /// The density.
     Density,
-    /// A stored attribute, by its index in the header.
+    /// A stored attribute, by its index in the header; the numbers behind those of all attributes stand for the
+    /// coordinates x, y and z ([`Header::attribute_number`](crate::file::Header::attribute_number)). Class labels are not
+    /// averaged: a sample has that of the point that contributes most.
     Attribute(usize),
 }
 

@@ -498,12 +498,12 @@ fn read_transfer_function(at: &Cursor<'_>, made: &mut CloudObject) -> Result<(),
         Some(at) => {
             let name = at.text()?;
             let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
-            let index = stored.iter().position(|stored| *stored == name).ok_or_else(|| {
-                let (all, name) = (listed(&[&["density"], &stored[..]].concat()), shortened(name));
+            let index = header.attribute_number(name).ok_or_else(|| {
+                let (all, name) =
+                    (listed(&[&["density"], &stored[..], &["x", "y", "z"]].concat()), shortened(name));
                 at.error(format!("the cloud stores no \"{name}\"; it has {all}"))
             })?;
-            let attribute = &header.attributes[index];
-            let (low, high) = (attribute.min, attribute.max);
+            let (low, high) = header.attribute_range(index);
             (MapInput::Attribute(index), (low, if high > low { high } else { low + 1.0 }))
         }
     };

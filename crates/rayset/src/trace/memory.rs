@@ -87,9 +87,11 @@ impl SceneNeeds {
         // Shadows have a march for rays and one for tables, each with node samples and clouds of its own.
         let marches = if shadow > 0 { 3 } else { 1 };
         let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
-        // Sums of attributes in the field of a cloud.
-        let sums =
-            u64::from(required.attributes.count_ones()) * marches * (LANES * size_of::<SampleRow>()) as u64;
+        // Sums of attributes in the field of a cloud; of class labels, the label and what speaks for it.
+        let sums = 2
+            * u64::from(required.attributes.count_ones())
+            * marches
+            * (LANES * size_of::<SampleRow>()) as u64;
         let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
         let in_shadow = lights.iter().filter(|light| light.throws_shadows()).count();
         let thread_bytes = THREAD_BYTES

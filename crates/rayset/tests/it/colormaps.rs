@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayset::geometry::DVec3;
 use rayset::octree::build::{BuildOptions, Rule};
-use rayset::points::ArraySource;
+use rayset::points::{ArraySource, ColumnInfo, ColumnType, Values};
 use rayset::scene::{
     Channel, CloudObject, ColorMap, ColorRule, Form, Lighting, MapInput, Node, OpacityRule, Operator,
     Palette, Pattern, Procedural, RenderSettings, Scene, Shape, Solid, Step, Transfer, TransferFunction,
@@ -163,4 +163,75 @@ fn attributes_through_a_blend_are_mapped_as_exactly_as_their_own() {
     let (wrong, shown) = wrong_pixels(&scene, &settings, step);
     // A sample whose mean class rounds to the other side of an edge is another colour.
     assert!(shown > 300 && wrong * 100 <= shown, "{wrong} of {shown} pixels are wrong");
+}
+
+/// Points of two classes with radii of their own, far apart or close together.
+fn two_classes(folder: &std::path::Path, extent: f64) -> Arc<rayset::Cloud> {
+    let mut random = Random(14);
+    let position: Vec<[f64; 3]> =
+        (0..900).map(|_| std::array::from_fn(|_| extent * (random.unit() - 0.5))).collect();
+    let class: Vec<u8> = (0..900).map(|_| if random.unit() < 0.5 { 2 } else { 9 }).collect();
+    let radius: Vec<f32> = (0..900).map(|_| (0.05 + 0.1 * random.unit()) as f32).collect();
+    let columns = vec![
+        (ColumnInfo::new("classification", ColumnType::U8).of_classes(), Values::from(class)),
+        (ColumnInfo::new("radius", ColumnType::F32), Values::from(radius)),
+    ];
+    let options = BuildOptions { attributes: vec!["classification".into()], ..BuildOptions::default() };
+    build_at(&folder.join("c.rset"), Box::new(ArraySource::typed(position, columns)), &options)
+}
+
+#[test]
+fn a_sample_has_the_class_of_the_point_that_contributes_most_and_never_one_in_between() {
+    let folder = folder();
+    let cloud = two_classes(folder.path(), 1.0);
+    // Anything but 2 and 9 would be white.
+    let classes = [(0.0, WHITE), (0.19, WHITE), (0.19, RED), (0.21, RED), (0.21, WHITE)];
+    let classes = [&classes[..], &[(0.89, WHITE), (0.89, BLUE), (0.91, BLUE), (0.91, WHITE)]].concat();
+    let transfer = TransferFunction {
+        opacity: OpacityRule::Curve(vec![(0.3, 0.0), (0.3, 0.4)]),
+        color: ColorRule::Map { map: map(&classes, (0.0, 10.0)), input: MapInput::Attribute(0) },
+    };
+    let scene = unlit(Node::new(Shape::Cloud(CloudObject { transfer, ..CloudObject::plain(cloud) })));
+    let step = 0.011;
+    let settings = RenderSettings { step: Step::Fixed(step), ..settings(60, 60) };
+    let picture = plain_picture(&scene, &settings);
+    let green = picture.iter().filter(|pixel| pixel[1] > 0.0).count();
+    assert_eq!(green, 0, "pixels show a class that no point has");
+    let (red, blue) = (picture.iter().any(|p| p[0] > 0.2), picture.iter().any(|p| p[2] > 0.2));
+    assert!(red && blue, "both classes show");
+    let (wrong, shown) = wrong_pixels(&scene, &settings, step);
+    // Samples where two points contribute the same but for rounding may be either's.
+    assert!(shown > 200 && wrong * 100 <= shown, "{wrong} of {shown} pixels are wrong");
+}
+
+#[test]
+fn coordinates_are_shown_by_name_with_no_column_stored() {
+    let folder = folder();
+    let cloud = two_classes(folder.path(), 1.0);
+    let header = cloud.header();
+    let height = header.attribute_number("height").expect("every cloud has one");
+    assert_eq!(header.attribute_number("z"), Some(height));
+    assert_eq!(header.attribute_range(height), (header.bounds.min.z, header.bounds.max.z));
+    let object = |input| {
+        let transfer = TransferFunction {
+            opacity: OpacityRule::Curve(vec![(0.1, 0.0), (0.1, 0.4)]),
+            color: ColorRule::Map { map: map(&[(0.0, RED), (1.0, BLUE)], (-0.5, 0.5)), input },
+        };
+        Node::new(Shape::Cloud(CloudObject { transfer, ..CloudObject::plain(cloud.clone()) }))
+    };
+    let step = 0.011;
+    let settings = RenderSettings { step: Step::Fixed(step), ..settings(60, 60) };
+    for axis in 0..3 {
+        let scene = unlit(object(MapInput::Attribute(1 + axis)));
+        let (wrong, shown) = wrong_pixels(&scene, &settings, step);
+        assert!(shown > 200 && wrong == 0, "axis {axis}: {wrong} of {shown} pixels are wrong");
+    }
+    // And by a transfer function anywhere above.
+    let by_height = Transfer::Color {
+        input: Channel::Attribute("height".into()),
+        map: map(&[(0.0, GREEN), (0.5, GREEN), (0.5, RED), (1.0, RED)], (-0.5, 0.5)),
+    };
+    let scene = unlit(with_transfer(object(MapInput::Density), by_height));
+    let (wrong, shown) = wrong_pixels(&scene, &settings, step);
+    assert!(shown > 200 && wrong * 100 <= shown, "{wrong} of {shown} pixels are wrong");
 }

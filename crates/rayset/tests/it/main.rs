@@ -26,6 +26,7 @@ mod ply_files;
 mod readers;
 mod right_picture;
 mod same_picture;
+mod samples;
 mod scattered;
 mod schema;
 mod session_memory;

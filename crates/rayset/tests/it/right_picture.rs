@@ -25,10 +25,13 @@ const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 /// wide, against the reference renderer.
 fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
-    let columns =
-        AttributeColumns { color: header.has_color, scalars: (0..header.attributes.len()).collect() };
+    let columns = AttributeColumns {
+        color: header.has_color,
+        scalars: (0..header.attributes.len() + 3).collect(),
+        labels: Vec::new(),
+    };
     let reference_renderer = ReferenceField::load(cloud, kernel, false, &columns).expect("the cloud reads");
-    let channels = Channels { gradient: true, attributes: columns.channels() };
+    let channels = Channels { gradient: true, attributes: columns.channels(), labels: 0 };
     let splatter = Splatter { kernel, channels, simd };
     let decoder = RunDecoder::new(header, kernel, false, columns);
     let mut random = Random(7);

@@ -23,11 +23,22 @@ const LEAST_WEIGHT: f32 = 1e-12;
 enum Color {
     Uniform([f32; 3]),
     Points,
-    /// By density, or by the attribute with this index in the file.
+    /// By density, or by the attribute with this number.
     Map {
         table: ColorTable,
         attribute: Option<usize>,
+        /// Where the field carries it, once [`CloudShading::carry`] has been called.
+        carried: Option<Carried>,
     },
+}
+
+/// Where a field carries an attribute.
+#[derive(Clone, Copy)]
+enum Carried {
+    /// Averaged, in this channel.
+    Mean(usize),
+    /// As class labels, the one of this number.
+    Label(usize),
 }
 
 /// How a cloud is shaded.
@@ -41,7 +52,7 @@ pub(in crate::trace) struct CloudShading {
     /// What the cloud's field carries. The colour, or the attribute it is mapped from, comes first.
     columns: AttributeColumns,
     /// For each attribute of the program, its channel; `None` if the cloud does not have it.
-    named: Vec<Option<usize>>,
+    named: Vec<Option<Carried>>,
     color: Color,
     /// The density that defines the boundary.
     boundary_density: f32,
@@ -65,7 +76,7 @@ impl CloudShading {
             ColorRule::Points => Color::Points,
             ColorRule::Map { map, input } => {
                 let attribute = if let MapInput::Attribute(index) = input { Some(*index) } else { None };
-                Color::Map { table: ColorTable::new(map), attribute }
+                Color::Map { table: ColorTable::new(map), attribute, carried: None }
             }
         };
         // Gradients are transformed by the transpose of the inverse.
@@ -94,23 +105,17 @@ impl CloudShading {
     /// Sets the required outputs and the names of the program's attributes. Before this, only densities are carried.
     pub(in crate::trace) fn carry(&mut self, header: &Header, required: RequiredOutputs, names: &[Arc<str>]) {
         let mut columns = AttributeColumns::default();
-        let mut scalar = None;
         if required.color {
             columns.color = matches!(self.color, Color::Points);
-            scalar = if let Color::Map { attribute, .. } = self.color { attribute } else { None };
+            if let Color::Map { attribute: Some(attribute), carried, .. } = &mut self.color {
+                *carried = Some(Carried::new(header, *attribute, &mut columns));
+            }
         }
-        columns.scalars.extend(scalar);
         self.named = vec![None; names.len()];
         for number in numbers(required.attributes) {
-            let Some(index) = header.attributes.iter().position(|a| a.name == *names[number]) else {
-                continue;
-            };
-            let known = columns.scalars.iter().position(|&known| known == index);
-            let place = known.unwrap_or_else(|| {
-                columns.scalars.push(index);
-                columns.scalars.len() - 1
-            });
-            self.named[number] = Some(columns.first_scalar() + place);
+            if let Some(attribute) = header.attribute_number(&names[number]) {
+                self.named[number] = Some(Carried::new(header, attribute, &mut columns));
+            }
         }
         self.decoder = RunDecoder::new(header, self.kernel, self.normalised, columns.clone());
         self.columns = columns;
@@ -118,7 +123,11 @@ impl CloudShading {
 
     /// The channels that the field must carry for the required outputs.
     pub(in crate::trace) fn channels(&self, required: RequiredOutputs) -> Channels {
-        Channels { gradient: required.normal || required.boundary, attributes: self.columns.channels() }
+        Channels {
+            gradient: required.normal || required.boundary,
+            attributes: self.columns.channels(),
+            labels: self.columns.labels.len(),
+        }
     }
 
     /// Converts the field to opacity, colour and shading vector.
@@ -195,8 +204,8 @@ impl CloudShading {
                     rows[lane] = self.mean(field, lane, channel);
                 }
             }
-            Color::Map { table, attribute } => {
-                let values = if attribute.is_some() { self.mean(field, lane, 0).0 } else { *density };
+            Color::Map { table, carried, .. } => {
+                let values = carried.map_or(*density, |carried| self.value(field, lane, carried).0);
                 for j in (0..SLAB_SAMPLES).filter(|&j| density[j] > 0.0) {
                     let color = table.color(values[j]);
                     for (rows, v) in out.color.iter_mut().zip(color) {
@@ -209,12 +218,24 @@ impl CloudShading {
 
     fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut NodeSamples) {
         out.attributes[number][lane] = match self.named.get(number).copied().flatten() {
-            Some(channel) => self.mean(field, lane, channel),
+            Some(carried) => self.value(field, lane, carried),
             None => SampleRow([0.0; SLAB_SAMPLES]),
         };
     }
 
-    /// The value of an attribute: Σ v·ω·a / Σ v·ω.
+    /// The value of an attribute: its mean, or the label of the point that contributes most.
+    fn value(&self, field: &FieldSamples, lane: usize, carried: Carried) -> SampleRow {
+        match carried {
+            Carried::Mean(channel) => self.mean(field, lane, channel),
+            Carried::Label(number) => {
+                let (density, label) = (&field.density[lane].0, &field.label[number][0][lane].0);
+                let defined = |j: usize| density[j] > self.least_weight;
+                SampleRow(std::array::from_fn(|j| if defined(j) { label[j] } else { 0.0 }))
+            }
+        }
+    }
+
+    /// The mean of an attribute: Σ v·ω·a / Σ v·ω.
     fn mean(&self, field: &FieldSamples, lane: usize, channel: usize) -> SampleRow {
         let (density, sum) = (&field.density[lane].0, &field.attribute[channel][lane].0);
         let defined = |j: usize| density[j] > self.least_weight;
@@ -242,6 +263,23 @@ impl CloudShading {
                 rows[lane] = row;
             }
         }
+    }
+}
+
+impl Carried {
+    /// Adds the attribute with this number to what the field carries, if it is not there yet.
+    fn new(header: &Header, number: usize, columns: &mut AttributeColumns) -> Self {
+        let place_in = |list: &mut Vec<usize>| {
+            list.iter().position(|&known| known == number).unwrap_or_else(|| {
+                list.push(number);
+                list.len() - 1
+            })
+        };
+        if header.attributes.get(number).is_some_and(|a| a.is_class) {
+            return Self::Label(place_in(&mut columns.labels));
+        }
+        let first = columns.first_scalar();
+        Self::Mean(first + place_in(&mut columns.scalars))
     }
 }
 

@@ -152,7 +152,8 @@ impl<'a> ReferenceRenderer<'a> {
                 let header = object.cloud.header();
                 let everything = AttributeColumns {
                     color: header.has_color,
-                    scalars: (0..header.attributes.len()).collect(),
+                    scalars: (0..header.attributes.len() + 3).collect(),
+                    labels: Vec::new(),
                 };
                 let field = ReferenceField::load(&object.cloud, kernel, normalised, &everything)?;
                 self.clouds.push((Arc::as_ptr(node), Loaded::Points(field)));
@@ -335,7 +336,8 @@ impl<'a> ReferenceRenderer<'a> {
             Along::Nothing => ReferenceSample::default(),
         };
         let least = 1e-12 * object.largest_point_density();
-        let mean = |channel: usize| if s.density > least { s.attributes[channel] / s.density } else { 0.0 };
+        let sum = |channel: usize| s.attributes.get(channel).copied().unwrap_or(0.0);
+        let mean = |channel: usize| if s.density > least { sum(channel) / s.density } else { 0.0 };
         let header = object.cloud.header();
         let scalar = |index: usize| mean(index + if header.has_color { 3 } else { 0 });
         let color = match &object.transfer.color {
@@ -344,8 +346,7 @@ impl<'a> ReferenceRenderer<'a> {
             ColorRule::Map { map, input: MapInput::Attribute(index) } => maps::color(map, scalar(*index)),
             ColorRule::Map { map, input: MapInput::Density } => maps::color(map, s.density),
         };
-        let attributes =
-            self.attributes(|name| header.attributes.iter().position(|a| a.name == name).map(scalar));
+        let attributes = self.attributes(|name| header.attribute_number(name).map(scalar));
         let unit = self.scene.unit_distance;
         let level = object.transfer.opacity.boundary_density(unit);
         let (normal, boundary) = surface(node, level - s.density, -s.gradient);

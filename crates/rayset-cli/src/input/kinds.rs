@@ -15,8 +15,31 @@ pub(crate) enum Built {
     Grid(Box<Grid>),
 }
 
+/// Whether a file is a scene: by its name, or because it begins as JSON does.
+pub(super) fn is_scene(path: &Path) -> Result<bool> {
+    let named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
+    Ok(named || head(path)?.starts_with(b"{"))
+}
+
+/// Whether a file was built by rayset, or was going to be.
+pub(super) fn is_built(path: &Path) -> Result<bool> {
+    let head = head(path)?;
+    let named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("rset"));
+    Ok(named || [FileKind::Cloud, FileKind::Grid].iter().any(|kind| head == kind.magic()))
+}
+
+/// The first eight bytes of a regular file; none of anything else.
+fn head(path: &Path) -> Result<Vec<u8>> {
+    let doing = || format!("cannot open {}", path.display());
+    let mut head = Vec::new();
+    if std::fs::metadata(path).with_context(doing)?.is_file() {
+        File::open(path).with_context(doing)?.take(8).read_to_end(&mut head).with_context(doing)?;
+    }
+    Ok(head)
+}
+
 /// Opens a cloud or a grid.
-pub(crate) fn open(path: &Path) -> Result<Built> {
+pub(crate) fn open_built(path: &Path) -> Result<Built> {
     let doing = || format!("cannot open {}", path.display());
     let metadata = std::fs::metadata(path).with_context(doing)?;
     if metadata.is_dir() {
@@ -28,8 +51,7 @@ pub(crate) fn open(path: &Path) -> Result<Built> {
             path.display()
         );
     }
-    let mut head = Vec::new();
-    File::open(path).with_context(doing)?.take(8).read_to_end(&mut head).with_context(doing)?;
+    let head = head(path)?;
     let is_cloud = head == FileKind::Cloud.magic();
     let is_grid = head == FileKind::Grid.magic();
     if (is_cloud || is_grid) && metadata.len() < LEAST_FILE_BYTES {
@@ -49,19 +71,6 @@ pub(crate) fn open(path: &Path) -> Result<Built> {
     }
 }
 
-/// Opens a cloud.
-pub(crate) fn open_cloud(path: &Path) -> Result<Arc<Cloud>> {
-    match open(path)? {
-        Built::Cloud(cloud) => Ok(cloud),
-        Built::Grid(_) => bail!(
-            "{} is a grid file; grids are rendered as objects of a scene, as in {{\"type\": \"grid\", \"file\": \
-             \"{}\"}}: see docs/scene.md",
-            path.display(),
-            path.file_name().unwrap_or_default().to_string_lossy()
-        ),
-    }
-}
-
 /// What to do with a file that has not been built.
 fn advice(path: &Path, head: &[u8]) -> String {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
@@ -72,9 +81,7 @@ fn advice(path: &Path, head: &[u8]) -> String {
         _ if head.iter().all(|&byte| byte == 0) => {
             "it begins with zeros, as files do that were not finished".into()
         }
-        [b'{', ..] => {
-            "a scene file has a name that ends in .json, and goes to `rayset check` or `rayset render`".into()
-        }
+        [b'{', ..] => "a scene goes to `rayset check` or `rayset render`".into(),
         _ => match extension.as_str() {
             "json" => "a scene goes to `rayset check` or `rayset render`".into(),
             "png" | "exr" => "it is a picture by its name".into(),

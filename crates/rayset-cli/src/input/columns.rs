@@ -1,0 +1,71 @@
+//! Which columns of points are kept if nobody names them: all, as long as they cost little.
+
+use rayset::points::{ColumnInfo, PointSource};
+
+/// Most bytes that attributes add to a point if nobody asked for them.
+const MOST_BYTES: usize = 16;
+/// Most attributes of a cloud.
+const MOST: usize = 32;
+/// What looks are chosen by comes first, in this order.
+const FIRST: [&str; 4] = ["classification", "intensity", "reflectance", "temperature"];
+/// Columns that a cloud keeps by itself, or that say nothing of a point.
+const OWN: [&str; 8] = ["radius", "weight", "red", "green", "blue", "nx", "ny", "nz"];
+
+/// Columns that are kept, and those left out because of what they cost.
+pub(crate) struct Columns {
+    pub(crate) kept: Vec<String>,
+    left_out: Vec<String>,
+}
+
+impl Columns {
+    /// What to say of columns that are left out; `None` if none is.
+    pub(crate) fn remark(&self) -> Option<String> {
+        let left_out = &self.left_out;
+        (!left_out.is_empty()).then(|| {
+            format!(
+                "left out {}: attributes take up to {MOST_BYTES} bytes a point unless `build --attributes` names them",
+                left_out.join(", ")
+            )
+        })
+    }
+}
+
+/// The columns that all sources have, those by which looks are chosen first, up to a bounded number of bytes a point.
+pub(crate) fn customary<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
+    chosen(sources, MOST_BYTES)
+}
+
+/// The columns that all sources have.
+pub(crate) fn of_all<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
+    chosen(sources, usize::MAX)
+}
+
+fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Columns {
+    let mut columns = Columns { kept: Vec::new(), left_out: Vec::new() };
+    let Some((first, others)) = sources.split_first() else { return columns };
+    let schema = first.schema();
+    let is_own = |index: usize, column: &ColumnInfo| {
+        let plays = |role: &&str| schema.find(role) == Some(index);
+        OWN.iter().any(|own| own.eq_ignore_ascii_case(&column.name)) || OWN.iter().any(|own| plays(own))
+    };
+    let mut found: Vec<&ColumnInfo> = (schema.columns.iter().enumerate())
+        .filter(|(index, column)| !is_own(*index, column))
+        .map(|(_, column)| column)
+        .filter(|column| others.iter().all(|other| other.schema().names().any(|name| name == column.name)))
+        .collect();
+    let place = |column: &ColumnInfo| {
+        FIRST.iter().position(|first| first.eq_ignore_ascii_case(&column.name)).unwrap_or(FIRST.len())
+    };
+    found.sort_by_key(|column| place(column));
+    let mut bytes = 0;
+    for column in found {
+        let fits = bytes + column.kind.bytes() <= most_bytes && columns.kept.len() < MOST;
+        if fits && !columns.kept.contains(&column.name) {
+            bytes += column.kind.bytes();
+            columns.kept.push(column.name.clone());
+        } else if !fits {
+            columns.left_out.push(column.name.clone());
+        }
+    }
+    columns
+}

@@ -1,0 +1,144 @@
+//! Opens any input, building what has not been built.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use rayset::build::{self, BuildControl, BuildOptions, GridBuildOptions, Progress};
+use rayset::points::{self, ReadOptions};
+use rayset::volumes::VolumeSource;
+use rayset::{Cloud, Grid};
+
+use super::cache::{self, CacheArgs, Place};
+use super::columns;
+use super::files;
+use super::kinds::{self, Built};
+use crate::memory::PROCESS_BYTES;
+use crate::outputs::Outputs;
+use crate::progress::Meter;
+use crate::{budget, report};
+
+/// What an input is.
+pub(crate) enum Input {
+    Scene(PathBuf),
+    Cloud(Arc<Cloud>),
+    Grid(Box<Grid>),
+}
+
+/// An opened input, with every file that it was read from.
+pub(crate) struct Opened {
+    pub(crate) input: Input,
+    pub(crate) files: Vec<PathBuf>,
+    /// Removed with this, if nothing is kept.
+    _place: Option<Place>,
+}
+
+/// The resources that building may use.
+#[derive(Clone, Copy)]
+pub(crate) struct Resources {
+    /// Of the whole process.
+    pub(crate) memory: u64,
+    pub(crate) threads: Option<usize>,
+}
+
+/// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
+pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources) -> Result<Opened> {
+    let files = files::expand(inputs)?;
+    if let [file] = files.as_slice() {
+        if kinds::is_scene(file)? {
+            return Ok(Opened { input: Input::Scene(file.clone()), files, _place: None });
+        }
+        if kinds::is_built(file)? {
+            return Ok(Opened { input: built(file)?, files, _place: None });
+        }
+    }
+    for file in &files {
+        if kinds::is_scene(file)? || kinds::is_built(file)? {
+            bail!(
+                "{} is a scene or has been built: it is rendered by itself, or with others as objects of a scene \
+                 (docs/scene.md)",
+                file.display()
+            );
+        }
+    }
+    of_raw(files, cache, resources)
+}
+
+fn built(path: &Path) -> Result<Input> {
+    Ok(match kinds::open_built(path)? {
+        Built::Cloud(cloud) => Input::Cloud(cloud),
+        Built::Grid(grid) => Input::Grid(grid),
+    })
+}
+
+/// Builds files of points or voxels, unless that has been done before.
+fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources) -> Result<Opened> {
+    let place = cache.place(&files, "default")?;
+    if let Place::Kept(path) = &place
+        && path.exists()
+    {
+        // One that does not open was damaged: it is built again.
+        if let Ok(input) = built(path) {
+            cache::touch(path);
+            report::remark(format_args!("using {}, built before", path.display()));
+            return Ok(Opened { input, files: with(files, path), _place: None });
+        }
+        std::fs::remove_file(path).with_context(|| format!("cannot replace {}", path.display()))?;
+    }
+    let started = Instant::now();
+    Outputs::beside(&files).add(place.path(), None)?;
+    build(&files, place.path(), resources)?;
+    let input = built(place.path())?;
+    let seconds = started.elapsed().as_secs_f64();
+    match &place {
+        Place::Kept(path) => {
+            cache.prune(path);
+            report::remark(format_args!(
+                "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",
+                path.display()
+            ));
+        }
+        Place::Temporary { .. } => report::remark(format_args!("built in {seconds:.1} s; nothing is kept")),
+    }
+    Ok(Opened { input, files: with(files, place.path()), _place: Some(place) })
+}
+
+fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
+    files.push(built.to_owned());
+    files
+}
+
+fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
+    let memory = resources.memory.saturating_sub(PROCESS_BYTES);
+    if files.iter().any(|path| VolumeSource::is_volume(path)) {
+        let [file] = files else { bail!("a grid is built from one volume at a time; name one of them") };
+        let source = VolumeSource::open(file)?;
+        let meter = Meter::new("slices", false);
+        let control = BuildControl::from(&meter as &dyn Progress);
+        let options = GridBuildOptions::default().with_memory_bytes(memory);
+        let done = build::grid_to_file(source, output, &options, &control);
+        meter.finish();
+        done.map_err(|e| budget::name_smallest_grid_budget(e, resources.memory))?;
+        return Ok(());
+    }
+    let options = BuildOptions::default().with_memory_bytes(memory);
+    let threads = resources.threads.unwrap_or(options.threads);
+    let read = ReadOptions::default();
+    let sources: Vec<_> = files.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let columns = columns::customary(&sources);
+    if let Some(remark) = columns.remark() {
+        report::remark(remark);
+    }
+    let options = options.with_attributes(columns.kept);
+    let meter = Meter::new("points", false);
+    let control = BuildControl::from(&meter as &dyn Progress);
+    let done = build::to_file(sources, output, &options.with_threads(threads), &control);
+    meter.finish();
+    let done = done.map_err(|e| budget::name_smallest_budget(e, resources.memory))?;
+    let skipped = done.skipped.total();
+    if skipped > 0 {
+        report::remark(format_args!("skipped {} invalid records", report::count(skipped)));
+    }
+    Ok(())
+}

@@ -1,0 +1,87 @@
+//! From an input and the options to the scene that is rendered, and the line that says what was chosen.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use rayset::{Cloud, Grid};
+use serde_json::{Value, json};
+
+use super::cloud::CloudLook;
+use super::grid;
+use super::options::{LookArgs, LookName};
+use super::view::CameraArgs;
+
+/// A scene chosen for an input.
+pub(crate) struct Chosen {
+    /// The scene, as a scene file has it.
+    pub(crate) scene: Value,
+    /// What was chosen, and why.
+    pub(crate) line: String,
+}
+
+/// Rays along each side of a pixel if nothing is said: edges are smooth.
+const SAMPLES: u32 = 2;
+
+/// The scene of a cloud, for a picture of `size`.
+pub(crate) fn of_cloud(
+    cloud: &Cloud,
+    look: &LookArgs,
+    camera: &CameraArgs,
+    size: (u32, u32),
+) -> Result<Chosen> {
+    if look.look == Some(LookName::Volume) {
+        bail!("--look volume is for voxels; {} has points", cloud.path().display());
+    }
+    let chosen = CloudLook::choose(cloud, look.look, camera.given_up())?;
+    let mut scene =
+        around(chosen.root(cloud, &path_text(cloud.path())?), &chosen.orientation.reason_and_up(), size);
+    chosen.dress(cloud, &mut scene);
+    scene["camera"] = camera.scene(&chosen.orientation, &chosen.points(), aspect(size))?;
+    let header = cloud.header();
+    let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
+    let stored = if stored.is_empty() {
+        "the cloud stores none besides x, y and z; keep columns with `build --attributes`".to_owned()
+    } else {
+        format!("the cloud stores {}, and x, y and z", stored.join(", "))
+    };
+    look.apply(&mut scene, |name| header.attribute_number(name).is_some(), &stored)?;
+    Ok(Chosen { scene, line: chosen.line() })
+}
+
+/// The scene of a grid, for a picture of `size`.
+pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+    if let Some(name) = look.look.filter(|name| *name != LookName::Volume) {
+        bail!("--look {} is for points; {} has voxels", name.name(), grid.path().display());
+    }
+    let chosen = grid::GridLook::choose(grid, camera.given_up())?;
+    let mut scene = around(chosen.root(&path_text(grid.path())?), &chosen.orientation.reason_and_up(), size);
+    chosen.dress(&mut scene);
+    scene["camera"] = camera.scene(&chosen.orientation, &chosen.points, aspect(size))?;
+    look.apply(&mut scene, |_| false, "a grid has nothing but its values")?;
+    Ok(Chosen { scene, line: chosen.line() })
+}
+
+/// A scene of one object, without camera and lights.
+fn around(root: Value, comment: &str, (width, height): (u32, u32)) -> Value {
+    let mut root = root;
+    root["comment"] = json!(comment);
+    json!({
+        "rayset": 1,
+        "image": {"size": [width, height], "samples": SAMPLES},
+        "rendering": {},
+        "root": root,
+    })
+}
+
+fn aspect((width, height): (u32, u32)) -> f64 {
+    f64::from(width) / f64::from(height)
+}
+
+/// The path of a file for a scene that may be rendered from anywhere.
+fn path_text(path: &Path) -> Result<String> {
+    let path = std::fs::canonicalize(path).with_context(|| format!("cannot open {}", path.display()))?;
+    let Some(text) = path.to_str() else {
+        bail!("{}: a path that is not UTF-8 cannot stand in a scene; rename the file", path.display())
+    };
+    Ok(text.to_owned())
+}

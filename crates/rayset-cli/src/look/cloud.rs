@@ -1,0 +1,368 @@
+//! Looks of points.
+
+use anyhow::{Result, bail};
+use rayset::Cloud;
+use rayset::file::Header;
+use rayset::geometry::DVec3;
+use serde_json::{Value, json};
+
+use super::options::LookName;
+use super::palettes;
+use super::statistics::{Statistics, percentile, range};
+use super::view::Orientation;
+
+/// The colour of unpainted plaster.
+const PLAIN: &str = "#dbccb2";
+/// Behind surfaces.
+const BACKDROP: &str = "#262a31";
+/// The same in linear light.
+const BACKDROP_LINEAR: [f64; 3] = [0.0194, 0.0232, 0.0307];
+/// Behind what glows.
+const NIGHT: &str = "#000000";
+/// Colours whose brightest reach less than this, as displayed, are made brighter.
+const DARK: f64 = 0.6;
+/// A class counts if it has this share of the points.
+const LEAST_CLASS: f64 = 0.002;
+/// Scans of less than this along every side are of things on a turntable, whose files have y up by custom.
+const OBJECT: f64 = 1.0;
+/// Neighbours within a particle's radius of influence, on which simulations and the automatic radius agree roughly.
+const NEIGHBOURS: f64 = 32.0;
+
+/// What a surface is coloured by.
+#[derive(Clone, PartialEq)]
+enum Paint {
+    Points,
+    Plain,
+    Classes(String),
+    /// A coordinate or an attribute, with the name of a map.
+    Ramp(String, Value),
+}
+
+/// How points are to be seen.
+pub(super) struct CloudLook {
+    name: LookName,
+    paint: Paint,
+    pub(super) orientation: Orientation,
+    statistics: Statistics,
+    /// Stops by which dark colours are made brighter.
+    exposure: f64,
+    /// What made it so.
+    reason: String,
+}
+
+impl CloudLook {
+    /// The look of a cloud: `wanted`, or the one that its columns and its shape suggest.
+    pub(super) fn choose(cloud: &Cloud, wanted: Option<LookName>, up: Option<DVec3>) -> Result<Self> {
+        let (header, statistics) = (cloud.header(), Statistics::of(cloud)?);
+        let orientation = orientation(header, &statistics, up);
+        let (name, reason) = match wanted {
+            Some(name) => (name, "as asked for".to_owned()),
+            None => suggested(header, &statistics, &orientation),
+        };
+        let brightest = statistics.brightest_color(header);
+        let paint = match name {
+            LookName::Classes => match class_column(header) {
+                Some(column) => Paint::Classes(column),
+                None => bail!("--look classes: {} stores no classes", cloud.path().display()),
+            },
+            LookName::Height => Paint::Ramp(vertical(&orientation).to_owned(), json!("viridis")),
+            LookName::Intensity => match intensity_column(header) {
+                Some(column) => Paint::Ramp(column, json!([[0, "#1c1c1c"], [1, "#ffffff"]])),
+                None => bail!("--look intensity: {} stores no intensities", cloud.path().display()),
+            },
+            _ if brightest.is_some() => Paint::Points,
+            _ => Paint::Plain,
+        };
+        let dark = brightest.filter(|&b| b < DARK && paint == Paint::Points);
+        // In linear light, roughly the square of displayed values.
+        let exposure = dark.map_or(0.0, |b| (2.2 * (0.85 / b).log2()).clamp(0.0, 4.0));
+        Ok(Self { name, paint, orientation, statistics, exposure, reason })
+    }
+
+    /// The points that the camera frames, each with its radius.
+    pub(super) fn points(&self) -> Vec<(DVec3, f64)> {
+        self.statistics.positions().zip(self.statistics.values("radius")).collect()
+    }
+
+    /// The object of the scene.
+    pub(super) fn root(&self, cloud: &Cloud, file: &str) -> Value {
+        let mut root = json!({"type": "cloud", "file": file});
+        root["transferFunction"] = match self.name {
+            LookName::Gas => self.gas(),
+            LookName::Density => json!({"opacity": "clamp", "color": self.color_value()}),
+            LookName::Splats => json!({"opacity": "clamp", "color": self.color_value()}),
+            _ => self.painted(cloud.header()),
+        };
+        if self.name == LookName::Gas {
+            root["normalised"] = json!(true);
+        }
+        root
+    }
+
+    fn color_value(&self) -> Value {
+        if self.paint == Paint::Points { json!("points") } else { json!(PLAIN) }
+    }
+
+    /// A surface where the density reaches a part of that of a filled region.
+    fn painted(&self, header: &Header) -> Value {
+        // Steep, so that the surface is thin; below the density between two neighbours, so that it has no holes.
+        let opacity = json!([[0.25, 0.0], [0.55, 1.0]]);
+        match &self.paint {
+            Paint::Points | Paint::Plain => json!({"opacity": opacity, "color": self.color_value()}),
+            Paint::Classes(column) => {
+                let number = header.attribute_number(column).unwrap_or(0);
+                let (low, high) = header.attribute_range(number);
+                let customary = column.eq_ignore_ascii_case("classification");
+                let (stops, (first, last)) = palettes::of_classes(low, high, customary);
+                json!({"opacity": opacity, "color": stops, "input": column, "valueRange": [first, last]})
+            }
+            Paint::Ramp(column, map) => {
+                let (low, high) = range(&self.statistics.sorted(column), 0.02);
+                json!({"opacity": opacity, "color": map, "input": column, "valueRange": [low, high]})
+            }
+        }
+    }
+
+    /// Colours and opacity by the logarithm of the density of mass, or of numbers where points have no weights.
+    fn gas(&self) -> Value {
+        /// Points of the curves, evenly spaced in the logarithm.
+        const KNOTS: usize = 64;
+        let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
+        let per_volume = NEIGHBOURS / (4.0 / 3.0 * std::f64::consts::PI);
+        let mut densities: Vec<f64> = weights
+            .iter()
+            .zip(&radii)
+            .map(|(weight, radius)| per_volume * weight / radius.powi(3))
+            .filter(|density| density.is_finite() && *density > 0.0)
+            .collect();
+        densities.sort_by(f64::total_cmp);
+        let (low, high) = (percentile(&densities, 0.02).max(1e-17), percentile(&densities, 0.995).min(1e17));
+        let (low, high) = if high > 1.2 * low { (low, high) } else { (0.3 * low, 3.0 * low) };
+        let density = |t: f64| low * (high / low).powf(t);
+        let opacity: Vec<Value> = (0..=KNOTS)
+            .map(|i| i as f64 / KNOTS as f64)
+            .map(|t| json!([density(t), if t > 0.0 { 0.004 + 0.35 * t.powi(3) } else { 0.0 }]))
+            .collect();
+        let inferno = inferno_stops(KNOTS);
+        let color: Vec<Value> = (0..=KNOTS)
+            .map(|i| {
+                let t = i as f64 / KNOTS as f64;
+                json!([((density(t) - low) / (high - low)).clamp(0.0, 1.0), inferno[i]])
+            })
+            .collect();
+        json!({"opacity": opacity, "color": color, "input": "density", "valueRange": [low, high]})
+    }
+
+    /// Lights, background and rendering settings.
+    pub(super) fn dress(&self, cloud: &Cloud, scene: &mut Value) {
+        let header = cloud.header();
+        let radius = header.radius_mean.max(1e-18);
+        match self.name {
+            LookName::Density => {
+                scene["image"]["samples"] = json!(1);
+                scene["rendering"]["unitDistance"] = json!(radius);
+            }
+            LookName::Gas => {
+                scene["lights"] = json!("none");
+                scene["background"] = json!(NIGHT);
+                scene["rendering"]["unitDistance"] = json!(self.extent() / 60.0);
+            }
+            LookName::Splats => {
+                scene["lights"] = json!("none");
+                scene["background"] = json!(NIGHT);
+                scene["rendering"]["unitDistance"] = json!(radius);
+            }
+            _ => {
+                scene["background"] = json!(BACKDROP);
+                scene["lights"] = self.lamps();
+                // A surface hides what is behind it within a fraction of a radius.
+                scene["rendering"]["unitDistance"] = json!(0.25 * radius);
+            }
+        }
+        if self.exposure > 0.0 {
+            // The backdrop stays as it is, and highlights, which would be made brighter too, are left out.
+            scene["image"]["exposure"] = json!(self.exposure);
+            scene["root"]["material"] = json!({"specular": 0});
+            if scene["background"] == json!(BACKDROP) {
+                scene["background"] = json!(BACKDROP_LINEAR.map(|v| v / self.exposure.exp2()));
+            }
+        }
+    }
+
+    /// A sun from behind the eye's left shoulder that throws shadows, and light from everywhere.
+    fn lamps(&self) -> Value {
+        let Orientation { up, facing, .. } = self.orientation;
+        let right = facing.cross(up);
+        let sun = (facing * 0.55 + right * 0.5 - up).normalize().to_array();
+        json!([
+            {"type": "ambient", "intensity": 1.5},
+            {"type": "headlight", "intensity": 0.3},
+            {"type": "directional", "direction": sun, "intensity": 0.6}
+        ])
+    }
+
+    /// The length of the diagonal of what most points fill.
+    fn extent(&self) -> f64 {
+        let sides = ["x", "y", "z"].map(|axis| {
+            let (low, high) = range(&self.statistics.sorted(axis), 0.005);
+            high - low
+        });
+        sides.iter().map(|side| side * side).sum::<f64>().sqrt().max(1e-15)
+    }
+
+    /// `look: surface, points' colours, z up (map coordinates); …`
+    pub(super) fn line(&self) -> String {
+        let paint = match &self.paint {
+            _ if self.name == LookName::Gas => "colours by the logarithm of the density".to_owned(),
+            Paint::Points => "points' colours".to_owned(),
+            Paint::Plain => "plain".to_owned(),
+            Paint::Classes(column) => format!("colours by the classes in {column}"),
+            Paint::Ramp(column, _) => format!("colours by {column}"),
+        };
+        let brighter = if self.exposure > 0.0 {
+            format!(", dark colours made brighter by {:.1} stops", self.exposure)
+        } else {
+            String::new()
+        };
+        format!(
+            "look: {} ({}), {paint}{brighter}, {}; --look, --view, --up and --background say otherwise",
+            self.name.name(),
+            self.reason,
+            self.orientation.reason_and_up()
+        )
+    }
+}
+
+/// The look that columns and shape suggest, and why.
+fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation) -> (LookName, String) {
+    let has = |name: &str| header.attributes.iter().any(|a| a.name.eq_ignore_ascii_case(name));
+    let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
+    if said("Gaussian splat") || has("scale_0") && has("opacity") {
+        return (LookName::Splats, "Gaussian splats".into());
+    }
+    if said("GADGET") || said("SWIFT") || said("AREPO") || said("snapshot") {
+        return (LookName::Gas, "particles of a simulation".into());
+    }
+    if statistics.brightest_color(header).is_some() {
+        return (LookName::Surface, "points with colours".into());
+    }
+    if let Some(column) = class_column(header) {
+        let classes = statistics.classes(&column);
+        let told_apart = classes.iter().filter(|(class, share)| {
+            // Unclassified points, and noise, tell nothing.
+            *share >= LEAST_CLASS && ![0.0, 1.0, 7.0, 12.0, 18.0].contains(class)
+        });
+        if told_apart.count() >= 2 {
+            return (LookName::Classes, "classified points".into());
+        }
+    }
+    if orientation.lies {
+        return (LookName::Height, "terrain without colours".into());
+    }
+    if fills_space(statistics) {
+        return (LookName::Gas, "points that fill a volume".into());
+    }
+    if let Some(column) = intensity_column(header) {
+        let (low, high) = range(&statistics.sorted(&column), 0.02);
+        if high - low > 0.05 * high.abs().max(1e-12) && high > 0.0 {
+            return (LookName::Intensity, "intensities".into());
+        }
+    }
+    (LookName::Surface, "points without colours".into())
+}
+
+/// The column of class labels, if there is one.
+fn class_column(header: &Header) -> Option<String> {
+    let classes = || header.attributes.iter().filter(|a| a.is_class);
+    let customary = classes().find(|a| a.name.eq_ignore_ascii_case("classification"));
+    customary.or_else(|| classes().next()).map(|a| a.name.clone())
+}
+
+/// The column of intensities, if there is one.
+fn intensity_column(header: &Header) -> Option<String> {
+    let names = ["intensity", "reflectance", "scalar_intensity", "amplitude"];
+    let found =
+        names.iter().find_map(|name| header.attributes.iter().find(|a| a.name.eq_ignore_ascii_case(name)));
+    found.map(|a| a.name.clone())
+}
+
+/// The coordinate along the vertical.
+fn vertical(orientation: &Orientation) -> &'static str {
+    let up = orientation.up.abs();
+    let axis = (0..3).max_by(|&a, &b| up[a].total_cmp(&up[b])).unwrap_or(2);
+    ["x", "y", "z"][axis]
+}
+
+/// Whether points fill a volume rather than lie on surfaces: halving the cells of a lattice multiplies the number of those
+/// with points in them by nearly eight for a volume, by four for surfaces.
+fn fills_space(statistics: &Statistics) -> bool {
+    /// Between the two, as a power of two: clusters of simulations have about 2.5.
+    const DIMENSION: f64 = 2.35;
+    let bounds = ["x", "y", "z"].map(|axis| range(&statistics.sorted(axis), 0.005));
+    let side = bounds.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
+    let occupied = |cells: f64| {
+        let mut found: Vec<[i64; 3]> = statistics
+            .positions()
+            .map(|p| std::array::from_fn(|axis| ((p[axis] - bounds[axis].0) / side * cells).floor() as i64))
+            .collect();
+        found.sort_unstable();
+        found.dedup();
+        found.len() as f64
+    };
+    let points = statistics.positions().count() as f64;
+    // As fine as still has several points in an occupied cell.
+    let mut cells = 4.0;
+    while occupied(2.0 * cells) * 6.0 < points && cells < 256.0 {
+        cells *= 2.0;
+    }
+    (occupied(cells) / occupied(0.5 * cells)).log2() > DIMENSION
+}
+
+/// What is up, and where the front is.
+fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -> Orientation {
+    let sides: [f64; 3] = ["x", "y", "z"].map(|axis| {
+        let (low, high) = range(&statistics.sorted(axis), 0.005);
+        high - low
+    });
+    let (thin, long) = (
+        (0..3).min_by(|&a, &b| sides[a].total_cmp(&sides[b])).unwrap_or(2),
+        (0..3).max_by(|&a, &b| sides[a].total_cmp(&sides[b])).unwrap_or(2),
+    );
+    let others = |axis: usize| (0..3).filter(move |&other| other != axis).map(|other| sides[other]);
+    let axis = |axis: usize| DVec3::from_array(std::array::from_fn(|i| f64::from(u8::from(i == axis))));
+    let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
+    let scanned = ["LAS", "E57", "PTX", "PTS"].iter().any(|kind| said(kind)) && sides[long] >= OBJECT;
+    let surveyed = !header.crs.is_empty() || scanned;
+    let lies_on = |up: usize| sides[up] < 0.5 * others(up).fold(f64::INFINITY, f64::min);
+    let mut chosen = if let Some(up) = given {
+        Orientation::with_up(up, "as asked for")
+    } else if surveyed {
+        Orientation::with_up(DVec3::Z, "survey coordinates")
+    } else if lies_on(thin) && !said("PLY") {
+        Orientation::with_up(axis(thin), "the thinnest extent")
+    } else if sides[long] > 1.3 * others(long).fold(0.0, f64::max) && long > 0 {
+        Orientation::with_up(axis(long), "the longest extent")
+    } else if sides[long] < OBJECT {
+        Orientation::with_up(DVec3::Y, "the size of an object, not of a site")
+    } else if said("PLY") || said("OBJ") || said("STL") || said("PCD") {
+        Orientation::with_up(DVec3::Y, "the custom of such files")
+    } else {
+        Orientation::with_up(DVec3::Z, "the custom of such files")
+    };
+    let up = (0..3).max_by(|&a, &b| chosen.up[a].abs().total_cmp(&chosen.up[b].abs())).unwrap_or(2);
+    chosen.lies = lies_on(up);
+    chosen
+}
+
+/// Stops of the map `inferno`, as displayed.
+fn inferno_stops(count: usize) -> Vec<String> {
+    let map: Result<rayset::scene::Colormap, _> = "inferno".parse();
+    (0..=count)
+        .map(|i| {
+            let at = i as f64 / count as f64;
+            let color = map.as_ref().map_or([at; 3], |map| map.display_color(at));
+            let [red, green, blue] = color.map(|v| (v * 255.0).round() as u8);
+            format!("#{red:02x}{green:02x}{blue:02x}")
+        })
+        .collect()
+}

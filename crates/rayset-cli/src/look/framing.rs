@@ -1,0 +1,87 @@
+//! Where the camera stands so that what is seen fills the picture.
+
+use rayset::geometry::DVec3;
+
+/// The part of the picture's shorter side, or of whichever side is reached first, that the object fills.
+const FILLED: f64 = 0.9;
+/// Points left out of each side of the frame: strays would make everything else small.
+const STRAYS: f64 = 0.001;
+/// Steps until the frame no longer changes.
+const ROUNDS: usize = 24;
+
+/// A camera that looks in a direction.
+#[derive(Clone, Copy)]
+pub(super) struct Frame {
+    pub(super) position: DVec3,
+    /// Units of the picture: half its height at distance 1, or half its height of an orthographic one.
+    pub(super) half_height: f64,
+}
+
+/// The frame of points for a camera that looks along `direction` with `up`, both of length one and at right angles to each
+/// other. `tangent` is that of half the vertical field of view; `None` of an orthographic camera. Each point is given with
+/// its radius.
+pub(super) fn frame(
+    points: &[(DVec3, f64)],
+    direction: DVec3,
+    up: DVec3,
+    tangent: Option<f64>,
+    aspect: f64,
+) -> Frame {
+    let right = direction.cross(up);
+    let extent = |axis: DVec3| spread(points.iter().map(|&(p, r)| (p.dot(axis), r)));
+    let (across, upward, along) = (extent(right), extent(up), extent(direction));
+    let center = right * across.middle() + up * upward.middle() + direction * along.middle();
+    let half = (upward.half()).max(across.half() / aspect).max(1e-300);
+    let Some(tangent) = tangent else {
+        let position = center - direction * (along.half() + 2.0 * half);
+        return Frame { position, half_height: half / FILLED };
+    };
+    // Seen from nearby, what is in front is larger: the camera is moved until what it sees is in the middle and fills the
+    // frame.
+    let mut position = center - direction * (along.half() + half / tangent);
+    for _ in 0..ROUNDS {
+        let seen = |axis: DVec3| {
+            spread(points.iter().map(|&(p, r)| {
+                let depth = (p - position).dot(direction).max(1e-6 * (along.half() + half));
+                ((p - position).dot(axis) / depth, r / depth)
+            }))
+        };
+        let (x, y) = (seen(right), seen(up));
+        let filled = (y.half() / tangent).max(x.half() / (tangent * aspect)) / FILLED;
+        let distance = (center - position).dot(direction).max(1e-6 * half);
+        position += (right * x.middle() + up * y.middle()) * distance;
+        // Half of the way, so that it does not swing.
+        position -= direction * (distance * (filled.clamp(0.5, 2.0) - 1.0) * 0.7);
+    }
+    Frame { position, half_height: tangent }
+}
+
+/// Where most of some intervals lie on an axis.
+#[derive(Clone, Copy)]
+struct Spread {
+    low: f64,
+    high: f64,
+}
+
+impl Spread {
+    fn middle(self) -> f64 {
+        0.5 * (self.low + self.high)
+    }
+
+    fn half(self) -> f64 {
+        0.5 * (self.high - self.low)
+    }
+}
+
+/// The spread of intervals, each a middle and half a length.
+fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
+    let (mut lows, mut highs): (Vec<f64>, Vec<f64>) =
+        intervals.map(|(m, h)| (m - 0.5 * h, m + 0.5 * h)).unzip();
+    lows.sort_by(f64::total_cmp);
+    highs.sort_by(f64::total_cmp);
+    let left_out = (STRAYS * lows.len() as f64) as usize;
+    match (lows.get(left_out), highs.get(highs.len().saturating_sub(1 + left_out))) {
+        (Some(&low), Some(&high)) => Spread { low, high },
+        _ => Spread { low: 0.0, high: 0.0 },
+    }
+}

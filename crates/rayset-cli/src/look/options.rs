@@ -1,0 +1,232 @@
+//! The options of a look, each of which overrides what would be chosen.
+
+use anyhow::{Result, anyhow, bail};
+use clap::{Args, ValueEnum};
+use rayset::scene::{Colormap, Kernel};
+use serde_json::{Value, json};
+
+use crate::values;
+
+/// What a cloud or grid is to look like; a scene says all of this itself.
+#[derive(Args, Clone, Default)]
+#[command(next_help_heading = "Look of a cloud or grid (a scene file says this itself)")]
+pub(crate) struct LookArgs {
+    /// Look; chosen from the data by default, and said
+    #[arg(long, value_enum)]
+    pub(super) look: Option<LookName>,
+    /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight
+    #[arg(long)]
+    pub(super) kernel: Option<Kernel>,
+    /// Kernels integrate to one (smoothed-particle hydrodynamics)
+    #[arg(long)]
+    pub(super) normalised: bool,
+    /// Opacity from density, or from a grid's values: clamp, extinction:K, or a curve like 0:0,1:0.5,4:1
+    #[arg(long)]
+    pub(super) opacity: Option<String>,
+    /// Length that opacity refers to, in units of the input
+    #[arg(long, value_parser = values::length)]
+    pub(super) unit_distance: Option<f64>,
+    /// One colour for all, as #c8b090
+    #[arg(long, value_parser = color, conflicts_with_all = ["colormap", "color_by"])]
+    pub(super) color: Option<String>,
+    /// Colour map: viridis, inferno, magma, plasma, turbo, grey, coolwarm; with _r reversed
+    #[arg(long)]
+    pub(super) colormap: Option<Colormap>,
+    /// What the colour map shows: density, a stored attribute, or a coordinate: x, y, z, height
+    #[arg(long)]
+    pub(super) color_by: Option<String>,
+    /// Values at the ends of the colour map, as 0:10
+    #[arg(long, value_parser = values::range, allow_hyphen_values = true)]
+    pub(super) value_range: Option<(f64, f64)>,
+    /// Light: from the eye, or none
+    #[arg(long, value_enum)]
+    pub(super) shading: Option<ShadingArg>,
+    /// Background colour, or `none`: transparent
+    #[arg(long, value_parser = background)]
+    pub(super) background: Option<String>,
+    /// Distance between samples, in units of the input, or `auto` (by default)
+    #[arg(long)]
+    pub(super) step: Option<String>,
+    /// Automatic distance between samples as a fraction of the radius, 0.001 to 4; 0.25 by default
+    #[arg(long, value_parser = step_fraction)]
+    pub(super) step_fraction: Option<f64>,
+    /// Samples of a ray begin half a step from the eye (by default), or a different fraction for each pixel
+    #[arg(long, value_enum)]
+    pub(super) phase: Option<PhaseArg>,
+    /// Rays end where less than this is seen through, 0 to 0.999; 0.01 by default
+    #[arg(long, value_parser = stop)]
+    pub(super) stop: Option<f64>,
+}
+
+/// A look.
+#[derive(Clone, Copy, ValueEnum, PartialEq, Eq, Debug)]
+pub(crate) enum LookName {
+    /// The field itself: density up to 1 is opacity, lit from the eye
+    Density,
+    /// Solid surfaces in the points' own colours, or plain
+    Surface,
+    /// Surfaces, each class of points in a colour of its own
+    Classes,
+    /// Surfaces, coloured by height
+    Height,
+    /// Surfaces, grey by intensity
+    Intensity,
+    /// Glowing gas: colours and opacity by the logarithm of the density
+    Gas,
+    /// Voxels, by their values
+    Volume,
+    /// Gaussian splats: their own colours, unlit
+    Splats,
+}
+
+impl LookName {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Density => "density",
+            Self::Surface => "surface",
+            Self::Classes => "classes",
+            Self::Height => "height",
+            Self::Intensity => "intensity",
+            Self::Gas => "gas",
+            Self::Volume => "volume",
+            Self::Splats => "splats",
+        }
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(super) enum ShadingArg {
+    None,
+    Headlight,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(super) enum PhaseArg {
+    Half,
+    Hashed,
+}
+
+fn color(text: &str) -> Result<String, String> {
+    let [red, green, blue] = values::color(text)?.map(|v| (v * 255.0).round() as u8);
+    Ok(format!("#{red:02x}{green:02x}{blue:02x}"))
+}
+
+fn background(text: &str) -> Result<String, String> {
+    if text == "none" { Ok(text.to_owned()) } else { color(text) }
+}
+
+fn step_fraction(text: &str) -> Result<f64, String> {
+    values::number_within(text, 1e-3, 4.0)
+}
+
+fn stop(text: &str) -> Result<f64, String> {
+    values::number_within(text, 0.0, 0.999)
+}
+
+impl LookArgs {
+    /// The first option of these that was given.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        let options = [
+            ("--look", self.look.is_some()),
+            ("--kernel", self.kernel.is_some()),
+            ("--normalised", self.normalised),
+            ("--opacity", self.opacity.is_some()),
+            ("--unit-distance", self.unit_distance.is_some()),
+            ("--color", self.color.is_some()),
+            ("--colormap", self.colormap.is_some()),
+            ("--color-by", self.color_by.is_some()),
+            ("--value-range", self.value_range.is_some()),
+            ("--shading", self.shading.is_some()),
+            ("--background", self.background.is_some()),
+            ("--step", self.step.is_some()),
+            ("--step-fraction", self.step_fraction.is_some()),
+            ("--phase", self.phase.is_some()),
+            ("--stop", self.stop.is_some()),
+        ];
+        options.into_iter().find(|(_, given)| *given).map(|(name, _)| name)
+    }
+
+    /// Puts the options that were given in the place of what a scene of one cloud or grid says. `number_of` finds whether
+    /// there is an attribute of a name.
+    pub(super) fn apply(&self, scene: &mut Value, has: impl Fn(&str) -> bool, stored: &str) -> Result<()> {
+        let transfer = &mut scene["root"]["transferFunction"];
+        if let Some(opacity) = &self.opacity {
+            transfer["opacity"] = opacity_value(opacity)?;
+        }
+        if let Some(color) = &self.color {
+            transfer["color"] = json!(color);
+            remove(transfer, &["input", "valueRange"]);
+        }
+        if self.colormap.is_some() || self.color_by.is_some() {
+            let map = self.colormap.map_or_else(|| "viridis".to_owned(), |map| map.to_string());
+            transfer["color"] = json!(map);
+            remove(transfer, &["input", "valueRange"]);
+            if let Some(name) = self.color_by.as_deref().filter(|name| *name != "density") {
+                if !has(name) {
+                    bail!("--color-by {name}: there is no such attribute; {stored}");
+                }
+                transfer["input"] = json!(name);
+            }
+        }
+        if let Some((low, high)) = self.value_range {
+            transfer["valueRange"] = json!([low, high]);
+        }
+        let root = &mut scene["root"];
+        if let Some(kernel) = self.kernel {
+            root["kernel"] = json!(kernel.to_string());
+        }
+        if self.normalised {
+            root["normalised"] = json!(true);
+        }
+        match self.shading {
+            Some(ShadingArg::None) => scene["lights"] = json!("none"),
+            Some(ShadingArg::Headlight) => remove(scene, &["lights"]),
+            None => {}
+        }
+        match self.background.as_deref() {
+            Some("none") => remove(scene, &["background"]),
+            Some(color) => scene["background"] = json!(color),
+            None => {}
+        }
+        self.apply_rendering(&mut scene["rendering"])
+    }
+
+    fn apply_rendering(&self, rendering: &mut Value) -> Result<()> {
+        if let Some(unit) = self.unit_distance {
+            rendering["unitDistance"] = json!(unit);
+        }
+        match self.step.as_deref() {
+            None | Some("auto") => {}
+            Some(number) => {
+                let step = values::length(number).map_err(|what| anyhow!("--step: {what}, or `auto`"))?;
+                rendering["step"] = json!(step);
+            }
+        }
+        if let Some(fraction) = self.step_fraction {
+            rendering["stepFraction"] = json!(fraction);
+        }
+        if let Some(phase) = self.phase {
+            rendering["phase"] = json!(if matches!(phase, PhaseArg::Half) { "half" } else { "hashed" });
+        }
+        if let Some(stop) = self.stop {
+            rendering["stopTransmittance"] = json!(stop);
+        }
+        Ok(())
+    }
+}
+
+fn remove(object: &mut Value, keys: &[&str]) {
+    if let Some(object) = object.as_object_mut() {
+        keys.iter().for_each(|key| drop(object.remove(*key)));
+    }
+}
+
+/// An opacity rule as a scene file writes it.
+fn opacity_value(text: &str) -> Result<Value> {
+    use rayset::scene::OpacityRule;
+    Ok(match values::opacity(text)? {
+        OpacityRule::Extinction(kappa) => json!({"extinction": kappa}),
+        OpacityRule::Curve(points) => points.iter().map(|&(d, o)| json!([d, o])).collect::<Vec<_>>().into(),
+        _ => json!("clamp"),
+    })
+}

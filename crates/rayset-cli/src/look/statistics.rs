@@ -1,0 +1,86 @@
+//! What a sample of points says about a cloud.
+
+use anyhow::Result;
+use rayset::Cloud;
+use rayset::file::Header;
+use rayset::geometry::DVec3;
+use rayset::points::{PointBatch, Schema};
+
+/// Points of a sample: enough for percentiles to a hundredth, few enough for the smallest memory budgets.
+const SAMPLE_POINTS: usize = 1 << 14;
+
+/// A sample of a cloud's points.
+pub(super) struct Statistics {
+    batch: PointBatch,
+    schema: Schema,
+}
+
+impl Statistics {
+    pub(super) fn of(cloud: &Cloud) -> Result<Self> {
+        Ok(Self { batch: cloud.sample(SAMPLE_POINTS)?, schema: cloud.sample_schema() })
+    }
+
+    pub(super) fn positions(&self) -> impl Iterator<Item = DVec3> + '_ {
+        self.batch.position.iter().map(|&p| DVec3::from_array(p))
+    }
+
+    /// The finite values of a column, or of a coordinate, in ascending order; empty if there is no such column.
+    pub(super) fn sorted(&self, name: &str) -> Vec<f64> {
+        let column = self.schema.columns.iter().position(|column| column.name == name);
+        let axis = ["x", "y", "z"].iter().position(|axis| *axis == name);
+        let mut values: Vec<f64> = match (column, axis) {
+            (Some(column), _) => (0..self.batch.len()).map(|i| self.batch.columns[column].get(i)).collect(),
+            (None, Some(axis)) => self.batch.position.iter().map(|p| p[axis]).collect(),
+            (None, None) => Vec::new(),
+        };
+        values.retain(|value| value.is_finite());
+        values.sort_by(f64::total_cmp);
+        values
+    }
+
+    /// The values of a column, point by point; empty if there is no such column.
+    pub(super) fn values(&self, name: &str) -> Vec<f64> {
+        let column = self.schema.columns.iter().position(|column| column.name == name);
+        column.map_or_else(Vec::new, |column| {
+            (0..self.batch.len()).map(|i| self.batch.columns[column].get(i)).collect()
+        })
+    }
+
+    /// The share of points of each class of a column, by descending share.
+    pub(super) fn classes(&self, name: &str) -> Vec<(f64, f64)> {
+        let sorted = self.sorted(name);
+        let mut classes: Vec<(f64, f64)> = sorted
+            .chunk_by(|a, b| a == b)
+            .map(|same| (same[0], same.len() as f64 / sorted.len() as f64))
+            .collect();
+        classes.sort_by(|a, b| b.1.total_cmp(&a.1));
+        classes
+    }
+
+    /// The largest channel of the brightest points' colours, 0 to 1, as displayed: all but one in a hundred are darker.
+    /// `None` if the cloud has no colours, or all are black.
+    pub(super) fn brightest_color(&self, header: &Header) -> Option<f64> {
+        if !header.has_color {
+            return None;
+        }
+        let channels = ["red", "green", "blue"].map(|name| self.values(name));
+        let mut largest: Vec<f64> = (0..self.batch.len())
+            .map(|i| channels.iter().map(|channel| channel[i]).fold(0.0, f64::max) / 255.0)
+            .collect();
+        largest.sort_by(f64::total_cmp);
+        let any = largest.last().is_some_and(|&v| v > 0.0);
+        any.then(|| percentile(&largest, 0.99).max(1.0 / 255.0))
+    }
+}
+
+/// The value below which a fraction of sorted values lies; 0 if there are none.
+pub(super) fn percentile(sorted: &[f64], fraction: f64) -> f64 {
+    let last = sorted.len().saturating_sub(1) as f64;
+    sorted.get((fraction * last).round() as usize).copied().unwrap_or(0.0)
+}
+
+/// The values between which all but a fraction at either end lie, apart from each other even if all values are the same.
+pub(super) fn range(sorted: &[f64], left_out: f64) -> (f64, f64) {
+    let (low, high) = (percentile(sorted, left_out), percentile(sorted, 1.0 - left_out));
+    if high > low { (low, high) } else { (low, low + low.abs().max(1.0) * 1e-3) }
+}

@@ -1,0 +1,23 @@
+//! What is likely to disappoint, said before it is rendered, with the option that helps.
+
+use rayset::file::Header;
+use rayset::scene::{Camera, Projection, RenderSettings};
+
+use crate::report;
+
+/// Points smaller than a pixel are missed by most rays.
+pub(super) fn of_small_radii(header: &Header, camera: &Camera, settings: RenderSettings) {
+    let distance = (header.bounds.center() - camera.position).length();
+    let pixel = match camera.projection {
+        Projection::Perspective { fovy } => 2.0 * distance * (fovy * 0.5).tan() / f64::from(settings.height),
+        Projection::Orthographic { height } => height / f64::from(settings.height),
+        _ => return,
+    };
+    if header.points > 0 && header.radius_mean < pixel * 0.5 {
+        report::remark(format_args!(
+            "the mean radius ({:.3e}) is under a pixel ({pixel:.3e}): expect noise; a larger picture or a larger \
+             --radius-scale helps",
+            header.radius_mean
+        ));
+    }
+}
