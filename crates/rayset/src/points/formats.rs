@@ -8,6 +8,9 @@ use std::path::Path;
 #[cfg(feature = "las")]
 use super::las::LasSource;
 use super::ply::PlySource;
+use super::ply_body::Body;
+use super::ply_header::Property;
+use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
 use super::text::TextSource;
 use super::{PointSource, ReadError};
 use crate::setters::setters;
@@ -42,7 +45,24 @@ const FORMATS: &[Format] = &[
     Format {
         extensions: &["ply"],
         begins: |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
-        open: |path, _| Ok(Box::new(PlySource::open(path)?)),
+        open: open_ply,
+    },
+    Format {
+        extensions: &["spz"],
+        begins: SpzSource::begins,
+        open: |path, _| Ok(Box::new(SpzSource::open(path)?)),
+    },
+    Format {
+        extensions: &["splat"],
+        // Nothing but records.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(SplatSource::open(path)?)),
+    },
+    Format {
+        extensions: &["ksplat"],
+        // A version alone.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(KsplatSource::open(path)?)),
     },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
     Format {
@@ -52,6 +72,23 @@ const FORMATS: &[Format] = &[
         open: |path, options| Ok(Box::new(TextSource::open(path, options.text_columns.as_deref())?)),
     },
 ];
+
+/// Opens the vertices of a PLY file, which may be Gaussians.
+fn open_ply(path: &Path, _: &ReadOptions) -> Opened {
+    // A pipe is read only once.
+    if path.is_file() {
+        let (header, _) = Body::open(path)?;
+        let vertex = header.elements.iter().find(|element| element.name == "vertex");
+        let names: Vec<&str> = vertex.iter().flat_map(|v| &v.properties).map(Property::name).collect();
+        if CompressedPlySource::has_layout(&names) {
+            return Ok(Box::new(CompressedPlySource::open(path)?));
+        }
+        if GaussianPlySource::has_layout(&names) {
+            return Ok(Box::new(GaussianPlySource::open(path)?));
+        }
+    }
+    Ok(Box::new(PlySource::open(path)?))
+}
 
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {

@@ -18,6 +18,7 @@ mod ply_write;
 mod roles;
 mod slices;
 mod source;
+mod splats;
 mod synthetic;
 mod text;
 
