@@ -19,7 +19,7 @@ use crate::{report, values};
 /// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// Points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
+    /// Points: PLY, LAS, LAZ, SPZ, SPLAT, KSPLAT, OBJ, STL, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
@@ -53,6 +53,10 @@ pub(crate) struct BuildArgs {
     /// Names of the columns of text files, as in x,y,z,-,intensity
     #[arg(long, value_delimiter = ',')]
     columns: Option<Vec<String>>,
+    /// Points to sample on the faces of a mesh. By default the vertices of PLY are the points, and OBJ and STL get ten points
+    /// a triangle, 1 to 20 million
+    #[arg(long)]
+    mesh_points: Option<u64>,
     /// What to do with records whose position, radius or weight is no usable number
     #[arg(long, value_enum, default_value = "skip")]
     invalid: Invalid,
@@ -96,8 +100,15 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let options = options(args)?;
     let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let read = ReadOptions::default().with_text_columns(args.columns.clone());
-    let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let read =
+        ReadOptions::default().with_text_columns(args.columns.clone()).with_mesh_points(args.mesh_points);
+    let sources: Vec<_> =
+        args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    for (path, source) in args.inputs.iter().zip(&sources) {
+        for warning in &source.schema().warnings {
+            report::remark(format_args!("{}: {warning}", path.display()));
+        }
+    }
     let meter = Meter::new("points", args.json);
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
     let built = build::to_file(sources, &args.output, &options, &control);

@@ -11,7 +11,7 @@ use flate2::bufread::GzDecoder;
 use ruzstd::decoding::StreamingDecoder;
 
 use super::spz_header::StreamPlace;
-use crate::points::{Place, ReadError};
+use crate::points::{Place, ReadError, quiet};
 use crate::regular_file;
 
 const BUFFER_BYTES: usize = 64 << 10;
@@ -103,15 +103,11 @@ impl Plane {
             Packing::Gzip => Input::Gzip(GzDecoder::new(Counted::open(path, 0).map_err(io)?)),
             Packing::Zstd(place) => {
                 let file = Counted::open(path, place.offset).map_err(io)?.take(place.bytes);
-                let decoder = StreamingDecoder::new_with_max_window_size(file, WINDOW_LIMIT);
-                let what = |_| {
-                    ReadError::malformed(
-                        path,
-                        Place::Byte(place.offset),
-                        "not the beginning of a zstd stream",
-                    )
-                };
-                Input::Zstd(Box::new(decoder.map_err(what)?))
+                let decoder =
+                    quiet::catch(|| StreamingDecoder::new_with_max_window_size(file, WINDOW_LIMIT).ok());
+                let what = "not the beginning of a zstd stream";
+                let fail = || ReadError::malformed(path, Place::Byte(place.offset), what);
+                Input::Zstd(Box::new(decoder.flatten().ok_or_else(fail)?))
             }
         };
         let mut plane = Self { path: path.to_owned(), input, is_cut: false };
@@ -119,11 +115,14 @@ impl Plane {
         Ok(plane)
     }
 
-    fn stream(&mut self) -> &mut dyn Read {
+    /// Some bytes, as [`Read::read`].
+    fn read_some(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match &mut self.input {
-            Input::Plain(file) => file,
-            Input::Gzip(decoder) => decoder,
-            Input::Zstd(decoder) => decoder,
+            Input::Plain(file) => file.read(buffer),
+            Input::Gzip(decoder) => decoder.read(buffer),
+            // Damaged data may make the decoder panic.
+            Input::Zstd(decoder) => quiet::catch(|| decoder.read(buffer))
+                .unwrap_or_else(|| Err(io::ErrorKind::InvalidData.into())),
         }
     }
 
@@ -141,7 +140,7 @@ impl Plane {
     pub(super) fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ReadError> {
         let mut read = 0;
         while read < buffer.len() {
-            match self.stream().read(&mut buffer[read..]) {
+            match self.read_some(&mut buffer[read..]) {
                 Ok(0) => break,
                 Ok(bytes) => read += bytes,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
