@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
-use rayset::points::{self, ReadOptions};
+use rayset::points::ReadOptions;
 use rayset::volumes::{RawLayout, VolumeSource};
 
 use crate::budget::{name_smallest_budget, name_smallest_grid_budget};
@@ -20,7 +20,7 @@ use crate::{input, report, values};
 /// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// Points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
+    /// Points: PLY, LAS, LAZ, SPZ, SPLAT, KSPLAT, OBJ, STL, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
@@ -55,6 +55,10 @@ pub(crate) struct BuildArgs {
     /// Names of the columns of text files, as in x,y,z,-,intensity
     #[arg(long, value_delimiter = ',')]
     columns: Option<Vec<String>>,
+    /// Points to sample on the faces of a mesh. By default the vertices of PLY are the points, and OBJ and STL get ten points
+    /// a triangle, 1 to 20 million
+    #[arg(long)]
+    mesh_points: Option<u64>,
     /// What to do with records whose position, radius or weight is no usable number
     #[arg(long, value_enum, default_value = "skip")]
     invalid: Invalid,
@@ -99,8 +103,9 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let options = options(args)?;
     let output = Outputs::beside(&inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let read = ReadOptions::default().with_text_columns(args.columns.clone());
-    let sources: Vec<_> = inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let read =
+        ReadOptions::default().with_text_columns(args.columns.clone()).with_mesh_points(args.mesh_points);
+    let sources = input::open_points(&inputs, &read)?;
     let named = args.attributes.as_deref().unwrap_or_default();
     let attributes = match (&args.attributes, named) {
         (None, _) => {

@@ -19,7 +19,7 @@ pub(crate) struct GenerateArgs {
     /// sphere-N, cube-N, knot-N, galaxy-N or vase-N
     #[arg(required_unless_present = "from_mesh")]
     workload: Option<Workload>,
-    /// Points on the faces of this PLY file instead, evenly by area
+    /// Points on the faces of this PLY, OBJ or STL file instead, evenly by area
     #[arg(long, requires = "points", conflicts_with = "workload")]
     from_mesh: Option<PathBuf>,
     /// How many

@@ -6,9 +6,11 @@ mod columns;
 mod files;
 mod kinds;
 mod raw;
+mod sources;
 
 pub(crate) use self::cache::CacheArgs;
 pub(crate) use self::columns::{customary as customary_columns, of_all as all_columns};
 pub(crate) use self::files::expand;
 pub(crate) use self::kinds::{Built, open_built};
 pub(crate) use self::raw::{Input, Opened, Resources, open};
+pub(crate) use self::sources::open_points;

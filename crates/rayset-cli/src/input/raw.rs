@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use rayset::build::{self, BuildControl, BuildOptions, GridBuildOptions, Progress};
-use rayset::points::{self, ReadOptions};
+use rayset::points::ReadOptions;
 use rayset::volumes::VolumeSource;
 use rayset::{Cloud, Grid};
 
@@ -14,6 +14,7 @@ use super::cache::{self, CacheArgs, Place};
 use super::columns;
 use super::files;
 use super::kinds::{self, Built};
+use super::sources::open_points;
 use crate::memory::PROCESS_BYTES;
 use crate::outputs::Outputs;
 use crate::progress::Meter;
@@ -124,8 +125,7 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
     }
     let options = BuildOptions::default().with_memory_bytes(memory);
     let threads = resources.threads.unwrap_or(options.threads);
-    let read = ReadOptions::default();
-    let sources: Vec<_> = files.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
+    let sources = open_points(files, &ReadOptions::default())?;
     let columns = columns::customary(&sources);
     if let Some(remark) = columns.remark() {
         report::remark(remark);

@@ -7,7 +7,11 @@ use std::path::Path;
 
 #[cfg(feature = "las")]
 use super::las::LasSource;
+use super::mesh::{MeshFormat, MeshSource, ObjSource};
 use super::ply::PlySource;
+use super::ply_body::Body;
+use super::ply_header::Property;
+use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
 use super::text::TextSource;
 use super::{PointSource, ReadError};
 use crate::setters::setters;
@@ -18,9 +22,15 @@ use crate::setters::setters;
 pub struct ReadOptions {
     /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
+    /// Points to sample on the faces of a mesh, evenly by area. If `None`, the vertices of a PLY file are its points, and on
+    /// OBJ and STL files ten points are sampled for each triangle, at least a million and at most 20 million.
+    pub mesh_points: Option<u64>,
 }
 
-setters!(ReadOptions { with_text_columns => text_columns: Option<Vec<String>> });
+setters!(ReadOptions {
+    with_text_columns => text_columns: Option<Vec<String>>,
+    with_mesh_points => mesh_points: Option<u64>,
+});
 
 /// Bytes from the start of a file by which its format is recognized.
 const HEAD_BYTES: u64 = 4096;
@@ -42,7 +52,36 @@ const FORMATS: &[Format] = &[
     Format {
         extensions: &["ply"],
         begins: |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
-        open: |path, _| Ok(Box::new(PlySource::open(path)?)),
+        open: open_ply,
+    },
+    Format {
+        extensions: &["spz"],
+        begins: SpzSource::begins,
+        open: |path, _| Ok(Box::new(SpzSource::open(path)?)),
+    },
+    Format {
+        extensions: &["splat"],
+        // Nothing but records.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(SplatSource::open(path)?)),
+    },
+    Format {
+        extensions: &["ksplat"],
+        // A version alone.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(KsplatSource::open(path)?)),
+    },
+    Format {
+        extensions: &["stl"],
+        // Binary files begin with anything, even with this word.
+        begins: |head| head.starts_with(b"solid") && head.windows(12).any(|part| part == b"facet normal"),
+        open: |path, options| Ok(Box::new(MeshSource::survey(path, MeshFormat::Stl, options.mesh_points)?)),
+    },
+    Format {
+        extensions: &["obj"],
+        // Statements in any order.
+        begins: |_| false,
+        open: open_obj,
     },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
     Format {
@@ -52,6 +91,36 @@ const FORMATS: &[Format] = &[
         open: |path, options| Ok(Box::new(TextSource::open(path, options.text_columns.as_deref())?)),
     },
 ];
+
+/// Opens the vertices of a PLY file, which may be Gaussians, or its faces.
+fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
+    // A pipe is read only once.
+    if path.is_file() {
+        let (header, _) = Body::open(path)?;
+        let vertex = header.elements.iter().find(|element| element.name == "vertex");
+        let names: Vec<&str> = vertex.iter().flat_map(|v| &v.properties).map(Property::name).collect();
+        if CompressedPlySource::has_layout(&names) {
+            return Ok(Box::new(CompressedPlySource::open(path)?));
+        }
+        if GaussianPlySource::has_layout(&names) {
+            return Ok(Box::new(GaussianPlySource::open(path)?));
+        }
+        if options.mesh_points.is_some() && header.elements.iter().any(|element| element.name == "face") {
+            return Ok(Box::new(MeshSource::survey(path, MeshFormat::Ply, options.mesh_points)?));
+        }
+    }
+    Ok(Box::new(PlySource::open(path)?))
+}
+
+/// Opens the faces of an OBJ file or, where there are none, its vertices.
+fn open_obj(path: &Path, options: &ReadOptions) -> Opened {
+    let mesh = MeshSource::survey(path, MeshFormat::Obj, options.mesh_points)?;
+    if mesh.triangles() > 0 {
+        return Ok(Box::new(mesh));
+    }
+    let has_colors = !mesh.schema().columns.is_empty();
+    Ok(Box::new(ObjSource::open(path, mesh.vertices(), has_colors)?))
+}
 
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {

@@ -10,14 +10,17 @@ mod error;
 mod formats;
 #[cfg(feature = "las")]
 mod las;
+mod lines;
 mod mesh;
 mod ply;
 mod ply_body;
 mod ply_header;
 mod ply_write;
+mod quiet;
 mod roles;
 mod slices;
 mod source;
+mod splats;
 mod synthetic;
 mod text;
 

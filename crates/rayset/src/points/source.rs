@@ -21,7 +21,7 @@ pub enum ColorDepth {
 }
 
 /// The data that a source offers besides positions.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Schema {
     /// All columns that can be selected. Colours are `red`, `green` and `blue`, as names or as roles.
     pub columns: Vec<ColumnInfo>,
@@ -33,13 +33,25 @@ pub struct Schema {
     pub crs: String,
     /// A description of the file: format, version, the program that wrote it. May be empty.
     pub description: String,
+    /// What of the file is lost or was decided without asking, in sentences for the person who reads it.
+    pub warnings: Vec<String>,
+    /// The direction that is up in files of this kind; `None` if they have no convention.
+    pub up: Option<[f64; 3]>,
 }
 
 impl Schema {
     /// A schema with columns only.
     #[must_use]
     pub fn new(columns: Vec<ColumnInfo>, color_depth: ColorDepth) -> Self {
-        Self { columns, roles: Vec::new(), color_depth, crs: String::new(), description: String::new() }
+        Self {
+            columns,
+            roles: Vec::new(),
+            color_depth,
+            crs: String::new(),
+            description: String::new(),
+            warnings: Vec::new(),
+            up: None,
+        }
     }
 
     /// Index of the column that `name` refers to: the one of that name, otherwise the one with that role, otherwise the one

@@ -15,7 +15,10 @@ use crate::common::{build_at, folder, mixed_points};
 use crate::las_writer::{Chunks, LasFile};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+const POINTS: [&str; 13] = [
+    "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
+    "s.ksplat", "m.obj", "m.stl",
+];
 const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
 
 fn ply(format: &str) -> Vec<u8> {
@@ -100,6 +103,32 @@ fn point_files() -> Vec<(&'static str, Vec<u8>)> {
     files
 }
 
+/// Splats and meshes, which have fixtures.
+fn fixtures() -> Vec<(&'static str, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
+    let read = |(name, path): (&'static str, &str)| {
+        (name, std::fs::read(folder.join(path)).unwrap_or_else(|e| panic!("{path}: {e}")))
+    };
+    let files = [
+        ("p.ply", "splats/inria.ply"),
+        ("p.ply", "splats/packed.compressed.ply"),
+        ("s.spz", "splats/v1.spz"),
+        ("s.spz", "splats/v2.spz"),
+        ("s.spz", "splats/v3.spz"),
+        ("s.spz", "splats/v4.spz"),
+        ("s.splat", "splats/records.splat"),
+        ("s.ksplat", "splats/level0.ksplat"),
+        ("s.ksplat", "splats/level1.ksplat"),
+        ("s.ksplat", "splats/level2.ksplat"),
+        ("mesh.ply", "meshes/square.ply"),
+        ("m.obj", "meshes/square.obj"),
+        ("m.obj", "meshes/ball.obj"),
+        ("m.stl", "meshes/ball.stl"),
+        ("m.stl", "meshes/ball-ascii.stl"),
+    ];
+    files.into_iter().map(read).collect()
+}
+
 fn gzipped(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     encoder.write_all(bytes).expect("a write");
@@ -165,7 +194,7 @@ fn keep(target: &str, number: usize, parts: &[&[u8]]) {
 #[test]
 fn every_input_that_the_fuzzers_begin_with_is_read() {
     let folder = folder();
-    for (number, (name, bytes)) in point_files().into_iter().enumerate() {
+    for (number, (name, bytes)) in point_files().into_iter().chain(fixtures()).enumerate() {
         let path = folder.path().join(name);
         std::fs::write(&path, &bytes).expect("a write");
         let mut source: Box<dyn PointSource> = if name == "mesh.ply" {

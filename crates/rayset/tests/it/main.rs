@@ -22,6 +22,7 @@ mod house;
 #[allow(dead_code, reason = "the program's tests use the rest")]
 mod las_writer;
 mod layers;
+mod meshes;
 mod ply_files;
 mod readers;
 mod right_picture;
@@ -32,6 +33,7 @@ mod schema;
 mod session_memory;
 mod sessions;
 mod shadows;
+mod splats;
 mod tables;
 mod volumes;
 mod vti;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use crate::points::{Place, ReadError};
+use super::{Place, ReadError};
 
 /// Longest record in bytes, so that a file without line ends or with an unclosed quote needs bounded memory.
 pub(super) const RECORD_LIMIT: usize = 1 << 16;
@@ -24,7 +24,8 @@ impl Lines {
     }
 
     /// Opens a file, and skips a byte-order mark.
-    pub(super) fn open(path: PathBuf) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        let path = path.to_owned();
         let file = File::open(&path).map_err(|source| ReadError::Io { path: path.clone(), source })?;
         let mut lines = Self { path, input: BufReader::with_capacity(256 << 10, file), number: 0 };
         let start =

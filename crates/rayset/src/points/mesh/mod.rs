@@ -1,0 +1,13 @@
+//! Meshes: any number of points on their triangles, evenly by area.
+
+mod obj;
+mod obj_points;
+mod obj_reader;
+mod ply;
+mod sample;
+mod stl;
+mod triangles;
+
+pub(super) use self::obj_points::ObjSource;
+pub(super) use self::sample::MeshFormat;
+pub use self::sample::MeshSource;
