@@ -102,7 +102,7 @@ pub fn build(
     control: &BuildControl<'_>,
 ) -> Result<GridHeader, GridBuildError> {
     let mut header = header_of(&source)?;
-    let room = Room::divide(options.memory_bytes, &header)?;
+    let room = Room::divide(options.memory_bytes, BUFFER_BYTES + source.memory_bytes(), &header)?;
     let destination = Destination::new(path)?;
     destination.require_file()?;
     destination.refuse_inputs(source.paths())?;
@@ -141,14 +141,15 @@ struct Room {
 }
 
 impl Room {
-    fn divide(memory_bytes: u64, header: &GridHeader) -> Result<Self, GridBuildError> {
+    /// `buffer_bytes` are those of the buffers and of the reader.
+    fn divide(memory_bytes: u64, buffer_bytes: u64, header: &GridHeader) -> Result<Self, GridBuildError> {
         let n = header.kind.brick_voxels() as u64;
         let column_bytes = n * n * header.kind.bytes() as u64;
-        let needed = BUFFER_BYTES + n * column_bytes;
+        let needed = buffer_bytes + n * column_bytes;
         if needed > memory_bytes {
             return Err(GridBuildError::Memory { needed, budget: memory_bytes });
         }
-        let free = memory_bytes - BUFFER_BYTES;
+        let free = memory_bytes - buffer_bytes;
         let window_bytes = (free / 2).clamp(n * column_bytes, MOST_WINDOW_BYTES);
         Ok(Self {
             holds_slices: Slices::layer_bytes(header) <= free - window_bytes,

@@ -12,6 +12,7 @@ mod formats;
 mod meta;
 mod nifti;
 mod nrrd;
+mod orientation;
 mod raw;
 mod source;
 mod stored;
