@@ -32,6 +32,8 @@ mod session_memory;
 mod sessions;
 mod shadows;
 mod tables;
+mod vdb;
+mod volume_fixtures;
 mod volumes;
 mod vti;
 mod vti_text;

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
-use super::{ReadError, VolumeSource, meta, nifti, nrrd, vti};
+use super::{ReadError, VolumeSource, meta, nifti, nrrd, vdb, vti};
 
 /// Bytes from the start of a file by which its format is recognized.
 const HEAD_BYTES: u64 = 4096;
@@ -37,6 +37,7 @@ const FORMATS: &[Format] = &[
         begins: |head| head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0")),
         open: nifti::open,
     },
+    Format { extensions: &["vdb"], begins: |head| head.starts_with(VDB_MAGIC), open: vdb::open },
     Format {
         extensions: &["vti"],
         // Other files of VTK begin as this one does.
@@ -48,6 +49,7 @@ const FORMATS: &[Format] = &[
     },
 ];
 
+const VDB_MAGIC: &[u8] = b" BDV\0\0\0\0";
 const VTI_TYPES: [&[u8]; 2] = [b"<VTKFile type=\"ImageData\"", b"<VTKFile type='ImageData'"];
 
 /// The format of a file; `None` if it is that of no volume, or the file cannot be read.

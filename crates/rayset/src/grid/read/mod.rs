@@ -16,6 +16,7 @@ mod orientation;
 mod raw;
 mod source;
 mod stored;
+mod vdb;
 mod vti;
 
 use std::path::Path;
