@@ -22,7 +22,10 @@ use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
 /// Names that the first byte of an input chooses from.
 pub const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
 /// See [`POINTS`].
-pub const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
+pub const VOLUMES: [&str; 12] = [
+    "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
+    "v.dx",
+];
 
 /// A folder of this process, in memory where there is one.
 fn folder() -> &'static Path {

@@ -22,6 +22,7 @@ mod house;
 #[allow(dead_code, reason = "the program's tests use the rest")]
 mod las_writer;
 mod layers;
+mod other_volumes;
 mod ply_files;
 mod readers;
 mod right_picture;

@@ -90,10 +90,10 @@ pub(crate) fn compare(path: &Path, expected: &Value) {
     }
 }
 
-/// Cuts a file off at every byte, and flips bits of it: errors are sentences, and only then a volume. Files may differ in
-/// bits that say nothing.
-pub(crate) fn damaged(path: &Path, bytes: &[u8], flips: usize) {
-    for length in (0..bytes.len()).rev() {
+/// Cuts a file off at every one of its first bytes, which is an error, and flips bits of it, which is an error or another
+/// volume. Errors are sentences.
+pub(crate) fn damaged(path: &Path, bytes: &[u8], needed: usize, flips: usize) {
+    for length in (0..needed).rev() {
         std::fs::write(path, &bytes[..length]).expect("a write");
         assert!(read(path).is_err(), "{} of {} bytes of {} are read", length, bytes.len(), path.display());
     }

@@ -189,7 +189,7 @@ const KEYS: [&[&str]; 12] = [
 fn orientation(space: &str) -> Orientation {
     let words = space.split('-').filter_map(|word| word.chars().next());
     let initials: String = if space.contains('-') { words.collect() } else { space.to_owned() };
-    Orientation::of_patient(&initials).unwrap_or_default()
+    Orientation::of_patient(&initials.to_ascii_uppercase()).unwrap_or_default()
 }
 
 /// Vectors like `(1,0,0) (0,1,0)`; `none` is skipped.
