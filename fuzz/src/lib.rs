@@ -25,7 +25,10 @@ pub const POINTS: [&str; 13] = [
     "s.ksplat", "m.obj", "m.stl",
 ];
 /// See [`POINTS`].
-pub const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
+pub const VOLUMES: [&str; 12] = [
+    "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
+    "v.dx",
+];
 
 /// A folder of this process, in memory where there is one.
 fn folder() -> &'static Path {

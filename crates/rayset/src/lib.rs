@@ -89,6 +89,7 @@ mod working_set;
 #[doc(hidden)]
 pub mod working_set;
 
+mod array_file;
 pub mod build;
 pub mod file;
 pub mod geometry;

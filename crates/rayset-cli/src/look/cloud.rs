@@ -336,6 +336,8 @@ fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -
     let lies_on = |up: usize| sides[up] < 0.5 * others(up).fold(f64::INFINITY, f64::min);
     let mut chosen = if let Some(up) = given {
         Orientation::with_up(up, "as asked for")
+    } else if let Some(up) = header.up {
+        Orientation::with_up(up, "by the kind of file")
     } else if surveyed {
         Orientation::with_up(DVec3::Z, "survey coordinates")
     } else if lies_on(thin) && !said("PLY") {

@@ -80,15 +80,13 @@ impl GridLook {
         } else {
             (0..8).map(|i| (header.space_from_voxel.transform_point3(corner(i)), 0.0)).collect()
         };
-        let orientation = match up {
-            Some(up) => Orientation::with_up(up, "as asked for"),
-            None => Orientation::with_up(DVec3::Z, "the custom of volumes"),
+        let orientation = match (up, header.up) {
+            (Some(up), _) => Orientation::with_up(up, "as asked for"),
+            (None, Some(up)) => Orientation::with_up(up, "said by the file").toward_front(header.facing),
+            (None, None) => Orientation::with_up(DVec3::Z, "the custom of volumes"),
         };
-        let content = if content == Content::Field && orientation_is_anatomical(grid) {
-            Content::Body
-        } else {
-            content
-        };
+        let is_body = content == Content::Field && header.facing.is_some();
+        let content = if is_body { Content::Body } else { content };
         Ok(Self { content, shown, threshold, background_is_low, orientation, points, diagonal })
     }
 
@@ -183,11 +181,6 @@ impl GridLook {
             self.orientation.reason_and_up()
         )
     }
-}
-
-/// Whether the space of a grid is that of a body.
-fn orientation_is_anatomical(_grid: &Grid) -> bool {
-    false
 }
 
 /// The middle of the most frequent of 256 ranges of values.

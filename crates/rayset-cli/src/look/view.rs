@@ -90,6 +90,12 @@ impl Orientation {
         Self { up, facing, reason, lies: false }
     }
 
+    /// With the front where a file says.
+    pub(super) fn toward_front(self, facing: Option<DVec3>) -> Self {
+        let across = facing.map(|facing| facing - self.up * facing.dot(self.up));
+        Self { facing: across.and_then(DVec3::try_normalize).unwrap_or(self.facing), ..self }
+    }
+
     /// `z up (the thinnest extent)`
     pub(super) fn reason_and_up(&self) -> String {
         let axes = [("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)];

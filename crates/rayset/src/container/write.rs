@@ -5,6 +5,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 
 use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, Section, SectionKind};
 use super::identity::Identity;
+use crate::geometry::DVec3;
 
 /// Limit on the bytes of source descriptions that are kept: the first ones in sorted order.
 const MAX_SOURCES_BYTES: usize = 128 << 10;
@@ -22,6 +23,12 @@ pub(crate) struct Metadata {
     /// Descriptions of the sources, sorted.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(crate) sources: Vec<String>,
+    /// The direction that is up, if the sources say so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) up: Option<[f64; 3]>,
+    /// The direction in which one looks at the front, if the sources say so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) facing: Option<[f64; 3]>,
     /// Names of feature bits, by bit number.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) features: BTreeMap<String, String>,
@@ -38,7 +45,17 @@ impl Metadata {
             bytes <= MAX_SOURCES_BYTES
         });
         let crs = if crs.len() <= MAX_CRS_BYTES { crs.to_owned() } else { String::new() };
-        Self { crs, sources, features: BTreeMap::new() }
+        Self { crs, sources, ..Self::default() }
+    }
+
+    /// The direction that is up, of length one; `None` if there is none.
+    pub(crate) fn up(&self) -> Option<DVec3> {
+        self.up.and_then(|up| DVec3::from_array(up).try_normalize())
+    }
+
+    /// The direction in which one looks at the front, of length one; `None` if there is none.
+    pub(crate) fn facing(&self) -> Option<DVec3> {
+        self.facing.and_then(|facing| DVec3::from_array(facing).try_normalize())
     }
 
     fn encode(&self) -> io::Result<Vec<u8>> {

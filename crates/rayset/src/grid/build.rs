@@ -13,6 +13,7 @@ use crate::container::{
     BLOCK_BYTES, FileKind, Identity, PAGE_CHECKSUM_AT, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind,
     seal_file,
 };
+use crate::geometry::DVec3;
 use crate::octree::build::{BuildControl, Stage};
 use crate::output::{Destination, OutputError, OutputFile, OutputWriter, remove_leftovers};
 use crate::setters::setters;
@@ -102,7 +103,7 @@ pub fn build(
     control: &BuildControl<'_>,
 ) -> Result<GridHeader, GridBuildError> {
     let mut header = header_of(&source)?;
-    let room = Room::divide(options.memory_bytes, &header)?;
+    let room = Room::divide(options.memory_bytes, BUFFER_BYTES + source.memory_bytes(), &header)?;
     let destination = Destination::new(path)?;
     destination.require_file()?;
     destination.refuse_inputs(source.paths())?;
@@ -141,14 +142,15 @@ struct Room {
 }
 
 impl Room {
-    fn divide(memory_bytes: u64, header: &GridHeader) -> Result<Self, GridBuildError> {
+    /// `buffer_bytes` are those of the buffers and of the reader.
+    fn divide(memory_bytes: u64, buffer_bytes: u64, header: &GridHeader) -> Result<Self, GridBuildError> {
         let n = header.kind.brick_voxels() as u64;
         let column_bytes = n * n * header.kind.bytes() as u64;
-        let needed = BUFFER_BYTES + n * column_bytes;
+        let needed = buffer_bytes + n * column_bytes;
         if needed > memory_bytes {
             return Err(GridBuildError::Memory { needed, budget: memory_bytes });
         }
-        let free = memory_bytes - BUFFER_BYTES;
+        let free = memory_bytes - buffer_bytes;
         let window_bytes = (free / 2).clamp(n * column_bytes, MOST_WINDOW_BYTES);
         Ok(Self {
             holds_slices: Slices::layer_bytes(header) <= free - window_bytes,
@@ -169,6 +171,8 @@ fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
         space_from_voxel: source.space_from_voxel,
         file_bytes: 0,
         sources: Vec::new(),
+        up: source.up.and_then(DVec3::try_normalize),
+        facing: source.facing.and_then(DVec3::try_normalize),
     };
     let checked = header.check_size().and_then(|()| header.check_numbers());
     checked.map_err(|what| GridBuildError::Grid {

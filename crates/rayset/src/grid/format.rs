@@ -100,6 +100,11 @@ pub struct GridHeader {
     pub file_bytes: u64,
     /// Descriptions of the sources, sorted. Volume readers do not provide any yet.
     pub sources: Vec<String>,
+    /// The direction in the space of the file that is up, of length one; `None` if its format does not say.
+    pub up: Option<DVec3>,
+    /// The direction in which one looks at the front, of length one: a patient is seen from the front. `None` if the format
+    /// does not say.
+    pub facing: Option<DVec3>,
 }
 
 impl GridHeader {
@@ -162,7 +167,11 @@ impl GridHeader {
 
     /// The contents of the section `META`.
     pub(crate) fn metadata(&self) -> Metadata {
-        Metadata::new("", self.sources.clone())
+        Metadata {
+            up: self.up.map(|v| v.to_array()),
+            facing: self.facing.map(|v| v.to_array()),
+            ..Metadata::new("", self.sources.clone())
+        }
     }
 
     /// Reads and checks the sections of an open file.
@@ -172,12 +181,13 @@ impl GridHeader {
     #[doc(hidden)]
     pub fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         let bytes = file.section(SectionKind::GRID)?;
-        let sources = file.metadata()?.sources;
+        let words = file.metadata()?;
         let wrong = |what| file.wrong_section(SectionKind::GRID, what);
         let header = Self::decode(&bytes, file.header())
             .ok_or_else(|| wrong("the numbers of the grid end early, or its kind of voxels is unknown"))?;
         header.check_ranges(file.header()).map_err(wrong)?;
-        Ok(Self { sources, ..header })
+        let (up, facing) = (words.up(), words.facing());
+        Ok(Self { sources: words.sources, up, facing, ..header })
     }
 
     fn decode(bytes: &[u8], file: &FileHeader) -> Option<Self> {
@@ -201,6 +211,8 @@ impl GridHeader {
             space_from_voxel: DAffine3::from_cols_array(&columns),
             file_bytes: file.file_bytes,
             sources: Vec::new(),
+            up: None,
+            facing: None,
         })
     }
 

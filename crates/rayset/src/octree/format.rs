@@ -130,6 +130,8 @@ pub struct Header {
     pub crs: String,
     /// Descriptions of the sources, sorted.
     pub sources: Vec<String>,
+    /// The direction that is up by the custom of the sources, of length one; `None` if they have none, or differ.
+    pub up: Option<DVec3>,
     /// The layout of the columns of a run, derived from the columns.
     pub(crate) columns: ColumnLayout,
 }
@@ -275,6 +277,7 @@ impl Header {
         let in_columns = |what| file.wrong_section(SectionKind::COLUMNS, what);
         header.decode_columns(&columns).map_err(in_columns)?;
         header.columns = header.column_layout(header.attributes.len());
+        header.up = words.up();
         (header.crs, header.sources) = (words.crs, words.sources);
         header.check_ranges(file.header()).map_err(wrong)?;
         Ok(header)
@@ -307,6 +310,7 @@ impl Header {
             attributes: Vec::new(),
             crs: String::new(),
             sources: Vec::new(),
+            up: None,
             columns: ColumnLayout::default(),
         })
     }

@@ -119,6 +119,8 @@ mod tests {
             space_from_voxel: DAffine3::IDENTITY,
             file_bytes: 0,
             sources: Vec::new(),
+            up: None,
+            facing: None,
         }
     }
 

@@ -13,13 +13,17 @@ use rayset::scene_file::SceneFile;
 
 use crate::common::{build_at, folder, mixed_points};
 use crate::las_writer::{Chunks, LasFile};
+use crate::volume_fixtures::{fixtures, unzipped};
 use crate::vti_text::{base64, vti, words};
 
 const POINTS: [&str; 13] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
     "s.ksplat", "m.obj", "m.stl",
 ];
-const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
+const VOLUMES: [&str; 12] = [
+    "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
+    "v.dx",
+];
 
 fn ply(format: &str) -> Vec<u8> {
     let mut bytes = format!(
@@ -168,6 +172,7 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
         )
     };
     let shorts: Vec<u8> = (0..60_i16).flat_map(i16::to_le_bytes).collect();
+    let fixture = |name: &str| std::fs::read(fixtures("volumes").join(name)).expect("a fixture");
     let inline = base64(&[words(&[shorts.len() as u64], 4), shorts].concat());
     let ascii: Vec<String> = (0..60).map(|i| i.to_string()).collect();
     vec![
@@ -177,6 +182,18 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
         ("v.mha", with(&meta("BinaryDataByteOrderMSB = False\n"), &voxels)),
         ("v.nii", nifti()),
         ("v.nii.gz", gzipped(&nifti())),
+        ("v.vdb", unzipped("vdb", "two.vdb")),
+        ("v.vdb", unzipped("vdb", "sphere_half.vdb")),
+        ("v.npy", fixture("c_little_i2.npy")),
+        ("v.npy", fixture("fortran.npy")),
+        ("v.npz", fixture("stored.npz")),
+        ("v.npz", fixture("deflated.npz")),
+        ("v.slc", fixture("plain.slc")),
+        ("v.slc", fixture("runs.slc")),
+        ("v.vtk", fixture("ascii_i2.vtk")),
+        ("v.vtk", fixture("binary_cells.vtk")),
+        ("v.dx", fixture("plain.dx")),
+        ("v.dx", fixture("double.dx")),
         ("v.vti", vti(&format!("format=\"ascii\">{}</DataArray>", ascii.join(" ")), "", "").into_bytes()),
         ("v.vti", vti(&format!("format=\"binary\">{inline}</DataArray>"), "", "").into_bytes()),
     ]

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 23] = [
+const ORDER: [&str; 24] = [
     "parse",
     "setters",
     "sync",
     "cancel",
     "geometry",
     "regular_file",
+    "array_file",
     "storage",
     "output",
     "spill",

@@ -149,7 +149,7 @@ fn a_vti_that_contradicts_itself_is_an_error_that_says_where() {
         ("Spacing=\"1 2 3\"", "Spacing=\"1 0 3\"", "Spacing: the axes"),
         ("Spacing=\"1 2 3\"", "Direction=\"1 0 0 1 0 0 0 0 1\"", "the axes"),
         ("Spacing=\"1 2 3\"", "Spacing=\"1 2 3\" Spacing=\"1 2 3\"", "comes twice"),
-        ("type=\"Int16\"", "type=\"Int64\"", "type: expected Int8"),
+        ("type=\"Int16\"", "type=\"String\"", "type: expected Int8"),
         ("type=\"Int16\"", "type=\"UInt8\"", "number 1: `-300` is no u8"),
         ("-300", "-300.5", "number 1: `-300.5` is no i16"),
         ("-300", "", "ends after 59 numbers of 60"),

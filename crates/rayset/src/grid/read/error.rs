@@ -41,11 +41,13 @@ pub enum ReadError {
         /// What is wrong, and what was expected.
         what: String,
     },
-    /// The file name does not have a known extension.
-    #[error("{}: expected a name that ends in nrrd, nhdr, mha, mhd, nii, nii.gz or vti, or a --raw layout", path.display())]
+    /// The file is of no format that is read.
+    #[error("{}: {what}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
+        /// What it is and what converts it, or what was expected.
+        what: String,
     },
 }
 

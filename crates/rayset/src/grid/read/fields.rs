@@ -1,11 +1,11 @@
 //! Text headers: lines, and the numbers in them.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::ReadError;
-use super::data::{data_at, io_error};
+use super::data::{data_at, io_error, regular_file_bytes};
 
 /// Longest header in bytes. This bounds the memory for a file without line ends.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -18,21 +18,30 @@ pub(super) struct Lines {
     pub(super) number: u64,
     /// Bytes read so far, up to the end of the last line.
     pub(super) bytes: u64,
+    /// Bytes that the lines still to come may have.
+    room: u64,
 }
 
 impl Lines {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        Ok(Self { file: data_at(path, 0)?, path: path.to_owned(), number: 0, bytes: 0 })
+        Ok(Self {
+            file: data_at(path, 0)?,
+            path: path.to_owned(),
+            number: 0,
+            bytes: 0,
+            room: MOST_HEADER_BYTES,
+        })
     }
 
     /// The next line without its line end (`\n` or `\r\n`). `None` at the end of the file.
     pub(super) fn next(&mut self) -> Result<Option<String>, ReadError> {
         self.number += 1;
-        let room = MOST_HEADER_BYTES - self.bytes;
+        let room = self.room;
         let mut line = Vec::new();
         let read = Read::by_ref(&mut self.file).take(room).read_until(b'\n', &mut line);
         let read = read.map_err(io_error(&self.path))? as u64;
         self.bytes += read;
+        self.room -= read;
         if read == room {
             let place = format!("line {}", self.number);
             let what = format!("the header goes on beyond {MOST_HEADER_BYTES} bytes; is this such a file?");
@@ -41,6 +50,41 @@ impl Lines {
         // Comments and names may be in any encoding; keys and numbers are ASCII.
         let text = String::from_utf8_lossy(&line);
         Ok((read > 0).then(|| text.trim_end_matches('\n').trim_end_matches('\r').to_owned()))
+    }
+
+    /// Goes on behind this number of bytes, which are no lines. False if the file ends before.
+    pub(super) fn skip_bytes(&mut self, bytes: u64) -> Result<bool, ReadError> {
+        let end = self.bytes.saturating_add(bytes);
+        if end > regular_file_bytes(&self.path)? {
+            return Ok(false);
+        }
+        self.file.seek(SeekFrom::Start(end)).map_err(io_error(&self.path))?;
+        self.bytes = end;
+        Ok(true)
+    }
+
+    /// Goes on behind this number of words between white space, which are no lines. False if the file ends before.
+    pub(super) fn skip_words(&mut self, words: u64) -> Result<bool, ReadError> {
+        let (mut left, mut within) = (words, false);
+        while left > 0 {
+            let held = self.file.fill_buf().map_err(io_error(&self.path))?;
+            if held.is_empty() {
+                return Ok(left == 1 && within);
+            }
+            let mut used = 0;
+            for byte in held {
+                let space = byte.is_ascii_whitespace();
+                left -= u64::from(space && within);
+                within = !space;
+                if left == 0 {
+                    break;
+                }
+                used += 1;
+            }
+            self.file.consume(used);
+            self.bytes += used as u64;
+        }
+        Ok(true)
     }
 
     /// The current place for messages: "line 7", or "line 7, key".

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
-use super::{ReadError, VolumeSource, meta, nifti, nrrd, vti};
+use super::refused::refused;
+use super::{ReadError, VolumeSource, dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
 
 /// Bytes from the start of a file by which its format is recognized.
 const HEAD_BYTES: u64 = 4096;
@@ -19,70 +20,132 @@ struct Format {
     /// Endings of the names of its files, without the dot, in lower case.
     extensions: &'static [&'static str],
     /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of this format, whatever its
-    /// name. The bytes of a compressed file are those of what is compressed.
-    begins: fn(&[u8]) -> bool,
+    /// name. The bytes of a compressed file are those of what is compressed. Where the beginning says too little, more of
+    /// the file is read.
+    begins: fn(&[u8], &Path) -> bool,
+    /// Whether a file may be compressed by gzip as a whole.
+    zipped: bool,
     open: fn(&Path) -> Result<VolumeSource, ReadError>,
 }
 
 /// In this order: the first that recognizes the beginning of a file reads it.
 const FORMATS: &[Format] = &[
-    Format { extensions: &["nrrd", "nhdr"], begins: |head| head.starts_with(b"NRRD000"), open: nrrd::open },
+    Format {
+        extensions: &["nrrd", "nhdr"],
+        begins: |head, _| head.starts_with(b"NRRD000"),
+        zipped: false,
+        open: nrrd::open,
+    },
     Format {
         extensions: &["mha", "mhd"],
-        begins: |head| head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = "),
+        begins: |head, _| head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = "),
+        zipped: false,
         open: meta::open,
     },
     Format {
         extensions: &["nii", "nii.gz"],
-        begins: |head| head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0")),
+        begins: |head, _| head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0")),
+        zipped: true,
         open: nifti::open,
     },
     Format {
+        extensions: &["vdb"],
+        begins: |head, _| head.starts_with(VDB_MAGIC),
+        zipped: false,
+        open: vdb::open,
+    },
+    // Arrays of other dimensions are no volumes, so the name does not tell.
+    Format { extensions: &[], begins: npy::is_volume, zipped: false, open: npy::open },
+    Format {
+        extensions: &["slc"],
+        begins: |head, _| {
+            head.starts_with(slc::MAGIC.as_bytes()) && head.get(5).is_some_and(u8::is_ascii_whitespace)
+        },
+        zipped: false,
+        open: slc::open,
+    },
+    // Files of other datasets have the same name.
+    Format {
+        extensions: &[],
+        begins: |head, _| legacy_vtk::is_grid(head),
+        zipped: false,
+        open: legacy_vtk::open,
+    },
+    Format { extensions: &["dx"], begins: |head, _| dx::is_dx(head), zipped: false, open: dx::open },
+    Format {
         extensions: &["vti"],
         // Other files of VTK begin as this one does.
-        begins: |head| {
+        begins: |head, _| {
             head.windows(VTI_TYPES[0].len()).any(|w| w == VTI_TYPES[0])
                 || head.windows(VTI_TYPES[1].len()).any(|w| w == VTI_TYPES[1])
         },
+        zipped: false,
         open: vti::open,
     },
 ];
 
+/// What is expected of a file that is no volume.
+const EXPECTED: &str = "expected NRRD, MetaImage, NIfTI, OpenVDB, VTI, legacy VTK of structured points, OpenDX, SLC, an \
+                        array of NumPy of three dimensions, or a --raw layout";
+
+const VDB_MAGIC: &[u8] = b" BDV\0\0\0\0";
 const VTI_TYPES: [&[u8]; 2] = [b"<VTKFile type=\"ImageData\"", b"<VTKFile type='ImageData'"];
 
-/// The format of a file; `None` if it is that of no volume, or the file cannot be read.
-fn format_of(path: &Path) -> Option<&'static Format> {
-    let head = head(path).unwrap_or_default();
+/// What a file is.
+enum Kind {
+    Read(&'static Format),
+    /// A volume that is not read. It is said what it is, and what to do.
+    Refused(String),
+    Unknown,
+}
+
+fn kind_of(path: &Path) -> Kind {
+    let (head, zipped) = head(path).unwrap_or_default();
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let named = |format: &&Format| format.extensions.iter().any(|e| name.ends_with(&format!(".{e}")));
-    FORMATS.iter().find(|format| (format.begins)(&head)).or_else(|| FORMATS.iter().find(named))
+    let is_named = |extensions: &[&str]| extensions.iter().any(|e| name.ends_with(&format!(".{e}")));
+    if let Some(format) = FORMATS.iter().find(|format| (format.begins)(&head, path)) {
+        if zipped && !format.zipped {
+            let what =
+                "this is a volume that is compressed as a whole; decompress it first, as `gunzip FILE` does";
+            return Kind::Refused(what.to_owned());
+        }
+        return Kind::Read(format);
+    }
+    let refused = refused(path, &head, is_named).map(|what| Kind::Refused(what.to_owned()));
+    match FORMATS.iter().find(|format| is_named(format.extensions)) {
+        Some(format) => Kind::Read(format),
+        None => refused.unwrap_or(Kind::Unknown),
+    }
 }
 
 /// Whether a file is a volume.
 pub(super) fn is_volume(path: &Path) -> bool {
-    format_of(path).is_some()
+    !matches!(kind_of(path), Kind::Unknown)
 }
 
 /// Opens a volume in its own format.
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    match format_of(path) {
-        Some(format) => Ok((format.open)(path)?.with_header(path)),
-        None => Err(ReadError::Format { path: path.to_owned() }),
+    let refuse = |what: String| Err(ReadError::Format { path: path.to_owned(), what });
+    match kind_of(path) {
+        Kind::Read(format) => Ok((format.open)(path)?.with_header(path)),
+        Kind::Refused(what) => refuse(what),
+        Kind::Unknown => refuse(EXPECTED.to_owned()),
     }
 }
 
-/// The first bytes of a file, decompressed if they are gzip's. Empty if it is a pipe, a device or a folder.
-fn head(path: &Path) -> std::io::Result<Vec<u8>> {
+/// The first bytes of a file, decompressed if they are gzip's, and whether they are. Empty if it is a pipe, a device or a
+/// folder.
+fn head(path: &Path) -> std::io::Result<(Vec<u8>, bool)> {
     let mut head = Vec::new();
     if !std::fs::metadata(path)?.is_file() {
-        return Ok(head);
+        return Ok((head, false));
     }
     File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
     if head.starts_with(&[0x1f, 0x8b]) {
         let mut plain = Vec::new();
         // The end is cut off, which is no error here.
         let _ = MultiGzDecoder::new(&head[..]).take(HEAD_BYTES).read_to_end(&mut plain);
-        return Ok(plain);
+        return Ok((plain, true));
     }
-    Ok(head)
+    Ok((head, false))
 }

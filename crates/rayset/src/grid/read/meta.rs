@@ -10,6 +10,7 @@ use std::path::Path;
 use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes};
 use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
+use super::orientation::Orientation;
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
@@ -30,6 +31,7 @@ struct Header {
     compressed_bytes: Option<u64>,
     /// `HeaderSize` and its place in the header.
     skip: Option<(i64, String)>,
+    orientation: Orientation,
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
@@ -60,7 +62,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     } else {
         header.voxels(&path.with_file_name(&name), 0, bytes, None)?
     };
-    Ok(VolumeSource::new(&described, bytes, voxels))
+    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation))
 }
 
 impl Header {
@@ -92,6 +94,11 @@ impl Header {
                     return Err("expected a number of bytes, or -1");
                 }
                 self.skip = Some((skip, place.to_owned()));
+            }
+            // It names the sides from which the axes of the voxels come, and the matrix says the same more exactly. Whatever
+            // it is, positions are ITK's: to the left, to the back, up.
+            "AnatomicalOrientation" if Orientation::of_patient(value).is_some() => {
+                self.orientation = Orientation::of_patient("LPS").unwrap_or_default();
             }
             "ElementType" => {
                 self.stored = Some(element(value).ok_or("expected a type like MET_USHORT")?);

@@ -11,6 +11,7 @@ use flate2::bufread::MultiGzDecoder;
 
 use super::data::{Begin, Compression, Place, data_at};
 use super::error::ReadError;
+use super::orientation::Orientation;
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
@@ -122,7 +123,10 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     } else {
         place.plain()?
     };
-    Ok(VolumeSource::new(&described, bytes, voxels))
+    // The axes of every space that has a code point to the right, to the front and up.
+    let of_patient = fields.i16(SFORM_CODE) > 0 || fields.i16(QFORM_CODE) > 0;
+    let orientation = Orientation::of_patient("RAS").filter(|_| of_patient).unwrap_or_default();
+    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(orientation))
 }
 
 fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {

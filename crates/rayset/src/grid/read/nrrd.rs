@@ -10,6 +10,7 @@ use std::path::Path;
 use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes, skip_lines};
 use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
+use super::orientation::Orientation;
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
@@ -28,6 +29,7 @@ struct Header {
     data_file: Option<String>,
     byte_skip: i64,
     line_skip: u64,
+    orientation: Orientation,
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
@@ -56,7 +58,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let described = header.described(path)?;
     let bytes = described.check(path)?;
     let voxels = header.voxels(path, lines.bytes, bytes)?;
-    Ok(VolumeSource::new(&described, bytes, voxels))
+    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation))
 }
 
 impl Header {
@@ -153,6 +155,7 @@ impl Header {
                 let origin = vectors(value).filter(|v| v.len() == 1);
                 self.origin = Some(origin.ok_or("expected a vector of finite numbers like (0,0,0)")?[0]);
             }
+            "space" => self.orientation = orientation(value),
             "data file" if value == "LIST" || value.starts_with("LIST ") || value.contains('%') => {
                 return Err("volumes in several files are not read");
             }
@@ -166,19 +169,28 @@ impl Header {
 }
 
 /// The keys that are used, each with its other spellings.
-const KEYS: [&[&str]; 11] = [
+const KEYS: [&[&str]; 12] = [
     &["dimension"],
     &["sizes"],
     &["type"],
     &["endian"],
     &["encoding"],
     &["spacings"],
+    &["space"],
     &["space directions"],
     &["space origin"],
     &["data file", "datafile"],
     &["byte skip", "byteskip"],
     &["line skip", "lineskip"],
 ];
+
+/// What the name of a space says of its axes, by its initials or in words: those of patients name the sides to which the
+/// axes point. Other spaces, like `scanner-xyz`, say nothing of up.
+fn orientation(space: &str) -> Orientation {
+    let words = space.split('-').filter_map(|word| word.chars().next());
+    let initials: String = if space.contains('-') { words.collect() } else { space.to_owned() };
+    Orientation::of_patient(&initials.to_ascii_uppercase()).unwrap_or_default()
+}
 
 /// Vectors like `(1,0,0) (0,1,0)`; `none` is skipped.
 fn vectors(text: &str) -> Option<Vec<DVec3>> {

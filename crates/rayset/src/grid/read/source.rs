@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::data::{Voxels, what_of};
 use super::error::ReadError;
+use super::orientation::Orientation;
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DVec3};
 use crate::grid::format::VoxelKind;
@@ -24,6 +25,13 @@ pub struct VolumeSource {
     pub offset: f64,
     /// Transforms voxel coordinates (voxel centres at integers) to the space of the file.
     pub space_from_voxel: DAffine3,
+    /// The direction in the space of the file that is up: a patient's head. `None` if the format does not say.
+    pub up: Option<DVec3>,
+    /// The direction in the space of the file in which a viewer looks who sees the front: from a patient's chest to the
+    /// back. `None` if the format does not say.
+    pub facing: Option<DVec3>,
+    /// Sentences about the choices of the reader: which of several arrays is read, what its values mean.
+    pub about: Vec<String>,
     stored: Stored,
     big_endian: bool,
     voxels: Voxels,
@@ -32,6 +40,7 @@ pub struct VolumeSource {
     bytes: u64,
     position: u64,
     scratch: Vec<u8>,
+    memory_bytes: u64,
 }
 
 /// The description of the voxels in a header.
@@ -87,6 +96,27 @@ impl VolumeSource {
         Self { header_path: path.to_owned(), ..self }
     }
 
+    /// The same volume, of whose space the format says more.
+    pub(super) fn with_orientation(self, orientation: Orientation) -> Self {
+        Self { up: orientation.up, facing: orientation.facing, ..self }
+    }
+
+    /// The same volume, with a sentence about a choice of its reader.
+    pub(super) fn with_about(mut self, sentence: String) -> Self {
+        self.about.push(sentence);
+        self
+    }
+
+    /// The same volume, whose reader holds this many bytes beside the buffers that all have.
+    pub(super) fn with_memory_bytes(self, memory_bytes: u64) -> Self {
+        Self { memory_bytes, ..self }
+    }
+
+    /// Bytes that the reader of this format holds beside the buffers that all have.
+    pub(in crate::grid) fn memory_bytes(&self) -> u64 {
+        self.memory_bytes
+    }
+
     /// `bytes` is the value that [`Described::check`] returned.
     pub(super) fn new(described: &Described, bytes: u64, voxels: Voxels) -> Self {
         Self {
@@ -95,6 +125,9 @@ impl VolumeSource {
             scale: described.scale,
             offset: described.offset,
             space_from_voxel: described.space_from_voxel,
+            up: None,
+            facing: None,
+            about: Vec::new(),
             stored: described.stored,
             big_endian: described.big_endian,
             header_path: voxels.path.clone(),
@@ -102,6 +135,7 @@ impl VolumeSource {
             bytes,
             position: 0,
             scratch: Vec::new(),
+            memory_bytes: 0,
         }
     }
 

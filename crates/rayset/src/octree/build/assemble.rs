@@ -392,6 +392,7 @@ impl Assembler {
             render_memory: context.options.render_memory.unwrap_or(0),
             crs: ingested.metadata.crs.clone(),
             sources: ingested.metadata.sources.clone(),
+            up: ingested.metadata.up(),
             columns: self.columns,
         };
         if ingested.count == 0 {

@@ -131,12 +131,14 @@ fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns
     )
 }
 
-/// The descriptions of the sources, and their reference system if they all have the same.
+/// The descriptions of the sources, and their reference system and what is up if they all have the same.
 fn describe(sources: &[Box<dyn PointSource + '_>]) -> Metadata {
     let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
     let shared = sources.iter().all(|s| s.schema().crs == crs);
     let described = sources.iter().map(|s| s.schema().description.clone()).filter(|d| !d.is_empty());
-    Metadata::new(if shared { crs } else { "" }, described.collect())
+    let up = sources.first().and_then(|s| s.schema().up);
+    let up = up.filter(|_| sources.iter().all(|s| s.schema().up == up));
+    Metadata { up, ..Metadata::new(if shared { crs } else { "" }, described.collect()) }
 }
 
 /// Running totals over the valid records.

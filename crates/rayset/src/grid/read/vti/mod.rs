@@ -10,10 +10,11 @@ use std::path::Path;
 
 use self::blocks::{Blocks, Words};
 use self::header::{Group, Header, Tag};
-use self::text::{Ascii, Base64, UntilTag};
+use self::text::{Base64, UntilTag};
 use super::data::{MOST_DEFLATED, Place, Voxels, data_at, regular_file_bytes, what_of};
 use super::error::ReadError;
 use super::fields::{numbers, parsed};
+use super::numbers::Numbers;
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
@@ -100,9 +101,11 @@ fn stored(path: &Path, tag: &Tag) -> Result<Stored, ReadError> {
         "UInt16" => Stored::U16,
         "Int32" => Stored::I32,
         "UInt32" => Stored::U32,
+        "Int64" => Stored::I64,
+        "UInt64" => Stored::U64,
         "Float32" => Stored::F32,
         "Float64" => Stored::F64,
-        _ => return Err(tag.wrong(path, "type", "expected Int8 to UInt32, Float32 or Float64")),
+        _ => return Err(tag.wrong(path, "type", "expected Int8 to UInt64, Float32 or Float64")),
     })
 }
 
@@ -164,8 +167,7 @@ impl Array<'_> {
         if self.file_bytes - at.min(self.file_bytes) < least {
             return Err(self.early(&format!("{count} numbers need at least {least} bytes")));
         }
-        let text = UntilTag::new(data_at(self.path, at)?);
-        let data = Box::new(Ascii::new(text, described.stored, count));
+        let data = Box::new(Numbers::new(data_at(self.path, at)?, described.stored, count, true));
         Ok(Voxels { path: self.path.to_owned(), data, rest: Some(0) })
     }
 

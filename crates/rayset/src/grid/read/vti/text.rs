@@ -1,11 +1,6 @@
-//! Arrays as text in elements: base64, and ASCII numbers.
+//! Arrays as base64 in elements.
 
 use std::io::{self, BufRead, Read};
-
-use super::super::stored::Stored;
-
-/// Largest number of characters of a number.
-const MOST_LETTERS: usize = 64;
 
 fn invalid(what: String) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
@@ -21,8 +16,8 @@ impl<R: BufRead> UntilTag<R> {
         Self { inner }
     }
 
-    /// The next character; white space is skipped unless `spaces`. `None` at the end of the text.
-    fn letter(&mut self, spaces: bool) -> io::Result<Option<u8>> {
+    /// The next character that is no white space. `None` at the end of the text.
+    fn letter(&mut self) -> io::Result<Option<u8>> {
         loop {
             let Some(&byte) = self.inner.fill_buf()?.first() else {
                 return Err(io::ErrorKind::UnexpectedEof.into());
@@ -31,7 +26,7 @@ impl<R: BufRead> UntilTag<R> {
                 return Ok(None);
             }
             self.inner.consume(1);
-            if spaces || !byte.is_ascii_whitespace() {
+            if !byte.is_ascii_whitespace() {
                 return Ok(Some(byte));
             }
         }
@@ -55,7 +50,7 @@ impl<R: BufRead> Base64<R> {
     fn refill(&mut self) -> io::Result<bool> {
         let (mut bits, mut padding) = (0_u32, 0);
         for place in 0..4 {
-            let Some(letter) = self.text.letter(false)? else {
+            let Some(letter) = self.text.letter()? else {
                 let whole = place == 0;
                 return if whole {
                     Ok(false)
@@ -92,68 +87,6 @@ impl<R: BufRead> Read for Base64<R> {
                 break;
             }
             let now = (self.count - self.at).min(out.len() - written);
-            out[written..written + now].copy_from_slice(&self.ready[self.at..self.at + now]);
-            self.at += now;
-            written += now;
-        }
-        Ok(written)
-    }
-}
-
-/// Reads exactly `count` numbers separated by white space, as little-endian bytes.
-pub(super) struct Ascii<R> {
-    text: UntilTag<R>,
-    stored: Stored,
-    count: u64,
-    done: u64,
-    ready: [u8; 8],
-    /// The range of `ready` that has not been returned yet.
-    at: usize,
-    end: usize,
-}
-
-impl<R: BufRead> Ascii<R> {
-    pub(super) fn new(text: UntilTag<R>, stored: Stored, count: u64) -> Self {
-        Self { text, stored, count, done: 0, ready: [0; 8], at: 0, end: 0 }
-    }
-
-    /// Reads the next number; false at the end.
-    fn refill(&mut self) -> io::Result<bool> {
-        let Some(first) = self.text.letter(false)? else {
-            if self.done == self.count {
-                return Ok(false);
-            }
-            return Err(invalid(format!("the array ends after {} numbers of {}", self.done, self.count)));
-        };
-        if self.done == self.count {
-            return Err(invalid(format!("the array goes on behind its {} numbers", self.count)));
-        }
-        let mut word = vec![first];
-        while let Some(letter) = self.text.letter(true)?.filter(|letter| !letter.is_ascii_whitespace()) {
-            word.push(letter);
-            if word.len() > MOST_LETTERS {
-                break;
-            }
-        }
-        let number = std::str::from_utf8(&word).ok().and_then(|word| self.stored.parse(word));
-        let (ready, end) = number.ok_or_else(|| {
-            let kind = format!("{:?}", self.stored).to_lowercase();
-            invalid(format!("number {}: `{}` is no {kind}", self.done + 1, word.escape_ascii()))
-        })?;
-        (self.ready, self.at, self.end) = (ready, 0, end);
-        self.done += 1;
-        Ok(true)
-    }
-}
-
-impl<R: BufRead> Read for Ascii<R> {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let mut written = 0;
-        while written < out.len() {
-            if self.at == self.end && !self.refill()? {
-                break;
-            }
-            let now = (self.end - self.at).min(out.len() - written);
             out[written..written + now].copy_from_slice(&self.ready[self.at..self.at + now]);
             self.at += now;
             written += now;

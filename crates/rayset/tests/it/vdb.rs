@@ -1,0 +1,105 @@
+//! OpenVDB files, as its own library writes them.
+
+use rayset::build::BuildControl;
+use rayset::grid::build::{GridBuildError, GridBuildOptions, build};
+use rayset::grid::read::VolumeSource;
+
+use crate::common::{folder, real_data};
+use crate::volume_fixtures::{compare, damaged, expected, numbers, read, unzipped};
+
+#[test]
+fn voxels_and_their_places_are_those_that_openvdb_reads() {
+    let folder = folder();
+    let expected = expected("vdb");
+    let files = expected.as_object().expect("files");
+    assert!(files.len() > 12);
+    for (name, expected) in files {
+        let path = folder.path().join(name);
+        std::fs::write(&path, unzipped("vdb", name)).expect("a write");
+        compare(&path, expected);
+    }
+}
+
+#[test]
+fn versions_222_to_225_are_read_and_others_refused_with_what_to_do() {
+    let folder = folder();
+    let path = folder.path().join("v.vdb");
+    let mut bytes = unzipped("vdb", "two.vdb");
+    for version in [221_u32, 222, 223, 225, 226, 0, u32::MAX] {
+        bytes[8..12].copy_from_slice(&version.to_le_bytes());
+        std::fs::write(&path, &bytes).expect("a write");
+        let read = read(&path);
+        if (222..=225).contains(&version) {
+            assert!(read.is_ok());
+        } else {
+            let what = read.err().expect("another version");
+            assert!(what.contains(&format!("version {version}")) && what.contains("anew"), "{what}");
+        }
+    }
+}
+
+#[test]
+fn grids_that_are_no_volumes_are_refused_with_their_names() {
+    let folder = folder();
+    for (name, words) in [
+        ("velocity.vdb", ["`velocity` (vec3s)", "no grid of floats"]),
+        ("empty.vdb", ["no active voxels", "empty.vdb"]),
+        ("wide.vdb", ["10002 x 10002 x 10002", "crop"]),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, unzipped("vdb", name)).expect("a write");
+        let what = read(&path).err().expect("no volume");
+        assert!(words.iter().all(|word| what.contains(word)), "{what}");
+    }
+}
+
+#[test]
+fn files_of_openvdb_that_are_damaged_are_errors() {
+    let folder = folder();
+    let bytes = unzipped("vdb", "two.vdb");
+    damaged(&folder.path().join("v.vdb"), &bytes, bytes.len(), 2000);
+    for name in ["zip.vdb", "blosc.vdb", "half.vdb", "sphere.vdb"] {
+        let bytes = unzipped("vdb", name);
+        let path = folder.path().join("w.vdb");
+        for number in 0..200 {
+            let mut flipped = bytes.clone();
+            let at = number * 7919 % bytes.len();
+            flipped[at] ^= 1 << (number % 8);
+            std::fs::write(&path, flipped).expect("a write");
+            match VolumeSource::open(&path) {
+                Ok(mut source) if source.size.iter().product::<u64>() < 1 << 20 => drop(numbers(&mut source)),
+                Ok(_) => {}
+                Err(error) => assert!(error.to_string().contains("w.vdb"), "{error}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_build_counts_the_memory_of_the_window_of_voxels() {
+    let folder = folder();
+    let (path, output) = (folder.path().join("flat.vdb"), folder.path().join("out.rset"));
+    std::fs::write(&path, unzipped("vdb", "flat.vdb")).expect("a write");
+    let options = |memory_bytes| GridBuildOptions { memory_bytes, temp_dir: None };
+    let built = |memory_bytes| {
+        let source = VolumeSource::open(&path).expect("it opens");
+        build(source, &output, &options(memory_bytes), &BuildControl::default())
+    };
+    let Err(GridBuildError::Memory { needed, .. }) = built(8 << 20) else { panic!("8 MiB suffice") };
+    assert!(needed > 11 << 20, "{needed}");
+    let least = built(needed).expect("it builds");
+    let bytes = std::fs::read(&output).expect("a read");
+    let ample = built(256 << 20).expect("it builds");
+    assert_eq!((least.range, least.size), (ample.range, ample.size));
+    assert!(bytes == std::fs::read(&output).expect("a read"), "memory changes the grid");
+}
+
+#[test]
+fn smoke_of_houdini_is_read() {
+    let Some(path) = real_data("volume/smoke.vdb") else { return };
+    let (source, numbers) = read(&path).expect("smoke");
+    // The active voxels are (1, 2, 1) to (111, 223, 112), of single values in half precision.
+    assert_eq!(source.size, [114, 224, 113]);
+    assert_eq!(numbers.iter().copied().fold(0.0, f32::max), 5.714_843_8);
+    assert_eq!(numbers.iter().filter(|v| **v != 0.0).count(), 1_049_275);
+}
