@@ -66,7 +66,7 @@ impl GridLook {
         let corners = [0, 7].map(|i| header.space_from_voxel.transform_point3(corner(i)));
         let diagonal = corners[0].distance(corners[1]);
         // What is nearly transparent is not framed.
-        let faint = percentile(&shown, if background_is_low { 0.2 } else { 0.8 });
+        let faint = percentile(&shown, if background_is_low { 0.05 } else { 0.95 });
         let stands_out = |v: f64| if background_is_low { v >= faint } else { v <= faint };
         let points: Vec<(DVec3, f64)> = sample
             .position
@@ -159,6 +159,8 @@ impl GridLook {
         let right = facing.cross(up);
         let sun = (facing * 0.7 + right * 0.5 - up * 0.8).normalize().to_array();
         scene["background"] = json!(NIGHT);
+        // Voxels have no edges that rays between those of pixels would smooth.
+        scene["image"]["samples"] = json!(1);
         scene["lights"] = json!([
             {"type": "ambient", "intensity": 0.9},
             {"type": "headlight", "intensity": 0.5},

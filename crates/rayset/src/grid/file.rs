@@ -132,7 +132,7 @@ impl Grid {
     /// [`ScanError`] if a page cannot be read or is damaged.
     pub fn sample(&self, most: usize) -> Result<PointBatch, ScanError> {
         /// Most bricks that are read.
-        const MOST_BRICKS: u64 = 64;
+        const MOST_BRICKS: u64 = 1024;
         let header = &self.header;
         let (bricks, voxels) = (header.brick_pages(), header.size.iter().product::<u64>());
         let read = bricks.min(MOST_BRICKS);
