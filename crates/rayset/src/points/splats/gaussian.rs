@@ -72,8 +72,7 @@ pub(super) fn color_of_harmonic(coefficient: f64) -> f64 {
 
 /// Within 0 and 1; what is no number is 0.
 pub(super) fn unit(value: f64) -> f64 {
-    // `clamp` would keep what is no number.
-    value.max(0.0).min(1.0)
+    if value > 0.0 { value.min(1.0) } else { 0.0 }
 }
 
 /// The schema of a splat file, and the columns that are wanted.
