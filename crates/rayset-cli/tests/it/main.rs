@@ -16,6 +16,7 @@ mod outputs;
 mod pictures;
 mod program;
 mod settings;
+mod splats_and_meshes;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
 mod volume_builds;

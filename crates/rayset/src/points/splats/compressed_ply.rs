@@ -193,7 +193,7 @@ impl PointSource for CompressedPlySource {
         batch.reset(&self.columns.schema, &self.columns.selected);
         let count = (self.vertices.element.count - self.vertices.next).min(limit as u64);
         for _ in 0..count {
-            if self.vertices.next % CHUNK == 0 {
+            if self.vertices.next.is_multiple_of(CHUNK) {
                 self.chunks.advance()?;
             }
             self.vertices.advance()?;

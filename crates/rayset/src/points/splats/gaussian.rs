@@ -44,12 +44,13 @@ impl Gaussian {
     /// The deviation of the ball with the same surface area.
     fn mean_deviation(&self) -> f64 {
         let [a, b, c] = self.deviations;
-        // Relative to the largest, so that no power leaves the range of numbers.
         let largest = a.max(b).max(c);
         if !(largest > 0.0 && largest.is_finite()) {
             return largest;
         }
-        let faces = [a * b, a * c, b * c].map(|face| (face / largest / largest).powf(THOMSEN));
+        // Relative to the largest, so that no power leaves the range of numbers.
+        let [a, b, c] = [a / largest, b / largest, c / largest];
+        let faces = [a * b, a * c, b * c].map(|face| face.powf(THOMSEN));
         largest * (faces.iter().sum::<f64>() / 3.0).powf(0.5 / THOMSEN)
     }
 
@@ -72,8 +73,7 @@ pub(super) fn color_of_harmonic(coefficient: f64) -> f64 {
 
 /// Within 0 and 1; what is no number is 0.
 pub(super) fn unit(value: f64) -> f64 {
-    // `clamp` would keep what is no number.
-    value.max(0.0).min(1.0)
+    if value > 0.0 { value.min(1.0) } else { 0.0 }
 }
 
 /// The schema of a splat file, and the columns that are wanted.

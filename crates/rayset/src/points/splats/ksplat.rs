@@ -2,7 +2,7 @@
 //! relative to. Sizes and centres of buckets, and splats, are read side by side.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::gaussian::{Gaussian, GaussianColumns};

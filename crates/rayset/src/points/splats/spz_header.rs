@@ -14,7 +14,7 @@ pub(super) const MAGIC: &[u8; 4] = b"NGSP";
 /// Bytes of the header that all versions have.
 pub(super) const HEADER_BYTES: usize = 16;
 /// Bytes of the header of version 4.
-const STREAMS_HEADER_BYTES: u32 = 32;
+const STREAMS_HEADER_BYTES: u64 = 32;
 /// Bytes of an entry of the table of contents of version 4: packed and unpacked size.
 const ENTRY_BYTES: usize = 16;
 const NEWEST: u32 = 4;
@@ -29,7 +29,6 @@ pub(super) struct SpzHeader {
     /// Coordinates are in units of two to minus this; `None` if they are in half precision.
     pub(super) fractional_bits: Option<u8>,
     streams: u8,
-    table: u32,
 }
 
 /// A zstd stream of version 4.
@@ -69,7 +68,6 @@ impl SpzHeader {
             harmonics: 3 * harmonics,
             fractional_bits: (version > 1).then_some(bits),
             streams: bytes[15],
-            table: 0,
         })
     }
 
@@ -90,8 +88,7 @@ impl SpzHeader {
         [position, 1, 3, 3, rotation, self.harmonics]
     }
 
-    /// Reads where the streams of version 4 lie: an error is the byte of what is wrong, and what. `None` for attributes without
-    /// bytes.
+    /// Reads where the streams of version 4 lie; `None` for attributes without bytes.
     pub(super) fn streams(
         &self,
         path: &Path,
@@ -105,29 +102,12 @@ impl SpzHeader {
         if usize::from(self.streams) != expected {
             return Err(fail(15, format!("{} streams; expected {expected}", self.streams)));
         }
-        let mut bytes = [0; 4];
-        let ends = |at: u64| fail(at, "the file ends within its header or its table of contents".into());
-        if file_bytes < u64::from(STREAMS_HEADER_BYTES) {
-            return Err(ends(file_bytes));
-        }
-        file.seek(SeekFrom::Start(16)).and_then(|_| file.read_exact(&mut bytes)).map_err(io)?;
-        let table = word(&bytes);
-        if table < STREAMS_HEADER_BYTES {
-            return Err(fail(
-                16,
-                format!(
-                    "the table of contents is at byte {table}, within the header of {STREAMS_HEADER_BYTES} bytes"
-                ),
-            ));
-        }
-        let first = u64::from(table) + (expected * ENTRY_BYTES) as u64;
-        if first > file_bytes {
-            return Err(ends(file_bytes));
-        }
+        let table = Self::table(path, file, file_bytes, expected)?;
+        let first = table + (expected * ENTRY_BYTES) as u64;
         let mut entries = [0; 6 * ENTRY_BYTES];
         let entries = &mut entries[..expected * ENTRY_BYTES];
-        file.seek(SeekFrom::Start(table.into())).and_then(|_| file.read_exact(entries)).map_err(io)?;
-        let (mut places, mut offset, mut entry) = ([None; 6], first, u64::from(table));
+        file.seek(SeekFrom::Start(table)).and_then(|_| file.read_exact(entries)).map_err(io)?;
+        let (mut places, mut offset, mut entry) = ([None; 6], first, table);
         let mut left = entries.chunks_exact(ENTRY_BYTES);
         for (place, size) in places.iter_mut().zip(sizes).filter(|(_, size)| *size > 0) {
             let Some(words) = left.next() else { break };
@@ -151,5 +131,33 @@ impl SpzHeader {
             (offset, entry) = (offset + packed, entry + ENTRY_BYTES as u64);
         }
         Ok(places)
+    }
+
+    /// Reads where the table of contents is, which has to be whole.
+    fn table(
+        path: &Path,
+        file: &mut (impl Read + Seek),
+        file_bytes: u64,
+        entries: usize,
+    ) -> Result<u64, ReadError> {
+        let fail = |byte: u64, what: String| Err(ReadError::malformed(path, Place::Byte(byte), what));
+        let ends = || fail(file_bytes, "the file ends within its header or its table of contents".into());
+        if file_bytes < STREAMS_HEADER_BYTES {
+            return ends();
+        }
+        let mut bytes = [0; 4];
+        let read = file.seek(SeekFrom::Start(16)).and_then(|_| file.read_exact(&mut bytes));
+        read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        let table = u64::from(word(&bytes));
+        if table < STREAMS_HEADER_BYTES {
+            let what = format!(
+                "the table of contents is at byte {table}, within the header of {STREAMS_HEADER_BYTES} bytes"
+            );
+            return fail(16, what);
+        }
+        if table + (entries * ENTRY_BYTES) as u64 > file_bytes {
+            return ends();
+        }
+        Ok(table)
     }
 }

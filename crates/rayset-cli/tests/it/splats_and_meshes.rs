@@ -1,0 +1,44 @@
+//! Clouds of Gaussian splats and of meshes: what is said when they are built.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use crate::common::folder;
+
+/// Builds a fixture of the library; returns what is said on standard output and standard error.
+fn build(folder: &Path, fixture: &str, arguments: &[&str]) -> (String, String) {
+    let input = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures").join(fixture);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
+    command.current_dir(folder).arg("build").arg(input).args(["-o", "c.rset"]).args(arguments);
+    let Output { status, stdout, stderr } = command.stdin(Stdio::null()).output().expect("the program runs");
+    let [stdout, stderr] = [stdout, stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+    assert!(status.success(), "{fixture}: {stderr}");
+    (stdout, stderr)
+}
+
+#[test]
+fn a_build_says_what_of_splats_is_lost_and_keeps_their_opacity_and_deviations() {
+    let folder = folder();
+    let (said, remarks) =
+        build(folder.path(), "splats/v4.spz", &["--attributes", "opacity,scale_0,scale_1,scale_2"]);
+    assert!(said.contains("c.rset: 40 points"), "{said}");
+    assert!(remarks.contains("v4.spz: Gaussian splats are read as round points"), "{remarks}");
+}
+
+#[test]
+fn a_build_samples_as_many_points_on_a_mesh_as_are_asked_for() {
+    let folder = folder();
+    let (said, _) = build(folder.path(), "meshes/ball.ply", &[]);
+    assert!(said.contains("c.rset: 42 points"), "{said}");
+    for name in ["ball.ply", "ball.obj", "ball.stl"] {
+        let (said, remarks) =
+            build(folder.path(), &format!("meshes/{name}"), &["--mesh-points", "700", "--radius", "0.3"]);
+        assert!(
+            said.contains("c.rset: 700 points") && !remarks.contains("sampled"),
+            "{name}: {said}{remarks}"
+        );
+    }
+    let (said, remarks) = build(folder.path(), "meshes/ball.stl", &["--radius", "0.01"]);
+    assert!(said.contains("c.rset: 1 000 000 points"), "{said}");
+    assert!(remarks.contains("1000000 points are sampled on the 80 triangles of a mesh"), "{remarks}");
+}
