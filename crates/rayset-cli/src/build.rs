@@ -53,6 +53,10 @@ pub(crate) struct BuildArgs {
     /// Names of the columns of text files, as in x,y,z,-,intensity
     #[arg(long, value_delimiter = ',')]
     columns: Option<Vec<String>>,
+    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7.
+    /// By default gas where there is any, else all
+    #[arg(long, value_delimiter = ',')]
+    particles: Option<Vec<String>>,
     /// What to do with records whose position, radius or weight is no usable number
     #[arg(long, value_enum, default_value = "skip")]
     invalid: Invalid,
@@ -96,7 +100,8 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let options = options(args)?;
     let output = Outputs::beside(&args.inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let read = ReadOptions::default().with_text_columns(args.columns.clone());
+    let read =
+        ReadOptions::default().with_text_columns(args.columns.clone()).with_particles(args.particles.clone());
     let sources = args.inputs.iter().map(|path| points::open(path, &read)).collect::<Result<_, _>>()?;
     let meter = Meter::new("points", args.json);
     let control = build::BuildControl::from(&meter as &dyn build::Progress);

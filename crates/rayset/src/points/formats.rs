@@ -5,9 +5,12 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use super::gadget::{self, GadgetSource};
 #[cfg(feature = "las")]
 use super::las::LasSource;
 use super::ply::PlySource;
+#[cfg(feature = "hdf5")]
+use super::snapshot::SnapshotSource;
 use super::text::TextSource;
 use super::{PointSource, ReadError};
 use crate::setters::setters;
@@ -18,9 +21,15 @@ use crate::setters::setters;
 pub struct ReadOptions {
     /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
+    /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
+    /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
+    pub particles: Option<Vec<String>>,
 }
 
-setters!(ReadOptions { with_text_columns => text_columns: Option<Vec<String>> });
+setters!(ReadOptions {
+    with_text_columns => text_columns: Option<Vec<String>>,
+    with_particles => particles: Option<Vec<String>>,
+});
 
 /// Bytes from the start of a file by which its format is recognized.
 const HEAD_BYTES: u64 = 4096;
@@ -44,6 +53,12 @@ const FORMATS: &[Format] = &[
         begins: |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
         open: |path, _| Ok(Box::new(PlySource::open(path)?)),
     },
+    Format {
+        extensions: &["gadget", "gadget2"],
+        begins: gadget::begins,
+        open: |path, options| Ok(Box::new(GadgetSource::open(path, options.particles.as_deref())?)),
+    },
+    Format { extensions: &["hdf5", "h5", "hdf"], begins: is_hdf5, open: open_hdf5 },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
     Format {
         extensions: &["xyz", "txt", "csv", "asc", "pts"],
@@ -52,6 +67,21 @@ const FORMATS: &[Format] = &[
         open: |path, options| Ok(Box::new(TextSource::open(path, options.text_columns.as_deref())?)),
     },
 ];
+
+/// Whether a file is HDF5: its signature is at the start, or after a block of the user's of 512, 1024, 2048, … bytes.
+fn is_hdf5(head: &[u8]) -> bool {
+    [0, 512, 1024, 2048].iter().any(|&at| head.get(at..).is_some_and(|h| h.starts_with(b"\x89HDF\r\n\x1a\n")))
+}
+
+#[cfg(feature = "hdf5")]
+fn open_hdf5(path: &Path, options: &ReadOptions) -> Opened {
+    Ok(Box::new(SnapshotSource::open(path, options.particles.as_deref())?))
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "hdf5" })
+}
 
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {

@@ -8,15 +8,23 @@ mod array;
 mod column;
 mod error;
 mod formats;
+mod gadget;
 #[cfg(feature = "las")]
 mod las;
 mod mesh;
+mod particles;
+mod plain;
 mod ply;
 mod ply_body;
 mod ply_header;
 mod ply_write;
+#[cfg(any(feature = "hdf5", feature = "las"))]
+mod quiet;
 mod roles;
+mod siblings;
 mod slices;
+#[cfg(feature = "hdf5")]
+mod snapshot;
 mod source;
 mod synthetic;
 mod text;

@@ -138,8 +138,9 @@ fn separators_headers_and_column_names_are_detected() {
         &none,
         &["intensity", "red", "green", "blue"],
     );
-    let named =
-        |names: &str| ReadOptions { text_columns: Some(names.split(',').map(str::to_owned).collect()) };
+    let named = |names: &str| {
+        ReadOptions::default().with_text_columns(Some(names.split(',').map(str::to_owned).collect()))
+    };
     check("a.xyz", "7 1 2 3 8\n7 -4.5 5e3 .25 8\n", &named("-,x,y,z,height_above"), &["height_above"]);
 }
 

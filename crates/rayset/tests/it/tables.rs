@@ -14,7 +14,7 @@ pub(crate) type Table = (Vec<[f64; 3]>, Vec<(String, Vec<f64>)>);
 /// All that a file holds.
 pub(crate) fn table(path: &Path, names: Option<&str>) -> Result<Table, ReadError> {
     let text_columns = names.map(|names| names.split(',').map(str::to_owned).collect());
-    let mut source = points::open(path, &ReadOptions { text_columns })?;
+    let mut source = points::open(path, &ReadOptions { text_columns, ..ReadOptions::default() })?;
     let mut columns: Vec<(String, Vec<f64>)> =
         source.schema().names().map(|name| (name.to_owned(), Vec::new())).collect();
     source.select(&(0..columns.len()).collect::<Vec<_>>());
