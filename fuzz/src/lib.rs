@@ -20,7 +20,10 @@ use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
-pub const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+pub const POINTS: [&str; 15] = [
+    "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "p.hdf5", "p.gadget", "p.npy",
+    "p.npz", "p.vtk", "p.vtp", "p.vtu",
+];
 /// See [`POINTS`].
 pub const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
 

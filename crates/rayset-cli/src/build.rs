@@ -19,7 +19,8 @@ use crate::{report, values};
 /// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// Points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
+    /// Points: PLY, LAS, LAZ, XYZ, TXT, CSV, ASC or PTS files, snapshots of simulations (HDF5, GADGET), NPY, NPZ, VTK, VTP
+    /// or VTU. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be

@@ -8,10 +8,12 @@ use std::path::Path;
 use super::gadget::{self, GadgetSource};
 #[cfg(feature = "las")]
 use super::las::LasSource;
+use super::npy::{self, NpySource};
 use super::ply::PlySource;
 #[cfg(feature = "hdf5")]
 use super::snapshot::SnapshotSource;
 use super::text::TextSource;
+use super::vtk::{self, VtkSource};
 use super::{PointSource, ReadError};
 use crate::setters::setters;
 
@@ -19,7 +21,7 @@ use crate::setters::setters;
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ReadOptions {
-    /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
+    /// Names of all columns of text files and of plain arrays of NumPy, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
     /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
     /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
@@ -58,7 +60,17 @@ const FORMATS: &[Format] = &[
         begins: gadget::begins,
         open: |path, options| Ok(Box::new(GadgetSource::open(path, options.particles.as_deref())?)),
     },
+    Format {
+        extensions: &["npy", "npz"],
+        begins: npy::begins,
+        open: |path, options| Ok(Box::new(NpySource::open(path, options.text_columns.as_deref())?)),
+    },
     Format { extensions: &["hdf5", "h5", "hdf"], begins: is_hdf5, open: open_hdf5 },
+    Format {
+        extensions: &["vtk", "vtp", "vtu"],
+        begins: vtk::begins,
+        open: |path, _| Ok(Box::new(VtkSource::open(path)?)),
+    },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
     Format {
         extensions: &["xyz", "txt", "csv", "asc", "pts"],

@@ -12,6 +12,7 @@ mod gadget;
 #[cfg(feature = "las")]
 mod las;
 mod mesh;
+mod npy;
 mod particles;
 mod plain;
 mod ply;
@@ -28,6 +29,7 @@ mod snapshot;
 mod source;
 mod synthetic;
 mod text;
+mod vtk;
 
 #[cfg(feature = "internals")]
 #[doc(hidden)]

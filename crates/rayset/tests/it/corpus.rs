@@ -15,7 +15,10 @@ use crate::common::{build_at, folder, mixed_points};
 use crate::las_writer::{Chunks, LasFile};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+const POINTS: [&str; 15] = [
+    "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "p.hdf5", "p.gadget", "p.npy",
+    "p.npz", "p.vtk", "p.vtp", "p.vtu",
+];
 const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
 
 fn ply(format: &str) -> Vec<u8> {
@@ -97,8 +100,24 @@ fn point_files() -> Vec<(&'static str, Vec<u8>)> {
     for chunks in [Chunks::Variable(&[7, 20]), Chunks::NoTable(25), Chunks::Streamed(25), Chunks::One] {
         files.push(("p.laz", file.laz(chunks)));
     }
+    for (name, folder, fixtures) in FIXTURES {
+        let bytes =
+            |file: &&str| std::fs::read(crate::fixture::fixtures(folder).join(file)).expect("a fixture");
+        files.extend(fixtures.iter().map(|file| (*name, bytes(file))));
+    }
     files
 }
+
+/// Files that other programs wrote: the name of the input, their folder, and they.
+const FIXTURES: &[(&str, &str, &[&str])] = &[
+    ("p.hdf5", "snapshots", &["gadget.hdf5", "swift.hdf5", "eagle.hdf5"]),
+    ("p.gadget", "gadget", &["format1", "format2_big"]),
+    ("p.npy", "npy", &["four_big.npy", "fortran.npy", "structured.npy"]),
+    ("p.npz", "npy", &["stored.npz", "deflated.npz"]),
+    ("p.vtk", "vtk", &["poly_text_42.vtk", "poly_binary_51.vtk", "grid_binary_42.vtk"]),
+    ("p.vtp", "vtk", &["ascii.vtp", "binary_zlib.vtp", "pieces.vtp"]),
+    ("p.vtu", "vtk", &["raw_big.vtu", "base64_zlib.vtu"]),
+];
 
 fn gzipped(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 23] = [
+const ORDER: [&str; 24] = [
     "parse",
     "setters",
     "sync",
@@ -13,6 +13,7 @@ const ORDER: [&str; 23] = [
     "storage",
     "output",
     "spill",
+    "vtk_xml",
     "points",
     "container",
     "octree",

@@ -24,6 +24,7 @@ mod house;
 #[allow(dead_code, reason = "the program's tests use the rest")]
 mod las_writer;
 mod layers;
+mod npy;
 mod ply_files;
 mod readers;
 mod right_picture;
@@ -38,5 +39,6 @@ mod tables;
 mod volumes;
 mod vti;
 mod vti_text;
+mod vtk;
 mod working_set;
 mod wrong_scenes;

@@ -74,6 +74,27 @@ fn an_hdf5_file_that_is_no_snapshot_is_refused_with_its_datasets_and_the_way_out
 }
 
 #[test]
+fn a_snapshot_that_claims_more_than_its_file_can_hold_or_memory_should_is_refused() {
+    for (name, part) in [
+        ("rows.hdf5", "1000000000 rows are said to follow, more than a file of"),
+        (
+            "chunks.hdf5",
+            "its chunks have 96000000 bytes, and at most 67108864 are read at once; `h5repack -l Coordinates",
+        ),
+    ] {
+        let said = attempt(&fixtures("snapshots").join(name)).expect_err(name);
+        assert!(said.contains(part), "{said}");
+    }
+}
+
+#[test]
+fn a_small_snapshot_needs_little_memory() {
+    let source =
+        points::open(&fixtures("snapshots").join("swift.hdf5"), &ReadOptions::default()).expect("a snapshot");
+    assert!(source.memory_needed() < 2 << 20, "{}", source.memory_needed());
+}
+
+#[test]
 fn damaged_snapshots_are_errors_and_never_panics() {
     for (name, step) in [("gadget.hdf5", 67), ("swift.hdf5", 71), ("eagle.hdf5", 23)] {
         let refused = damage(&fixtures("snapshots").join(name), step);

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use self::blocks::{Block, GadgetFile, Header, TYPES};
 use super::particles;
 use super::{
-    ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, Values, siblings,
+    ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, Values, roles, siblings,
 };
 
 /// Rows that are read at once.
@@ -217,12 +217,7 @@ fn columns(seen: &[(usize, GadgetFile)]) -> Vec<(ColumnInfo, Supply)> {
         if kind.is_integer() && !all_have(name) {
             continue;
         }
-        for component in 0..width {
-            let full = if width == 1 {
-                name.to_owned()
-            } else {
-                format!("{name}_{}", ["x", "y", "z"][component.min(2)])
-            };
+        for (component, full) in roles::plain_components(name, width).into_iter().enumerate() {
             columns.push((ColumnInfo::new(full, kind), Supply::Stored(name.to_owned(), component)));
         }
     }

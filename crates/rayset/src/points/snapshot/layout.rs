@@ -7,7 +7,7 @@ use super::header::Header;
 use super::table::Table;
 use super::units;
 use crate::points::particles::{self, MOST_TYPES};
-use crate::points::{ColumnInfo, ColumnType, ReadError};
+use crate::points::{ColumnInfo, ColumnType, ReadError, roles};
 
 pub(super) const POSITIONS: &str = "Coordinates";
 /// Names of the mass of a particle.
@@ -241,22 +241,12 @@ pub(super) fn columns(types: &[TypeLayout]) -> Vec<(ColumnInfo, Supply)> {
         if same.iter().any(|t| t.width != table.width) || (!everywhere && kind.is_integer()) {
             continue;
         }
-        for component in 0..table.width {
-            let name = component_name(&table.name, component, table.width);
+        for (component, name) in roles::plain_components(&table.name, table.width).into_iter().enumerate() {
             let info = ColumnInfo::new(name, kind).with_unit(&table.unit);
             columns.push((info, Supply::Stored(table.name.clone(), component)));
         }
     }
     columns
-}
-
-/// `Density`, `Velocities_x`, `GFM_Metals_3`.
-fn component_name(name: &str, component: usize, width: usize) -> String {
-    match (width, component) {
-        (1, _) => name.to_owned(),
-        (3, 0..=2) => format!("{name}_{}", ["x", "y", "z"][component]),
-        _ => format!("{name}_{component}"),
-    }
 }
 
 /// What is read and how radii and weights are made, for the description of the source.

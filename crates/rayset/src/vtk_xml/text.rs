@@ -2,8 +2,6 @@
 
 use std::io::{self, BufRead, Read};
 
-use super::super::stored::Stored;
-
 /// Largest number of characters of a number.
 const MOST_LETTERS: usize = 64;
 
@@ -100,10 +98,19 @@ impl<R: BufRead> Read for Base64<R> {
     }
 }
 
+/// The type of the numbers of an array.
+pub(crate) trait Number {
+    /// Parses a number and returns its little-endian bytes and their count. `None` if the text is not a number of this
+    /// type, or is out of range.
+    fn parse(&self, text: &str) -> Option<([u8; 8], usize)>;
+    /// The name of the type, as in `u8`.
+    fn name(&self) -> String;
+}
+
 /// Reads exactly `count` numbers separated by white space, as little-endian bytes.
-pub(super) struct Ascii<R> {
+pub(super) struct Ascii<R, N> {
     text: UntilTag<R>,
-    stored: Stored,
+    number: N,
     count: u64,
     done: u64,
     ready: [u8; 8],
@@ -112,9 +119,9 @@ pub(super) struct Ascii<R> {
     end: usize,
 }
 
-impl<R: BufRead> Ascii<R> {
-    pub(super) fn new(text: UntilTag<R>, stored: Stored, count: u64) -> Self {
-        Self { text, stored, count, done: 0, ready: [0; 8], at: 0, end: 0 }
+impl<R: BufRead, N: Number> Ascii<R, N> {
+    pub(super) fn new(text: UntilTag<R>, number: N, count: u64) -> Self {
+        Self { text, number, count, done: 0, ready: [0; 8], at: 0, end: 0 }
     }
 
     /// Reads the next number; false at the end.
@@ -135,9 +142,9 @@ impl<R: BufRead> Ascii<R> {
                 break;
             }
         }
-        let number = std::str::from_utf8(&word).ok().and_then(|word| self.stored.parse(word));
+        let number = std::str::from_utf8(&word).ok().and_then(|word| self.number.parse(word));
         let (ready, end) = number.ok_or_else(|| {
-            let kind = format!("{:?}", self.stored).to_lowercase();
+            let kind = self.number.name();
             invalid(format!("number {}: `{}` is no {kind}", self.done + 1, word.escape_ascii()))
         })?;
         (self.ready, self.at, self.end) = (ready, 0, end);
@@ -146,7 +153,7 @@ impl<R: BufRead> Ascii<R> {
     }
 }
 
-impl<R: BufRead> Read for Ascii<R> {
+impl<R: BufRead, N: Number> Read for Ascii<R, N> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let mut written = 0;
         while written < out.len() {
