@@ -14,7 +14,7 @@ use super::ply::PlySource;
 use super::snapshot::SnapshotSource;
 use super::text::TextSource;
 use super::vtk::{self, VtkSource};
-use super::{PointSource, ReadError};
+use super::{PointSource, ReadError, refusals};
 use crate::setters::setters;
 
 /// Information for a reader that some formats do not contain.
@@ -116,7 +116,11 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
     let format = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(|| FORMATS.iter().find(named));
     match format {
         Some(format) => (format.open)(path, options),
-        None => Err(ReadError::UnknownFormat { path: path.to_owned() }),
+        None => {
+            let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+            let advice = refusals::advice(path, &head, &known.join(", "));
+            Err(ReadError::UnknownFormat { path: path.to_owned(), advice })
+        }
     }
 }
 

@@ -21,6 +21,7 @@ mod ply_header;
 mod ply_write;
 #[cfg(any(feature = "hdf5", feature = "las"))]
 mod quiet;
+mod refusals;
 mod roles;
 mod siblings;
 mod slices;

@@ -27,6 +27,7 @@ mod layers;
 mod npy;
 mod ply_files;
 mod readers;
+mod refusals;
 mod right_picture;
 mod same_picture;
 mod scattered;
