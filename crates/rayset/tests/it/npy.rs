@@ -72,9 +72,9 @@ fn an_archive_whose_bytes_are_not_those_of_its_checksum_is_an_error() {
 fn damaged_arrays_are_errors_and_never_panics() {
     // A shortened array is always an error, for its header says how long it is.
     let bytes = std::fs::metadata(fixtures("npy").join("structured.npy")).expect("a fixture").len() as usize;
-    assert_eq!(damage(&fixtures("npy").join("structured.npy"), 7), bytes.div_ceil(7));
-    assert!(damage(&fixtures("npy").join("deflated.npz"), 5) > 100);
-    assert!(damage(&fixtures("npy").join("fortran.npy"), 11) > 50);
+    assert_eq!(damage(&fixtures("npy").join("structured.npy"), 13), bytes.div_ceil(13));
+    assert!(damage(&fixtures("npy").join("deflated.npz"), 11) > 50);
+    assert!(damage(&fixtures("npy").join("fortran.npy"), 19) > 30);
 }
 
 #[test]

@@ -96,9 +96,9 @@ fn a_small_snapshot_needs_little_memory() {
 
 #[test]
 fn damaged_snapshots_are_errors_and_never_panics() {
-    for (name, step) in [("gadget.hdf5", 67), ("swift.hdf5", 71), ("eagle.hdf5", 23)] {
+    for (name, step) in [("gadget.hdf5", 151), ("swift.hdf5", 167), ("eagle.hdf5", 53)] {
         let refused = damage(&fixtures("snapshots").join(name), step);
-        assert!(refused > 40, "{name}: {refused} of the shortened files were refused");
+        assert!(refused > 20, "{name}: {refused} of the shortened files were refused");
     }
 }
 
