@@ -20,7 +20,7 @@ fn a_snapshot_says_what_it_is_and_how_its_radii_were_made() {
     let swift = describe("swift.hdf5", None);
     assert!(swift.contains("written by SWIFT") && swift.contains("box size 25"), "{swift}");
     assert!(swift.contains("radius = 2.018932 SmoothingLengths"), "{swift}");
-    assert!(swift.contains("Quartic spline (M5), weight = mass / (π/8 radius³)"), "{swift}");
+    assert!(swift.contains("Quartic spline (M5); weight = mass / (π/8 radius³)"), "{swift}");
     let arepo = describe("arepo.0.hdf5", None);
     assert!(
         arepo.contains("2 files; 21 particles of type gas, radius = 2.5 (3 mass / 4π Density)^(1/3)"),

@@ -286,7 +286,7 @@ impl GadgetFile {
         for (of, width) in candidates {
             let rows = self.rows(of);
             let numbers = rows.iter().sum::<u64>().saturating_mul(width as u64);
-            let size = if numbers == 0 { 0 } else { length / numbers };
+            let size = length.checked_div(numbers).unwrap_or(0);
             let fits = numbers > 0 && size.checked_mul(numbers) == Some(length);
             let kind = match (name, size) {
                 ("ID", 4) => ColumnType::U32,

@@ -124,20 +124,20 @@ fn wrong(array: &Array) -> String {
 
 impl Layout {
     /// The layout of a file that is one array. The error says why it is no points.
-    pub(super) fn of_array(array: Array, names: Option<&[String]>) -> Result<Self, String> {
+    pub(super) fn of_array(array: &Array, names: Option<&[String]>) -> Result<Self, String> {
         let mut named = Named::default();
         let description = format!("array of NumPy, {}", array.header.shape_text());
         if array.header.is_structured {
             if let ([rows], true) = (array.header.shape.as_slice(), array.header.element_bytes > 0) {
-                named.add_fields(&array);
+                named.add_fields(array);
                 if let Some(layout) = named.finish(*rows, description) {
                     return Ok(layout);
                 }
             }
-            return Err(wrong(&array));
+            return Err(wrong(array));
         }
         let (Some(rows), Some(field)) = (array.rows().filter(|rows| rows.width >= 3), array.number()) else {
-            return Err(wrong(&array));
+            return Err(wrong(array));
         };
         let names = match names {
             None => plain_names(rows.width as usize),
@@ -150,12 +150,12 @@ impl Layout {
                 ));
             }
         };
-        named.add_plain(&array, rows, field, &names);
+        named.add_plain(array, rows, field, &names);
         named.finish(rows.rows, description).ok_or_else(|| "the names of columns have no x, y and z".into())
     }
 
     /// The layout of an archive. The error says what it has instead of points.
-    pub(super) fn of_archive(arrays: Vec<Array>) -> Result<Self, String> {
+    pub(super) fn of_archive(arrays: &[Array]) -> Result<Self, String> {
         let base =
             |array: &Array| array.member.name.rsplit('/').next().unwrap_or_default().to_ascii_lowercase();
         let is_plain =
@@ -170,7 +170,7 @@ impl Layout {
             found.next().map(|(i, _)| i).filter(|_| found.next().is_none())
         };
         // By its name; three arrays; a structured one; else the only one that can be.
-        let position = roles::POSITIONS.iter().find_map(|name| called(&name));
+        let position = roles::POSITIONS.iter().find_map(called);
         let position = match position {
             None if axes() => None,
             None => one(&|array| array.header.is_structured).or_else(|| one(&|array| is_plain(array))),
@@ -180,7 +180,7 @@ impl Layout {
         let mut rows = None;
         if let Some(array) = position.map(|index| &arrays[index]) {
             if array.header.is_structured {
-                return Self::of_array(array.clone(), None);
+                return Self::of_array(array, None);
             }
             if let (Some(of), Some(field)) = (array.rows(), array.number()) {
                 named.add_plain(array, of, field, &plain_names(of.width as usize));
@@ -189,7 +189,7 @@ impl Layout {
         }
         let is_x = |array: &&Array| roles::axes(&[base(array)])[0].is_some();
         let rows = rows.or_else(|| arrays.iter().find(is_x).map(|array| array.header.count()));
-        let Some(rows) = rows else { return Err(refused(&arrays)) };
+        let Some(rows) = rows else { return Err(refused(arrays)) };
         let mut left_out = Vec::new();
         for (index, array) in arrays.iter().enumerate().filter(|(index, _)| Some(*index) != position) {
             let of = array.rows().filter(|of| of.rows == rows && of.width > 0);
@@ -210,7 +210,7 @@ impl Layout {
             left_out.truncate(8);
             description.push_str(&format!("; left out for their shapes or types: {}", left_out.join(", ")));
         }
-        named.finish(rows, description).ok_or_else(|| refused(&arrays))
+        named.finish(rows, description).ok_or_else(|| refused(arrays))
     }
 }
 

@@ -64,13 +64,13 @@ impl NpySource {
         let is_array = std::io::Read::read_exact(&mut file, &mut magic).is_ok() && magic == *MAGIC;
         let layout = if is_array {
             let array = Array::open(path, Member::whole(bytes))?;
-            Layout::of_array(array, names)
+            Layout::of_array(&array, names)
         } else {
             let mut members = zip::members(path)?;
             members.truncate(MOST_ARRAYS);
             let arrays: Result<Vec<Array>, ReadError> =
                 members.into_iter().map(|member| Array::open(path, member)).collect();
-            Layout::of_archive(arrays?)
+            Layout::of_archive(&arrays?)
         };
         let layout = layout.map_err(|what| ReadError::malformed(path, Place::Byte(0), what))?;
         let Layout { strands, axes, columns, schema, rows } = layout;

@@ -252,18 +252,21 @@ pub(super) fn columns(types: &[TypeLayout]) -> Vec<(ColumnInfo, Supply)> {
 /// What is read and how radii and weights are made, for the description of the source.
 pub(super) fn description(header: &Header, types: &[TypeLayout], counts: &[u64; MOST_TYPES]) -> String {
     let mut words = header.description();
+    // There is a column only if all types have it.
+    let with_radius = types.iter().all(|layout| layout.radius.is_some());
+    let with_weight = with_radius && types.iter().all(|layout| layout.mass.is_some());
     for layout in types {
         words.push_str(&format!(
             "; {} particles of type {}",
             counts[layout.kind],
             particles::name(layout.kind)
         ));
-        if let Some(radius) = &layout.radius {
+        if let Some(radius) = layout.radius.as_ref().filter(|_| with_radius) {
             words.push_str(&format!(", radius = {}", radius.description(header)));
         }
-        if layout.radius.is_some() && layout.mass.is_some() {
-            words.push_str(", weight = mass / (π/8 radius³)");
-        }
+    }
+    if with_weight {
+        words.push_str("; weight = mass / (π/8 radius³)");
     }
     if let Some(unit) = types.first().map(|layout| &layout.position_unit).filter(|unit| !unit.is_empty()) {
         words.push_str(&format!("; positions in {unit}"));
