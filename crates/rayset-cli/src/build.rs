@@ -20,7 +20,9 @@ use crate::{input, report, values};
 /// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// Points: PLY, LAS, LAZ, SPZ, SPLAT, KSPLAT, OBJ, STL, XYZ, TXT, CSV, ASC or PTS files. Or one volume: NRRD, MHA, MHD, NII, NII.GZ, VTI
+    /// Points: PLY, LAS, LAZ, E57, PCD, PTX, PTS, XYZ, TXT, CSV or ASC, NPY, NPZ, VTK, VTP or VTU files, snapshots of
+    /// simulations (HDF5, GADGET), Gaussian splats (PLY, SPZ, SPLAT, KSPLAT), meshes (OBJ, STL); folders and patterns of such.
+    /// Or one volume: NRRD, MHA, MHD, NII, VTI, VTK, VDB, DX, SLC, NPY, NPZ
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
@@ -59,6 +61,10 @@ pub(crate) struct BuildArgs {
     /// a triangle, 1 to 20 million
     #[arg(long)]
     mesh_points: Option<u64>,
+    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7.
+    /// By default gas where there is any, else all
+    #[arg(long, value_delimiter = ',')]
+    particles: Option<Vec<String>>,
     /// What to do with records whose position, radius or weight is no usable number
     #[arg(long, value_enum, default_value = "skip")]
     invalid: Invalid,
@@ -103,8 +109,10 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let options = options(args)?;
     let output = Outputs::beside(&inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let read =
-        ReadOptions::default().with_text_columns(args.columns.clone()).with_mesh_points(args.mesh_points);
+    let read = ReadOptions::default()
+        .with_text_columns(args.columns.clone())
+        .with_mesh_points(args.mesh_points)
+        .with_particles(args.particles.clone());
     let sources = input::open_points(&inputs, &read)?;
     let named = args.attributes.as_deref().unwrap_or_default();
     let attributes = match (&args.attributes, named) {

@@ -83,6 +83,7 @@ mod trace;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod trace;
+mod vtk_xml;
 #[cfg(not(feature = "internals"))]
 mod working_set;
 #[cfg(feature = "internals")]

@@ -85,8 +85,8 @@ fn advice(path: &Path, head: &[u8]) -> String {
         _ => match extension.as_str() {
             "json" => "a scene goes to `rayset check` or `rayset render`".into(),
             "png" | "exr" => "it is a picture by its name".into(),
-            "ply" | "las" | "laz" | "xyz" | "txt" | "csv" | "asc" | "pts" | "nrrd" | "nhdr" | "mha"
-            | "mhd" | "nii" | "gz" | "vti" => {
+            "ply" | "las" | "laz" | "hdf5" | "h5" | "npy" | "npz" | "vtk" | "vtp" | "vtu" | "xyz" | "txt"
+            | "csv" | "asc" | "pts" | "nrrd" | "nhdr" | "mha" | "mhd" | "nii" | "gz" | "vti" => {
                 format!("build one of it: `rayset build {name} -o {}`", built.display())
             }
             _ => "`rayset build` makes one of points or voxels".into(),

@@ -65,13 +65,13 @@ pub enum ReadError {
         /// The cargo feature that is needed.
         feature: &'static str,
     },
-    /// The extension is not that of a format that can be read.
-    #[error(
-        "{}: unknown kind of file; expected .ply, .las, .laz, .spz, .splat, .ksplat, .obj, .stl, .xyz, .txt, .csv, .asc or .pts", path.display()
-    )]
+    /// The file is of no format that can be read.
+    #[error("{}: {advice}", path.display())]
     UnknownFormat {
         /// The file.
         path: PathBuf,
+        /// What it is, as far as that can be seen, and what makes a file that opens.
+        advice: String,
     },
 }
 

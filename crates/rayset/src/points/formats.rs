@@ -5,31 +5,40 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use super::gadget::{self, GadgetSource};
 #[cfg(feature = "las")]
 use super::las::LasSource;
 use super::mesh::{MeshFormat, MeshSource, ObjSource};
+use super::npy::{self, NpySource};
 use super::ply::PlySource;
 use super::ply_body::Body;
 use super::ply_header::Property;
+#[cfg(feature = "hdf5")]
+use super::snapshot::SnapshotSource;
 use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
 use super::text::TextSource;
-use super::{PointSource, ReadError};
+use super::vtk::{self, VtkSource};
+use super::{PointSource, ReadError, refusals};
 use crate::setters::setters;
 
 /// Information for a reader that some formats do not contain.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ReadOptions {
-    /// Names of all columns of text files, overriding their header; `-` or an empty name skips a column.
+    /// Names of all columns of text files and of plain arrays of NumPy, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
     /// Points to sample on the faces of a mesh, evenly by area. If `None`, the vertices of a PLY file are its points, and on
     /// OBJ and STL files ten points are sampled for each triangle, at least a million and at most 20 million.
     pub mesh_points: Option<u64>,
+    /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
+    /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
+    pub particles: Option<Vec<String>>,
 }
 
 setters!(ReadOptions {
     with_text_columns => text_columns: Option<Vec<String>>,
     with_mesh_points => mesh_points: Option<u64>,
+    with_particles => particles: Option<Vec<String>>,
 });
 
 /// Bytes from the start of a file by which its format is recognized.
@@ -83,6 +92,22 @@ const FORMATS: &[Format] = &[
         begins: |_| false,
         open: open_obj,
     },
+    Format {
+        extensions: &["gadget", "gadget2"],
+        begins: gadget::begins,
+        open: |path, options| Ok(Box::new(GadgetSource::open(path, options.particles.as_deref())?)),
+    },
+    Format {
+        extensions: &["npy", "npz"],
+        begins: npy::begins,
+        open: |path, options| Ok(Box::new(NpySource::open(path, options.text_columns.as_deref())?)),
+    },
+    Format { extensions: &["hdf5", "h5", "hdf"], begins: is_hdf5, open: open_hdf5 },
+    Format {
+        extensions: &["vtk", "vtp", "vtu"],
+        begins: vtk::begins,
+        open: |path, _| Ok(Box::new(VtkSource::open(path)?)),
+    },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
     Format {
         extensions: &["xyz", "txt", "csv", "asc", "pts"],
@@ -122,6 +147,21 @@ fn open_obj(path: &Path, options: &ReadOptions) -> Opened {
     Ok(Box::new(ObjSource::open(path, mesh.vertices(), has_colors)?))
 }
 
+/// Whether a file is HDF5: its signature is at the start, or after a block of the user's of 512, 1024, 2048, … bytes.
+fn is_hdf5(head: &[u8]) -> bool {
+    [0, 512, 1024, 2048].iter().any(|&at| head.get(at..).is_some_and(|h| h.starts_with(b"\x89HDF\r\n\x1a\n")))
+}
+
+#[cfg(feature = "hdf5")]
+fn open_hdf5(path: &Path, options: &ReadOptions) -> Opened {
+    Ok(Box::new(SnapshotSource::open(path, options.particles.as_deref())?))
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "hdf5" })
+}
+
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {
     Ok(Box::new(LasSource::open(path)?))
@@ -143,7 +183,11 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
     let format = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(|| FORMATS.iter().find(named));
     match format {
         Some(format) => (format.open)(path, options),
-        None => Err(ReadError::UnknownFormat { path: path.to_owned() }),
+        None => {
+            let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+            let advice = refusals::advice(path, &head, &known.join(", "));
+            Err(ReadError::UnknownFormat { path: path.to_owned(), advice })
+        }
     }
 }
 

@@ -8,21 +8,31 @@ mod array;
 mod column;
 mod error;
 mod formats;
+mod gadget;
 #[cfg(feature = "las")]
 mod las;
 mod lines;
 mod mesh;
+mod npy;
+mod particles;
+mod plain;
 mod ply;
 mod ply_body;
 mod ply_header;
 mod ply_write;
+#[cfg(any(feature = "hdf5", feature = "las"))]
 mod quiet;
+mod refusals;
 mod roles;
+mod siblings;
 mod slices;
+#[cfg(feature = "hdf5")]
+mod snapshot;
 mod source;
 mod splats;
 mod synthetic;
 mod text;
+mod vtk;
 
 #[cfg(feature = "internals")]
 #[doc(hidden)]

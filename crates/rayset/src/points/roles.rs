@@ -48,6 +48,42 @@ pub(super) fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str
         .or_else(|| columns.iter().position(|c| c.name.eq_ignore_ascii_case(name)))
 }
 
+/// Names of positions of three numbers, without case.
+pub(super) const POSITIONS: [&str; 10] = [
+    "positions",
+    "position",
+    "xyz",
+    "points",
+    "pos",
+    "coords",
+    "coordinates",
+    "vertices",
+    "location",
+    "locations",
+];
+/// Names of colours of three or four numbers.
+const VECTORS_OF_COLORS: [&str; 6] = ["rgb", "rgba", "color", "colors", "colour", "colours"];
+
+/// The columns that `count` numbers with one name become. Positions and colours have names of their own.
+pub(super) fn components(name: &str, count: usize) -> Vec<String> {
+    let lower = name.to_ascii_lowercase();
+    let of = |names: &[&str]| names.iter().take(count).map(|n| (*n).to_owned()).collect();
+    match count {
+        3 if POSITIONS.contains(&lower.as_str()) => of(&["x", "y", "z"]),
+        3 | 4 if VECTORS_OF_COLORS.contains(&lower.as_str()) => of(&["red", "green", "blue", "alpha"]),
+        _ => plain_components(name, count),
+    }
+}
+
+/// The columns that `count` numbers with one name become: `v`, or `v_x`, `v_y` and `v_z`, or `v_0`, `v_1` and so on.
+pub(super) fn plain_components(name: &str, count: usize) -> Vec<String> {
+    match count {
+        1 => vec![name.to_owned()],
+        3 => ["x", "y", "z"].map(|axis| format!("{name}_{axis}")).to_vec(),
+        _ => (0..count).map(|i| format!("{name}_{i}")).collect(),
+    }
+}
+
 /// Whether a column of this name holds class labels.
 pub(super) fn is_class(name: &str) -> bool {
     let name = name.to_ascii_lowercase();

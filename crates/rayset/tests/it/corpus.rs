@@ -16,9 +16,9 @@ use crate::las_writer::{Chunks, LasFile};
 use crate::volume_fixtures::{fixtures, unzipped};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 13] = [
+const POINTS: [&str; 20] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
-    "s.ksplat", "m.obj", "m.stl",
+    "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu",
 ];
 const VOLUMES: [&str; 12] = [
     "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
@@ -104,11 +104,16 @@ fn point_files() -> Vec<(&'static str, Vec<u8>)> {
     for chunks in [Chunks::Variable(&[7, 20]), Chunks::NoTable(25), Chunks::Streamed(25), Chunks::One] {
         files.push(("p.laz", file.laz(chunks)));
     }
+    for (name, folder, fixtures) in FIXTURES {
+        let bytes =
+            |file: &&str| std::fs::read(crate::fixture::fixtures(folder).join(file)).expect("a fixture");
+        files.extend(fixtures.iter().map(|file| (*name, bytes(file))));
+    }
     files
 }
 
 /// Splats and meshes, which have fixtures.
-fn fixtures() -> Vec<(&'static str, Vec<u8>)> {
+fn splats_and_meshes() -> Vec<(&'static str, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
     let read = |(name, path): (&'static str, &str)| {
         (name, std::fs::read(folder.join(path)).unwrap_or_else(|e| panic!("{path}: {e}")))
@@ -132,6 +137,17 @@ fn fixtures() -> Vec<(&'static str, Vec<u8>)> {
     ];
     files.into_iter().map(read).collect()
 }
+
+/// Files that other programs wrote: the name of the input, their folder, and they.
+const FIXTURES: &[(&str, &str, &[&str])] = &[
+    ("p.hdf5", "snapshots", &["gadget.hdf5", "swift.hdf5", "eagle.hdf5"]),
+    ("p.gadget", "gadget", &["format1", "format2_big"]),
+    ("p.npy", "npy", &["four_big.npy", "fortran.npy", "structured.npy"]),
+    ("p.npz", "npy", &["stored.npz", "deflated.npz"]),
+    ("p.vtk", "vtk", &["poly_text_42.vtk", "poly_binary_51.vtk", "grid_binary_42.vtk"]),
+    ("p.vtp", "vtk", &["ascii.vtp", "binary_zlib.vtp", "pieces.vtp"]),
+    ("p.vtu", "vtk", &["raw_big.vtu", "base64_zlib.vtu"]),
+];
 
 fn gzipped(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -211,7 +227,7 @@ fn keep(target: &str, number: usize, parts: &[&[u8]]) {
 #[test]
 fn every_input_that_the_fuzzers_begin_with_is_read() {
     let folder = folder();
-    for (number, (name, bytes)) in point_files().into_iter().chain(fixtures()).enumerate() {
+    for (number, (name, bytes)) in point_files().into_iter().chain(splats_and_meshes()).enumerate() {
         let path = folder.path().join(name);
         std::fs::write(&path, &bytes).expect("a write");
         let mut source: Box<dyn PointSource> = if name == "mesh.ply" {

@@ -14,6 +14,7 @@ const ORDER: [&str; 24] = [
     "storage",
     "output",
     "spill",
+    "vtk_xml",
     "points",
     "container",
     "octree",
@@ -98,7 +99,7 @@ fn examples_use_the_public_surface_alone() {
 #[test]
 fn the_library_neither_prints_nor_reads_arguments_nor_keeps_global_state() {
     for (path, _, code) in library() {
-        // The hook that keeps panics of the decompressor quiet is the process's, as hooks are, and asks its own thread.
+        // The hook that keeps panics of decoders quiet is the process's, as hooks are, and asks its own thread.
         if path == Path::new("points/quiet.rs") {
             continue;
         }

@@ -1,4 +1,4 @@
-//! The XML elements of a VTI file, up to its appended data, which are not XML.
+//! The XML elements of a file of VTK, up to its appended data, which are not XML.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -8,8 +8,7 @@ use quick_xml::Reader;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 
-use super::super::ReadError;
-use super::super::data::{data_at, io_error};
+use super::fault::{Fault, data_at};
 
 /// Limit on the bytes of a file that are read as XML, without the text of arrays.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -20,33 +19,43 @@ const MOST_DEPTH: usize = 64;
 
 /// An element's start.
 #[derive(Debug, Default)]
-pub(super) struct Tag {
-    pub(super) name: String,
+pub(crate) struct Tag {
+    pub(crate) name: String,
     attributes: Vec<(String, String)>,
     /// Its byte offset in the file.
     at: u64,
     /// The byte offset of its own text. `None` if there is none.
-    pub(super) content: Option<u64>,
+    pub(crate) content: Option<u64>,
 }
 
 /// The arrays of points, or of cells.
 #[derive(Debug, Default)]
-pub(super) struct Group {
+pub(crate) struct Group {
     /// The name of the active scalar array.
-    pub(super) scalars: Option<String>,
-    pub(super) arrays: Vec<Tag>,
+    pub(crate) scalars: Option<String>,
+    pub(crate) arrays: Vec<Tag>,
+}
+
+/// A part of the data, with points of its own.
+#[derive(Debug, Default)]
+pub(crate) struct Piece {
+    pub(crate) tag: Tag,
+    /// What each point has, and each cell.
+    pub(crate) points: Group,
+    pub(crate) cells: Group,
+    /// Where points are.
+    pub(crate) coordinates: Group,
 }
 
 /// The elements of a file that are used.
 #[derive(Debug, Default)]
-pub(super) struct Header {
-    pub(super) file: Tag,
-    pub(super) image: Tag,
-    pub(super) piece: Tag,
-    pub(super) points: Group,
-    pub(super) cells: Group,
+pub(crate) struct Document {
+    pub(crate) file: Tag,
+    /// The element with the data, which is called `ImageData`, `PolyData`, ….
+    pub(crate) data: Tag,
+    pub(crate) pieces: Vec<Piece>,
     /// The element, and the byte offset of its data.
-    pub(super) appended: Option<(Tag, u64)>,
+    pub(crate) appended: Option<(Tag, u64)>,
 }
 
 impl Tag {
@@ -69,38 +78,39 @@ impl Tag {
         Ok(Self { name: start.name().as_ref().to_owned(), attributes, at, content: None })
     }
 
-    pub(super) fn attribute(&self, name: &str) -> Option<&str> {
+    pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }
 
     /// The place for messages: "byte 230, DataArray, offset".
-    pub(super) fn place(&self, attribute: &str) -> String {
+    pub(crate) fn place(&self, attribute: &str) -> String {
         let place = format!("byte {}, {}", self.at, self.name);
         if attribute.is_empty() { place } else { format!("{place}, {attribute}") }
     }
 
-    pub(super) fn wrong(&self, path: &Path, attribute: &str, what: &str) -> ReadError {
-        ReadError::header(path, &self.place(attribute), what)
+    pub(crate) fn wrong(&self, attribute: &str, what: &str) -> Fault {
+        Fault::Header { place: self.place(attribute), what: what.to_owned() }
     }
 }
 
 type Xml = Reader<io::Take<BufReader<File>>>;
 
-pub(super) fn read(path: &Path) -> Result<Header, ReadError> {
+/// Reads the elements of a file.
+pub(crate) fn read(path: &Path) -> Result<Document, Fault> {
     // The parser does not count a byte-order mark.
     let mut mark = Vec::new();
-    data_at(path, 0)?.take(3).read_to_end(&mut mark).map_err(io_error(path))?;
+    data_at(path, 0)?.take(3).read_to_end(&mut mark)?;
     let first = if mark == [0xef, 0xbb, 0xbf] { 3 } else { 0 };
     let mut xml = Reader::from_reader(data_at(path, first)?.take(MOST_HEADER_BYTES));
-    let (mut header, mut buffer, mut open) = (Header::default(), Vec::new(), Vec::new());
+    let (mut header, mut buffer, mut open) = (Document::default(), Vec::new(), Vec::new());
     loop {
         buffer.clear();
         let at = first + xml.buffer_position();
         let place = format!("byte {at}");
-        let wrong = |what: &str| ReadError::header(path, &place, what);
+        let wrong = |what: &str| Fault::Header { place: place.clone(), what: what.to_owned() };
         let event = xml.read_event_into(&mut buffer);
         let event = event.map_err(|error| match error {
-            quick_xml::Error::Io(error) => io_error(path)(io::Error::new(error.kind(), error.to_string())),
+            quick_xml::Error::Io(error) => Fault::Io(io::Error::new(error.kind(), error.to_string())),
             other => wrong(&format!("this is not well-formed XML: {other}")),
         });
         if xml.get_ref().limit() == 0 {
@@ -114,9 +124,9 @@ pub(super) fn read(path: &Path) -> Result<Header, ReadError> {
                 let tag = Tag::of(&start, at).map_err(|what| wrong(&what))?;
                 open.push(tag.name.clone());
                 let appended = open == ["VTKFile", "AppendedData"];
-                header.take(&open, tag).map_err(wrong)?;
+                header.take(&open, tag).map_err(|what| wrong(&what))?;
                 if appended {
-                    let start = marker(&mut xml).map_err(io_error(path))?;
+                    let start = marker(&mut xml)?;
                     let start = start.ok_or_else(|| wrong("expected `_` before the appended data"))?;
                     if let Some(appended) = &mut header.appended {
                         appended.1 = first + start;
@@ -127,7 +137,7 @@ pub(super) fn read(path: &Path) -> Result<Header, ReadError> {
             Event::Empty(start) => {
                 let tag = Tag::of(&start, at).map_err(|what| wrong(&what))?;
                 open.push(tag.name.clone());
-                header.take(&open, tag).map_err(wrong)?;
+                header.take(&open, tag).map_err(|what| wrong(&what))?;
                 open.pop();
             }
             Event::End(_) => {
@@ -138,16 +148,21 @@ pub(super) fn read(path: &Path) -> Result<Header, ReadError> {
             _ => {}
         }
         if open.last().is_some_and(|name| name == "DataArray" || name == "Array") {
-            let text = pass_text(&mut xml).map_err(io_error(path))?.map(|at| first + at);
+            let text = pass_text(&mut xml)?.map(|at| first + at);
             if let (Some(at), Some(tag)) = (text, header.array(&open)) {
                 if tag.content.is_some() {
-                    return Err(tag.wrong(path, "", "its text is in several parts"));
+                    return Err(tag.wrong("", "its text is in several parts"));
                 }
                 tag.content = Some(at);
             }
         }
     }
-    header.check(path)?;
+    if header.file.name.is_empty() {
+        return Err(Fault::Header {
+            place: "VTKFile".into(),
+            what: "missing; this is not a VTK file in XML".into(),
+        });
+    }
     Ok(header)
 }
 
@@ -190,64 +205,55 @@ fn marker(xml: &mut Xml) -> io::Result<Option<u64>> {
     }
 }
 
-impl Header {
+impl Document {
     /// Records an element, which is the innermost of the open ones.
-    fn take(&mut self, open: &[String], tag: Tag) -> Result<(), &'static str> {
+    fn take(&mut self, open: &[String], tag: Tag) -> Result<(), String> {
         let path: Vec<&str> = open.iter().map(String::as_str).collect();
         match path.as_slice() {
             ["VTKFile"] => self.file = tag,
-            ["VTKFile", "ImageData"] if self.image.name.is_empty() => self.image = tag,
-            ["VTKFile", "ImageData"] => return Err("a second ImageData"),
-            ["VTKFile", "ImageData", "Piece"] if self.piece.name.is_empty() => self.piece = tag,
-            ["VTKFile", "ImageData", "Piece"] => {
-                return Err("a second Piece; volumes in several are not read");
-            }
-            ["VTKFile", "ImageData", "Piece", group @ ("PointData" | "CellData")] => {
-                self.group(group).scalars = tag.attribute("Scalars").map(ToOwned::to_owned);
-            }
-            ["VTKFile", "ImageData", "Piece", group @ ("PointData" | "CellData"), "DataArray"] => {
-                let arrays = &mut self.group(group).arrays;
-                if arrays.len() == MOST_ARRAYS {
-                    return Err("more than 4096 arrays");
-                }
-                arrays.push(tag);
-            }
             ["VTKFile", "AppendedData"] => self.appended = Some((tag, 0)),
+            ["VTKFile", _] if self.data.name.is_empty() => self.data = tag,
+            ["VTKFile", second] if self.data.name == **second => return Err(format!("a second {second}")),
+            ["VTKFile", data, "Piece"] if self.data.name == **data => {
+                self.pieces.push(Piece { tag, ..Piece::default() });
+            }
+            ["VTKFile", _, "Piece", _] => {
+                if let Some(group) = self.group(&path) {
+                    group.scalars = tag.attribute("Scalars").map(ToOwned::to_owned);
+                }
+            }
+            ["VTKFile", _, "Piece", group, "DataArray"] => {
+                if let Some(group) = self.group(&["VTKFile", "", "Piece", *group]) {
+                    if group.arrays.len() == MOST_ARRAYS {
+                        return Err("more than 4096 arrays".into());
+                    }
+                    group.arrays.push(tag);
+                }
+            }
             _ => {}
         }
         Ok(())
     }
 
-    fn group(&mut self, name: &str) -> &mut Group {
-        if name == "PointData" { &mut self.points } else { &mut self.cells }
-    }
-
-    /// The array that is open. `None` if it is not an array of points or cells.
-    fn array(&mut self, open: &[String]) -> Option<&mut Tag> {
-        let path: Vec<&str> = open.iter().map(String::as_str).collect();
-        match path.as_slice() {
-            ["VTKFile", "ImageData", "Piece", group @ ("PointData" | "CellData"), "DataArray"] => {
-                self.group(group).arrays.last_mut()
-            }
+    /// The group of arrays of the last piece that a path of elements leads to.
+    fn group(&mut self, path: &[&str]) -> Option<&mut Group> {
+        let piece = self.pieces.last_mut()?;
+        match path {
+            [_, _, _, "PointData"] => Some(&mut piece.points),
+            [_, _, _, "CellData"] => Some(&mut piece.cells),
+            [_, _, _, "Points"] => Some(&mut piece.coordinates),
             _ => None,
         }
     }
 
-    /// Checks that all required elements are present.
-    fn check(&self, path: &Path) -> Result<(), ReadError> {
-        let missing = |name: &str, what: &str| Err(ReadError::header(path, name, what));
-        if self.file.name.is_empty() {
-            return missing("VTKFile", "missing; this is not a VTK file in XML");
+    /// The array that is open. `None` if it is not an array of a group.
+    fn array(&mut self, open: &[String]) -> Option<&mut Tag> {
+        let path: Vec<&str> = open.iter().map(String::as_str).collect();
+        match path.as_slice() {
+            ["VTKFile", _, "Piece", group, "DataArray"] => {
+                self.group(&["VTKFile", "", "Piece", *group])?.arrays.last_mut()
+            }
+            _ => None,
         }
-        if self.file.attribute("type").is_some_and(|kind| kind != "ImageData") {
-            return Err(self.file.wrong(path, "type", "only ImageData is read"));
-        }
-        if self.image.name.is_empty() {
-            return missing("ImageData", "missing; only image data are read");
-        }
-        if self.piece.name.is_empty() {
-            return missing("Piece", "missing; a volume has one piece");
-        }
-        Ok(())
     }
 }

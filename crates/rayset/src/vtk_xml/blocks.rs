@@ -1,32 +1,31 @@
 //! Compressed data of VTK: a table of block sizes, followed by individually compressed blocks.
 
 use std::io::{self, BufRead, Read};
-use std::path::Path;
 
 use flate2::{Decompress, FlushDecompress, Status};
 
-use super::super::ReadError;
-use super::header::Tag;
+use super::document::Tag;
+use super::fault::Fault;
 
 /// The format of the length words before data.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Words {
+pub(crate) struct Words {
     wide: bool,
-    pub(super) big_endian: bool,
+    pub(crate) big_endian: bool,
 }
 
 impl Words {
     /// As given by the attributes of the outermost element.
-    pub(super) fn of(path: &Path, file: &Tag) -> Result<Self, ReadError> {
+    pub(crate) fn of(file: &Tag) -> Result<Self, Fault> {
         let big_endian = match file.attribute("byte_order") {
             None | Some("LittleEndian") => false,
             Some("BigEndian") => true,
-            Some(_) => return Err(file.wrong(path, "byte_order", "expected LittleEndian or BigEndian")),
+            Some(_) => return Err(file.wrong("byte_order", "expected LittleEndian or BigEndian")),
         };
         let wide = match file.attribute("header_type") {
             None | Some("UInt32") => false,
             Some("UInt64") => true,
-            Some(_) => return Err(file.wrong(path, "header_type", "expected UInt32 or UInt64")),
+            Some(_) => return Err(file.wrong("header_type", "expected UInt32 or UInt64")),
         };
         Ok(Self { wide, big_endian })
     }

@@ -1,0 +1,171 @@
+//! The header of a NPY file: the shape of the array, and what its elements are.
+
+use super::literal::{self, Literal};
+use crate::points::ColumnType;
+use crate::points::roles::excerpt;
+
+pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
+/// Longest header in bytes, and largest element.
+pub(super) const MOST_HEADER_BYTES: u64 = 1 << 20;
+const MOST_ELEMENT_BYTES: u64 = 1 << 16;
+/// Largest number of numbers of an element.
+const MOST_FIELDS: usize = 4096;
+
+/// A number, or several in a row, of each element.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Field {
+    /// Empty if the array is not structured.
+    pub(super) name: String,
+    /// Its byte in the element.
+    pub(super) offset: usize,
+    pub(super) kind: ColumnType,
+    pub(super) big_endian: bool,
+    pub(super) components: usize,
+}
+
+/// What an array consists of.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Header {
+    /// Bytes before the array.
+    pub(super) bytes: u64,
+    pub(super) shape: Vec<u64>,
+    pub(super) fortran: bool,
+    pub(super) element_bytes: usize,
+    pub(super) is_structured: bool,
+    /// Of the elements, those that are numbers.
+    pub(super) fields: Vec<Field>,
+    /// What an element is if it is no number: `'<U5'`.
+    pub(super) other: String,
+}
+
+/// Where the text of a header begins and how long it is: from the magic number on. `None` if it is none.
+pub(super) fn text_place(head: &[u8]) -> Option<(usize, u64)> {
+    let rest = head.strip_prefix(MAGIC)?;
+    match *rest {
+        [1, _, a, b, ..] => Some((10, u64::from(u16::from_le_bytes([a, b])))),
+        [2 | 3, _, a, b, c, d, ..] => Some((12, u64::from(u32::from_le_bytes([a, b, c, d])))),
+        _ => None,
+    }
+}
+
+impl Header {
+    /// Parses the text of a header that begins at byte `start` of the array's file.
+    pub(super) fn parse(text: &[u8], start: usize) -> Result<Self, (u64, String)> {
+        let bytes = (start + text.len()) as u64;
+        let text = String::from_utf8_lossy(text);
+        let literal = literal::parse(&text)
+            .map_err(|(at, what)| ((start + at) as u64, format!("the header: {what}")))?;
+        let fail = |what: &str| (start as u64, format!("the header: {what}"));
+        let shape = literal
+            .get("shape")
+            .and_then(Literal::numbers)
+            .ok_or_else(|| fail("expected a `shape` of numbers"))?;
+        let Some(Literal::Bool(fortran)) = literal.get("fortran_order") else {
+            return Err(fail("expected `fortran_order`, True or False"));
+        };
+        let descr = literal.get("descr").ok_or_else(|| fail("expected `descr`, the type of the elements"))?;
+        let mut fields = Vec::new();
+        let element_bytes = element(descr, "", 0, 1, &mut fields).map_err(|what| fail(&what))?;
+        let other =
+            if fields.is_empty() { descr.text().map(excerpt).unwrap_or_default() } else { String::new() };
+        Ok(Self {
+            bytes,
+            shape,
+            fortran: *fortran,
+            element_bytes: element_bytes as usize,
+            is_structured: descr.list().is_some(),
+            fields,
+            other,
+        })
+    }
+
+    /// Number of elements.
+    pub(super) fn count(&self) -> u64 {
+        self.shape.iter().fold(1, |all, &n| all.saturating_mul(n))
+    }
+
+    /// `1065` or `32314 × 3`.
+    pub(super) fn shape_text(&self) -> String {
+        self.shape.iter().map(u64::to_string).collect::<Vec<_>>().join(" × ")
+    }
+}
+
+/// Notes the numbers of `count` elements of a type, from byte `offset` on. Returns their bytes.
+fn element(
+    descr: &Literal,
+    name: &str,
+    offset: u64,
+    count: u64,
+    fields: &mut Vec<Field>,
+) -> Result<u64, String> {
+    let size = match descr {
+        Literal::Text(code) => {
+            let (size, kind) = scalar(code)?;
+            if let Some(kind) = kind {
+                if fields.len() == MOST_FIELDS {
+                    return Err(format!("more than {MOST_FIELDS} numbers an element"));
+                }
+                fields.push(Field {
+                    name: name.to_owned(),
+                    offset: offset.min(MOST_ELEMENT_BYTES) as usize,
+                    kind,
+                    big_endian: code.starts_with('>'),
+                    components: count.min(MOST_ELEMENT_BYTES) as usize,
+                });
+            }
+            size
+        }
+        Literal::List(members) => {
+            let mut at = offset;
+            for member in members {
+                let fail = || "expected a name and a type for each part of an element".to_owned();
+                let (own, kind, shape) = match member.list().ok_or_else(fail)? {
+                    [own, kind] => (own, kind, Vec::new()),
+                    [own, kind, shape] => (own, kind, shape.numbers().ok_or_else(fail)?),
+                    _ => return Err(fail()),
+                };
+                // A part may have a title and a name.
+                let own = own.text().or_else(|| own.list()?.last()?.text()).ok_or_else(fail)?;
+                let own = if name.is_empty() { own.to_owned() } else { format!("{name}_{own}") };
+                let parts = shape.iter().fold(1_u64, |all, &n| all.saturating_mul(n));
+                at = at.saturating_add(element(kind, &own, at, parts, fields)?);
+            }
+            // The parts of further elements are not named.
+            at - offset
+        }
+        _ => return Err("expected a type such as '<f8', or a list of names and types".into()),
+    };
+    let bytes = size.saturating_mul(count);
+    if offset.saturating_add(bytes) > MOST_ELEMENT_BYTES {
+        return Err(format!("elements of more than {MOST_ELEMENT_BYTES} bytes"));
+    }
+    Ok(bytes)
+}
+
+/// The bytes of a value of a type such as `<f8`, and the type of a column for it; `None` if it is no number, or one that
+/// no column holds.
+fn scalar(code: &str) -> Result<(u64, Option<ColumnType>), String> {
+    let fail = || format!("`{}` is no type of elements", excerpt(code));
+    let kind = code.trim_start_matches(['<', '>', '|', '=']);
+    let letter = kind.chars().next().ok_or_else(fail)?;
+    // Of dates the unit follows: `<M8[ns]`.
+    let digits = kind[letter.len_utf8()..].split('[').next().unwrap_or_default();
+    let size = if digits.is_empty() { None } else { Some(digits.parse::<u64>().map_err(|_| fail())?) };
+    let number = |kind| Ok((size.unwrap_or(0), Some(kind)));
+    match (letter, size) {
+        ('f', Some(4)) => number(ColumnType::F32),
+        ('f', Some(8)) => number(ColumnType::F64),
+        ('u' | 'b', Some(1)) => number(ColumnType::U8),
+        ('i', Some(1)) => number(ColumnType::I8),
+        ('u', Some(2)) => number(ColumnType::U16),
+        ('i', Some(2)) => number(ColumnType::I16),
+        ('u', Some(4)) => number(ColumnType::U32),
+        ('i', Some(4)) => number(ColumnType::I32),
+        ('u', Some(8)) => number(ColumnType::U64),
+        ('i', Some(8)) => number(ColumnType::I64),
+        ('O', _) => Err("its elements are objects of Python, which are not read; save numbers".into()),
+        ('U', Some(size)) => Ok((size.saturating_mul(4), None)),
+        ('S' | 'a' | 'V' | 'f' | 'c' | 'M' | 'm', Some(size)) => Ok((size, None)),
+        _ => Err(fail()),
+    }
+}

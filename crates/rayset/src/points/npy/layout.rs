@@ -1,0 +1,226 @@
+//! Which numbers of the arrays of a file are positions, and which are columns.
+
+use super::array::{Array, MOST_WIDTH, Rows, Strand};
+use super::header::Field;
+use crate::points::{ColorDepth, ColumnInfo, ColumnType, Schema, roles};
+
+/// A number of each row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Source {
+    /// Index of the strand, and the byte in its rows.
+    pub(super) strand: usize,
+    pub(super) offset: usize,
+    pub(super) kind: ColumnType,
+    pub(super) big_endian: bool,
+}
+
+/// What a file has for each point.
+pub(super) struct Layout {
+    pub(super) strands: Vec<Strand>,
+    pub(super) axes: [Source; 3],
+    pub(super) columns: Vec<Source>,
+    pub(super) schema: Schema,
+    pub(super) rows: u64,
+}
+
+/// Numbers with their names, of which three are to be the positions.
+#[derive(Default)]
+struct Named {
+    strands: Vec<Strand>,
+    names: Vec<String>,
+    sources: Vec<Source>,
+}
+
+impl Named {
+    /// Adds the numbers of each row of an array that is not structured.
+    fn add_plain(&mut self, array: &Array, rows: Rows, field: &Field, names: &[String]) {
+        let size = field.kind.bytes();
+        let first = self.strands.len();
+        if rows.apart {
+            let starts = (0..rows.width).map(|i| rows.rows.saturating_mul(i * size as u64));
+            self.strands.extend(starts.map(|start| Strand::new(array, start, size)));
+        } else {
+            self.strands.push(Strand::new(array, 0, size * rows.width as usize));
+        }
+        for (i, name) in names.iter().enumerate() {
+            let (strand, offset) = if rows.apart { (first + i, 0) } else { (first, i * size) };
+            self.names.push(name.clone());
+            self.sources.push(Source { strand, offset, kind: field.kind, big_endian: field.big_endian });
+        }
+    }
+
+    /// Adds the fields of a structured array.
+    fn add_fields(&mut self, array: &Array) {
+        let strand = self.strands.len();
+        self.strands.push(Strand::new(array, 0, array.header.element_bytes));
+        for field in &array.header.fields {
+            if field.components > MOST_WIDTH as usize {
+                continue;
+            }
+            for (i, name) in roles::components(&field.name, field.components).into_iter().enumerate() {
+                let offset = field.offset + i * field.kind.bytes();
+                self.names.push(name);
+                self.sources.push(Source { strand, offset, kind: field.kind, big_endian: field.big_endian });
+            }
+        }
+    }
+
+    /// Takes x, y and z as positions, and the rest as columns. `None` if the three are not there.
+    fn finish(self, rows: u64, description: String) -> Option<Layout> {
+        let [Some(x), Some(y), Some(z)] = roles::axes(&self.names) else { return None };
+        let (mut infos, mut columns) = (Vec::new(), Vec::new());
+        for (place, (name, source)) in self.names.iter().zip(&self.sources).enumerate() {
+            if [x, y, z].contains(&place) || name.is_empty() || name == "-" {
+                continue;
+            }
+            let info = ColumnInfo::new(name, source.kind);
+            infos.push(if roles::is_class(name) { info.of_classes() } else { info });
+            columns.push(*source);
+        }
+        let mut schema = Schema::new(infos, ColorDepth::Guess);
+        schema.roles = roles::colors(&schema.columns);
+        let kinds = ["red", "green", "blue"].map(|name| schema.find(name).map(|column| columns[column].kind));
+        schema.color_depth = match kinds {
+            [Some(ColumnType::U8), Some(ColumnType::U8), Some(ColumnType::U8)] => ColorDepth::Byte,
+            [Some(ColumnType::U16), Some(ColumnType::U16), Some(ColumnType::U16)] => ColorDepth::Word,
+            _ => ColorDepth::Guess,
+        };
+        schema.description = description;
+        let axes = [x, y, z].map(|place| self.sources[place]);
+        Some(Layout { strands: self.strands, axes, columns, schema, rows })
+    }
+}
+
+/// Names of the numbers of a plain row, as in text files.
+fn plain_names(width: usize) -> Vec<String> {
+    let known: &[&str] = match width {
+        4 => &["x", "y", "z", "intensity"],
+        6 => &["x", "y", "z", "red", "green", "blue"],
+        7 => &["x", "y", "z", "intensity", "red", "green", "blue"],
+        _ => &["x", "y", "z"],
+    };
+    let more = (known.len()..width).map(|i| format!("column_{i}"));
+    known.iter().map(|name| (*name).to_owned()).chain(more).collect()
+}
+
+/// Why an array is no points.
+fn wrong(array: &Array) -> String {
+    let shape = array.header.shape_text();
+    let found = match array.number() {
+        None if !array.header.is_structured => format!("its elements are of the type {}", array.header.other),
+        _ if array.header.shape.len() > 2 => format!("it has {shape} elements: a volume, or several clouds"),
+        _ if array.header.is_structured => {
+            let names: Vec<String> =
+                array.header.fields.iter().take(12).map(|f| roles::excerpt(&f.name)).collect();
+            format!("it has {shape} elements with the fields {}", names.join(", "))
+        }
+        _ => format!("it has {shape} numbers"),
+    };
+    format!(
+        "this array is no points: {found}; expected N × 3 numbers or more in a row (at most {MOST_WIDTH}), three rows, or \
+         fields x, y and z. `numpy.save(\"points.npy\", numpy.column_stack([x, y, z, …]))` makes one"
+    )
+}
+
+impl Layout {
+    /// The layout of a file that is one array. The error says why it is no points.
+    pub(super) fn of_array(array: &Array, names: Option<&[String]>) -> Result<Self, String> {
+        let mut named = Named::default();
+        let description = format!("array of NumPy, {}", array.header.shape_text());
+        if array.header.is_structured {
+            if let ([rows], true) = (array.header.shape.as_slice(), array.header.element_bytes > 0) {
+                named.add_fields(array);
+                if let Some(layout) = named.finish(*rows, description) {
+                    return Ok(layout);
+                }
+            }
+            return Err(wrong(array));
+        }
+        let (Some(rows), Some(field)) = (array.rows().filter(|rows| rows.width >= 3), array.number()) else {
+            return Err(wrong(array));
+        };
+        let names = match names {
+            None => plain_names(rows.width as usize),
+            Some(names) if names.len() as u64 == rows.width => names.to_vec(),
+            Some(names) => {
+                return Err(format!(
+                    "{} names of columns are given for rows of {} numbers",
+                    names.len(),
+                    rows.width
+                ));
+            }
+        };
+        named.add_plain(array, rows, field, &names);
+        named.finish(rows.rows, description).ok_or_else(|| "the names of columns have no x, y and z".into())
+    }
+
+    /// The layout of an archive. The error says what it has instead of points.
+    pub(super) fn of_archive(arrays: &[Array]) -> Result<Self, String> {
+        let base =
+            |array: &Array| array.member.name.rsplit('/').next().unwrap_or_default().to_ascii_lowercase();
+        let is_plain =
+            |array: &&Array| array.number().is_some() && array.rows().is_some_and(|rows| rows.width >= 3);
+        let called = |name: &&str| arrays.iter().position(|a| base(a) == **name && is_plain(&a));
+        let axes = || {
+            let names: Vec<String> = arrays.iter().map(base).collect();
+            roles::axes(&names).iter().all(Option::is_some)
+        };
+        let one = |wanted: &dyn Fn(&&Array) -> bool| {
+            let mut found = arrays.iter().enumerate().filter(|(_, array)| wanted(array));
+            found.next().map(|(i, _)| i).filter(|_| found.next().is_none())
+        };
+        // By its name; three arrays; a structured one; else the only one that can be.
+        let position = roles::POSITIONS.iter().find_map(called);
+        let position = match position {
+            None if axes() => None,
+            None => one(&|array| array.header.is_structured).or_else(|| one(&|array| is_plain(array))),
+            found => found,
+        };
+        let mut named = Named::default();
+        let mut rows = None;
+        if let Some(array) = position.map(|index| &arrays[index]) {
+            if array.header.is_structured {
+                return Self::of_array(array, None);
+            }
+            if let (Some(of), Some(field)) = (array.rows(), array.number()) {
+                named.add_plain(array, of, field, &plain_names(of.width as usize));
+                rows = Some(of.rows);
+            }
+        }
+        let is_x = |array: &&Array| roles::axes(&[base(array)])[0].is_some();
+        let rows = rows.or_else(|| arrays.iter().find(is_x).map(|array| array.header.count()));
+        let Some(rows) = rows else { return Err(refused(arrays)) };
+        let mut left_out = Vec::new();
+        for (index, array) in arrays.iter().enumerate().filter(|(index, _)| Some(*index) != position) {
+            let of = array.rows().filter(|of| of.rows == rows && of.width > 0);
+            match (of, array.number()) {
+                (Some(of), Some(field)) => {
+                    let name = arrays[index].member.name.clone();
+                    named.add_plain(array, of, field, &roles::components(&name, of.width as usize));
+                }
+                _ => left_out.push(format!(
+                    "{} ({})",
+                    roles::excerpt(&array.member.name),
+                    array.header.shape_text()
+                )),
+            }
+        }
+        let mut description = format!("archive of arrays of NumPy, {rows} rows");
+        if !left_out.is_empty() {
+            left_out.truncate(8);
+            description.push_str(&format!("; left out for their shapes or types: {}", left_out.join(", ")));
+        }
+        named.finish(rows, description).ok_or_else(|| refused(arrays))
+    }
+}
+
+fn refused(arrays: &[Array]) -> String {
+    let named: Vec<String> = (arrays.iter().take(12))
+        .map(|array| format!("{} ({})", roles::excerpt(&array.member.name), array.header.shape_text()))
+        .collect();
+    format!(
+        "this archive has no points: expected an array `positions` of N × 3 numbers, or arrays x, y and z; it has {}. \
+         `numpy.savez(\"points.npz\", positions=…, intensity=…)` makes one",
+        if named.is_empty() { "none that can be read".to_owned() } else { named.join(", ") }
+    )
+}
