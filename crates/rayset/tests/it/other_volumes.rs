@@ -85,6 +85,8 @@ fn arrays_of_other_dimensions_and_other_datasets_are_no_volumes() {
         ("e.npy", npy("(5, 5, 4)", "'<c8'"), false),
         ("f.npy", npy("(5, 5, 4)", "'<f4'"), true),
         ("g.vtk", points, false),
+        ("h.xyz", b"11111 2 3\n4 5 6\n".to_vec(), false),
+        ("i.csv", b"object class,x,y,z\n1,2,3,4\n".to_vec(), false),
     ] {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).expect("a write");
