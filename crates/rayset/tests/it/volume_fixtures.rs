@@ -1,6 +1,6 @@
 //! Volumes that other programs wrote, beside what these programs read in them.
 
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use flate2::Crc;
@@ -90,23 +90,33 @@ pub(crate) fn compare(path: &Path, expected: &Value) {
     }
 }
 
-/// Cuts a file off at every one of its first bytes, which is an error, and flips bits of it, which is an error or another
-/// volume. Errors are sentences.
-pub(crate) fn damaged(path: &Path, bytes: &[u8], needed: usize, flips: usize) {
-    for length in (0..needed).rev() {
-        std::fs::write(path, &bytes[..length]).expect("a write");
-        assert!(read(path).is_err(), "{} of {} bytes of {} are read", length, bytes.len(), path.display());
+/// Cuts a file off at every one of its first bytes, which is an error unless `harmless` says so of what is cut off.
+pub(crate) fn cut_off(path: &Path, bytes: &[u8], harmless: fn(&[u8]) -> bool) {
+    std::fs::write(path, bytes).expect("a write");
+    let file = std::fs::OpenOptions::new().write(true).open(path).expect("it opens");
+    for length in (0..bytes.len()).rev() {
+        file.set_len(length as u64).expect("it is cut off");
+        let good = harmless(&bytes[length..]) || read(path).is_err();
+        assert!(good, "{length} of {} bytes of {} are read", bytes.len(), path.display());
     }
+}
+
+/// Flips bits of a file, spread over it and dense at its beginning: an error that is a sentence, or another volume.
+pub(crate) fn flipped(path: &Path, bytes: &[u8], flips: usize) {
+    std::fs::write(path, bytes).expect("a write");
+    let mut file = std::fs::OpenOptions::new().write(true).open(path).expect("it opens");
+    let mut put = |at: usize, byte: u8| {
+        file.seek(SeekFrom::Start(at as u64)).expect("a seek");
+        file.write_all(&[byte]).expect("a write");
+    };
     for flip in 0..flips {
-        // Some of the bits, spread over the file and dense at its beginning.
         let at = if flip % 2 == 0 { flip / 2 % 600 } else { flip * 7919 } % bytes.len();
-        let mut flipped = bytes.to_vec();
-        flipped[at] ^= 1 << (flip / 3 % 8);
-        std::fs::write(path, flipped).expect("a write");
+        put(at, bytes[at] ^ (1 << (flip / 3 % 8)));
         match VolumeSource::open(path) {
             Ok(mut source) if source.size.iter().product::<u64>() < 1 << 20 => drop(numbers(&mut source)),
             Ok(_) => {}
-            Err(error) => assert!(!error.to_string().is_empty()),
+            Err(error) => assert!(error.to_string().contains(": "), "{error}"),
         }
+        put(at, bytes[at]);
     }
 }

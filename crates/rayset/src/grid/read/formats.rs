@@ -56,14 +56,7 @@ const FORMATS: &[Format] = &[
     },
     // Arrays of other dimensions are no volumes, so the name does not tell.
     Format { extensions: &[], begins: npy::is_volume, zipped: false, open: npy::open },
-    Format {
-        extensions: &["slc"],
-        begins: |head, _| {
-            head.starts_with(slc::MAGIC.as_bytes()) && head.get(5).is_some_and(u8::is_ascii_whitespace)
-        },
-        zipped: false,
-        open: slc::open,
-    },
+    Format { extensions: &["slc"], begins: |head, _| slc::is_slc(head), zipped: false, open: slc::open },
     // Files of other datasets have the same name.
     Format {
         extensions: &[],

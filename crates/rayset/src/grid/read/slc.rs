@@ -12,7 +12,7 @@ use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DVec3};
 
-pub(super) const MAGIC: &str = "11111";
+const MAGIC: &str = "11111";
 /// Longest header in bytes.
 const MOST_HEADER_BYTES: u64 = 1024;
 /// Words before the mark: the magic number, sizes, bits, spacings, unit, origin, changes, compression, size of the picture.
@@ -23,6 +23,16 @@ const MARK: u8 = b'X';
 const MOST_DIGITS: usize = 20;
 /// A code encodes at most 127 bytes in two.
 const MOST_RATIO: u64 = 64;
+
+/// Whether a file begins with a whole header. Other files of numbers may begin with the first of them.
+pub(super) fn is_slc(head: &[u8]) -> bool {
+    let header = head.split(|byte| *byte == MARK).next().filter(|header| header.len() < head.len());
+    let text = header.map(String::from_utf8_lossy).unwrap_or_default();
+    let mut words = text.split_ascii_whitespace();
+    words.next() == Some(MAGIC)
+        && words.clone().count() == HEADER_WORDS - 1
+        && words.all(|w| w.parse::<f64>().is_ok())
+}
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let wrong = |what: &str| ReadError::header(path, "its header", what);

@@ -16,7 +16,9 @@ pub(in super::super) fn is_dx(head: &[u8]) -> bool {
     let text = String::from_utf8_lossy(head);
     let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'));
     let mut words = first.unwrap_or_default().split_ascii_whitespace();
-    words.next() == Some("object") && text.contains(" class ")
+    let classes =
+        ["class gridpositions", "class gridconnections", "class array", "class field", "class group"];
+    words.next() == Some("object") && classes.iter().any(|class| text.contains(class))
 }
 
 pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {

@@ -119,3 +119,59 @@ fn unshuffle(shuffled: &[u8], width: usize, block: &mut [u8]) {
     }
     block[count * width..].copy_from_slice(&shuffled[count * width..]);
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn frame(name: &str) -> Vec<u8> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/blosc");
+        std::fs::read(folder.join(name)).expect("a fixture")
+    }
+
+    /// What is compressed in all fixtures.
+    fn expected() -> Vec<u8> {
+        let numbers = (0..5000_u32).flat_map(|k| (k / 3 + (k % 50).pow(3)).to_le_bytes());
+        numbers.chain(*b"end").collect()
+    }
+
+    #[test]
+    fn frames_of_blosc_itself_are_decompressed() {
+        let expected = expected();
+        for name in
+            ["lz4_0", "lz4_8192", "lz4hc_0", "lz4hc_8192", "zlib_0", "zlib_8192", "plain", "wide", "copied"]
+        {
+            let mut plain = vec![0; expected.len()];
+            assert_eq!(decompress(&frame(&format!("{name}.bin")), &mut plain), Ok(()), "{name}");
+            assert!(plain == expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn compressors_that_are_not_read_are_named() {
+        for (name, said) in [("blosclz_0", "BloscLZ"), ("zstd_8192", "Zstandard"), ("bits", "shuffled bits")]
+        {
+            let mut plain = vec![0; expected().len()];
+            let what = decompress(&frame(&format!("{name}.bin")), &mut plain).expect_err(name);
+            assert!(what.contains(said) && what.contains("codec=zip"), "{what}");
+        }
+    }
+
+    #[test]
+    fn frames_that_are_damaged_are_errors_or_other_bytes() {
+        let mut plain = vec![0; expected().len()];
+        for name in ["lz4_8192.bin", "zlib_0.bin", "copied.bin"] {
+            let frame = frame(name);
+            for length in 0..frame.len() {
+                assert!(decompress(&frame[..length], &mut plain).is_err(), "{name}: {length} bytes");
+            }
+            for at in 0..frame.len().min(400) {
+                let mut flipped = frame.clone();
+                flipped[at] ^= 1 << (at % 8);
+                let _ = decompress(&flipped, &mut plain);
+            }
+        }
+    }
+}

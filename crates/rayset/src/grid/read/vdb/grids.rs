@@ -80,16 +80,17 @@ fn entry(stream: &mut Stream) -> Result<(Entry, u64), Wrong> {
     Ok((entry, u64::try_from(end).unwrap_or(0)))
 }
 
-/// Reads named values, and hands on the texts among them.
+/// Reads named values, and hands on the texts among them, except very long ones.
 pub(super) fn metadata(stream: &mut Stream, mut text: impl FnMut(&str, &str)) -> Result<(), Wrong> {
     let count = stream.u32()?;
     for _ in 0..count {
         let name = stream.text(MOST_NAME_BYTES)?;
-        if stream.text(MOST_NAME_BYTES)? == "string" {
-            text(&name, &stream.text(u64::from(u32::MAX))?);
+        let kind = stream.text(MOST_NAME_BYTES)?;
+        let bytes = u64::from(stream.u32()?);
+        if kind == "string" && bytes <= MOST_NAME_BYTES {
+            text(&name, &stream.letters(bytes)?);
         } else {
-            let bytes = stream.u32()?;
-            stream.skip(u64::from(bytes))?;
+            stream.skip(bytes)?;
         }
     }
     Ok(())

@@ -128,6 +128,12 @@ impl Stream {
                 what: format!("a name of {length} bytes; at most {most} were expected"),
             });
         }
+        self.letters(length)
+    }
+
+    /// A text of this many bytes.
+    pub(super) fn letters(&mut self, length: u64) -> Result<String, Wrong> {
+        self.require(length)?;
         let mut bytes = vec![0; length as usize];
         self.fill(&mut bytes)?;
         Ok(String::from_utf8_lossy(&bytes).into_owned())
