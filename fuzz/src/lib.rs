@@ -20,7 +20,10 @@ use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
-pub const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+pub const POINTS: [&str; 12] = [
+    "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "p.e57", "p.pcd", "p.ptx",
+    "p.csv.gz",
+];
 /// See [`POINTS`].
 pub const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
 

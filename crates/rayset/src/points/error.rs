@@ -67,7 +67,7 @@ pub enum ReadError {
     },
     /// The extension is not that of a format that can be read.
     #[error(
-        "{}: unknown kind of file; expected .ply, .las, .laz, .xyz, .txt, .csv, .asc or .pts", path.display()
+        "{}: unknown kind of file; expected .ply, .las, .laz, .e57, .pcd, .ptx, .xyz, .txt, .csv, .asc or .pts", path.display()
     )]
     UnknownFormat {
         /// The file.

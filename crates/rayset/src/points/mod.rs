@@ -6,18 +6,27 @@
 
 mod array;
 mod column;
+#[cfg(feature = "e57")]
+mod e57;
 mod error;
 mod formats;
 #[cfg(feature = "las")]
 mod las;
+mod lines;
 mod mesh;
+mod packed;
+mod pcd;
 mod ply;
 mod ply_body;
 mod ply_header;
 mod ply_write;
+mod ptx;
+mod quiet;
 mod roles;
 mod slices;
 mod source;
+mod stream;
+mod stretch;
 mod synthetic;
 mod text;
 

@@ -12,10 +12,14 @@ use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene_file::SceneFile;
 
 use crate::common::{build_at, folder, mixed_points};
+use crate::fixtures;
 use crate::las_writer::{Chunks, LasFile};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 8] = ["p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply"];
+const POINTS: [&str; 12] = [
+    "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "p.e57", "p.pcd", "p.ptx",
+    "p.csv.gz",
+];
 const VOLUMES: [&str; 6] = ["v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd"];
 
 fn ply(format: &str) -> Vec<u8> {
@@ -93,6 +97,18 @@ fn point_files() -> Vec<(&'static str, Vec<u8>)> {
         files.push(("p.las", file.las()));
         files.push(("p.laz", file.laz(Chunks::Fixed(16))));
     }
+    for name in ["one_scan.e57", "two_scans.e57"] {
+        files.push(("p.e57", fixtures::bytes(name)));
+    }
+    for name in
+        ["ascii_uint32.pcd", "binary_uint32.pcd", "binary_compressed_uint32.pcd", "binary_uint32.pcd.zst"]
+    {
+        files.push(("p.pcd", fixtures::bytes(name)));
+    }
+    for name in ["scans.ptx", "scans.ptx.zst"] {
+        files.push(("p.ptx", fixtures::bytes(name)));
+    }
+    files.push(("p.csv.gz", gzipped(b"x,y,z,class\n1,2,3,4\n5,6,7,8\n")));
     let file = LasFile::random(3, 60, 0, 3);
     for chunks in [Chunks::Variable(&[7, 20]), Chunks::NoTable(25), Chunks::Streamed(25), Chunks::One] {
         files.push(("p.laz", file.laz(chunks)));

@@ -3,7 +3,7 @@
 use laz::{LazItem, LazVlr};
 
 use super::header::Header;
-use super::quiet;
+use crate::points::quiet;
 
 /// Size in bytes of the record before its items, and of an item.
 const FIXED_BYTES: usize = 34;

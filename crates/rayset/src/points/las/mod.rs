@@ -19,9 +19,7 @@ mod gps_time;
 mod header;
 mod method;
 mod point14;
-mod quiet;
 mod records;
-mod stretch;
 mod trouble;
 mod words;
 
@@ -37,9 +35,9 @@ use self::fields::Field;
 use self::header::Header;
 use self::method::Method;
 use self::records::Records;
-use self::stretch::Stretch;
 use self::trouble::Trouble;
-use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use super::stretch::Stretch;
+use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, quiet};
 
 /// Bytes of records that are decoded at a time; a longer record is decoded on its own.
 const BLOCK_BYTES: usize = 128 << 10;

@@ -1,8 +1,8 @@
 //! Detects the layout of a text file: what precedes its points, and how its rows are read.
 
-use super::lines::Lines;
 use super::number::DecimalMark;
 use super::rows::{Separator, Splitter};
+use crate::points::lines::Lines;
 use crate::points::{ReadError, roles};
 
 /// How the rows of a file are read, determined from its header and its first row.

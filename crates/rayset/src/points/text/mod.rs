@@ -20,16 +20,15 @@
 //! and must be correct. After them, another count and its points may follow, and so on: all belong to the same cloud.
 
 mod layout;
-mod lines;
 mod number;
 mod rows;
 
 use std::path::Path;
 
 use self::layout::Layout;
-use self::lines::Lines;
 use self::number::{DecimalMark, NotANumber};
 use self::rows::{Progress, Separator, Splitter};
+use super::lines::Lines;
 use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, roles};
 
 /// The points of a text file.
@@ -69,7 +68,7 @@ impl TextSource {
     /// # Errors
     /// [`ReadError`] if the file cannot be read, contains no data, or its columns do not include x, y and z.
     pub fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
-        let mut lines = Lines::open(path.to_owned())?;
+        let mut lines = Lines::open(path)?;
         let layout = Layout::find(&mut lines, names)?;
         let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
         let mut places = Vec::new();
@@ -206,8 +205,7 @@ impl PointSource for TextSource {
     }
 
     fn memory_needed(&self) -> u64 {
-        // The read buffer.
-        256 << 10
+        self.lines.memory_needed()
     }
 
     fn select(&mut self, columns: &[usize]) {

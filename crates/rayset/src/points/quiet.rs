@@ -1,8 +1,8 @@
-//! Converts panics of the decompressor to values, without output on standard error.
+//! Converts panics of a library that reads files to values, without output on standard error.
 //!
-//! The decompressor trusts its input: damaged bytes make it index beyond tables, divide by zero or overflow. These panics
-//! are caught. Because a panic is reported before it is caught, a panic hook that suppresses their reports is installed in
-//! front of the program's own hook, once per process and only when a compressed file is read. It checks a thread-local flag,
+//! The decompressor of LAZ trusts its input: damaged bytes make it index beyond tables, divide by zero or overflow. These
+//! panics are caught. Because a panic is reported before it is caught, a panic hook that suppresses their reports is installed in
+//! front of the program's own hook, once per process and only when such a file is read. It checks a thread-local flag,
 //! so that every other panic is still reported.
 
 use std::cell::Cell;
