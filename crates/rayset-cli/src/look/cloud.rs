@@ -44,6 +44,8 @@ pub(super) struct CloudLook {
     paint: Paint,
     pub(super) orientation: Orientation,
     statistics: Statistics,
+    /// Whether points have weights of their own.
+    has_weights: bool,
     /// Stops by which dark colours are made brighter.
     exposure: f64,
     /// What made it so.
@@ -76,7 +78,8 @@ impl CloudLook {
         let dark = brightest.filter(|&b| b < DARK && paint == Paint::Points);
         // In linear light, roughly the square of displayed values.
         let exposure = dark.map_or(0.0, |b| (2.2 * (0.85 / b).log2()).clamp(0.0, 4.0));
-        Ok(Self { name, paint, orientation, statistics, exposure, reason })
+        let has_weights = header.weight.is_stored();
+        Ok(Self { name, paint, orientation, statistics, has_weights, exposure, reason })
     }
 
     /// The points that the camera frames, each with its radius.
@@ -90,11 +93,16 @@ impl CloudLook {
         root["transferFunction"] = match self.name {
             LookName::Gas => self.gas(),
             LookName::Density => json!({"opacity": "clamp", "color": self.color_value()}),
-            LookName::Splats => json!({"opacity": "clamp", "color": self.color_value()}),
+            LookName::Splats => json!({"opacity": {"extinction": 1}, "color": self.color_value()}),
             _ => self.painted(cloud.header()),
         };
-        if self.name == LookName::Gas {
+        // Weights of simulations are densities already; without them, the number of points in a volume counts.
+        if self.name == LookName::Gas && !self.has_weights {
             root["normalised"] = json!(true);
+        }
+        if self.name == LookName::Splats {
+            // What a splat's weight is made for: a Gaussian cut off at three deviations, as extinction.
+            root["kernel"] = json!("gaussian");
         }
         root
     }
@@ -128,11 +136,18 @@ impl CloudLook {
         /// Points of the curves, evenly spaced in the logarithm.
         const KNOTS: usize = 64;
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
-        let per_volume = NEIGHBOURS / (4.0 / 3.0 * std::f64::consts::PI);
+        // Of the points within reach, each counts by its kernel, whose mean over its ball is about a fifth.
+        let density_of = |(weight, radius): (&f64, &f64)| {
+            if self.has_weights {
+                0.2 * NEIGHBOURS * weight
+            } else {
+                NEIGHBOURS / (4.0 / 3.0 * std::f64::consts::PI) * weight / radius.powi(3)
+            }
+        };
         let mut densities: Vec<f64> = weights
             .iter()
             .zip(&radii)
-            .map(|(weight, radius)| per_volume * weight / radius.powi(3))
+            .map(density_of)
             .filter(|density| density.is_finite() && *density > 0.0)
             .collect();
         densities.sort_by(f64::total_cmp);

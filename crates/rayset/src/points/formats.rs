@@ -5,20 +5,26 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+#[cfg(feature = "e57")]
+use super::e57::E57Source;
 use super::gadget::{self, GadgetSource};
 #[cfg(feature = "las")]
 use super::las::LasSource;
 use super::mesh::{MeshFormat, MeshSource, ObjSource};
 use super::npy::{self, NpySource};
+use super::packed::Packing;
+use super::pcd::{self, PcdSource};
 use super::ply::PlySource;
 use super::ply_body::Body;
 use super::ply_header::Property;
+use super::ptx::{self, PtxSource};
 #[cfg(feature = "hdf5")]
 use super::snapshot::SnapshotSource;
 use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
+use super::stream::Stream;
 use super::text::TextSource;
 use super::vtk::{self, VtkSource};
-use super::{PointSource, ReadError, refusals};
+use super::{Place, PointSource, ReadError, refusals};
 use crate::setters::setters;
 
 /// Information for a reader that some formats do not contain.
@@ -108,7 +114,18 @@ const FORMATS: &[Format] = &[
         begins: vtk::begins,
         open: |path, _| Ok(Box::new(VtkSource::open(path)?)),
     },
+    Format { extensions: &["e57"], begins: |head| head.starts_with(b"ASTM-E57"), open: open_e57 },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
+    Format {
+        extensions: &["pcd"],
+        begins: pcd::begins,
+        open: |path, _| Ok(Box::new(PcdSource::open(path)?)),
+    },
+    Format {
+        extensions: &["ptx"],
+        begins: ptx::begins,
+        open: |path, _| Ok(Box::new(PtxSource::open(path)?)),
+    },
     Format {
         extensions: &["xyz", "txt", "csv", "asc", "pts"],
         // Any text may be a table; others may be, too.
@@ -162,6 +179,9 @@ fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
     Err(ReadError::NotCompiled { path: path.to_owned(), feature: "hdf5" })
 }
 
+/// Formats that are looked for within gzip and zstd, by their first extensions: those that are read from start to end.
+const LOOKED_THROUGH: &[&str] = &["ply", "pcd", "ptx", "xyz"];
+
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {
     Ok(Box::new(LasSource::open(path)?))
@@ -172,23 +192,61 @@ fn open_las(path: &Path, _: &ReadOptions) -> Opened {
     Err(ReadError::NotCompiled { path: path.to_owned(), feature: "las" })
 }
 
-/// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name.
+#[cfg(feature = "e57")]
+fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
+    Ok(Box::new(E57Source::open(path)?))
+}
+
+#[cfg(not(feature = "e57"))]
+fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "e57" })
+}
+
+/// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name. Text,
+/// PLY, PCD and PTX may be compressed with gzip or zstd.
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be opened, its header is malformed, or its format is unknown.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
     let head = head(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let named = |format: &&Format| format.extensions.iter().any(|e| name.ends_with(&format!(".{e}")));
-    let format = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(|| FORMATS.iter().find(named));
-    match format {
-        Some(format) => (format.open)(path, options),
-        None => {
-            let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
-            let advice = refusals::advice(path, &head, &known.join(", "));
-            Err(ReadError::UnknownFormat { path: path.to_owned(), advice })
-        }
+    let begins = |head: &[u8]| FORMATS.iter().find(|format| (format.begins)(head));
+    let named = |name: &str| {
+        let ends = |extension: &&str| name.ends_with(&format!(".{extension}"));
+        FORMATS.iter().find(|format| format.extensions.iter().any(ends))
+    };
+    let unknown = || {
+        let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+        let advice = refusals::advice(path, &head, &known.join(", "));
+        ReadError::UnknownFormat { path: path.to_owned(), advice }
+    };
+    let Some(packing) = Packing::of(&head) else {
+        let format = begins(&head).or_else(|| named(&name)).ok_or_else(unknown)?;
+        return (format.open)(path, options);
+    };
+    // A format of which compression is a part has files that begin so, or a name of its own.
+    let content = unpacked_head(path)?;
+    let inner = name.strip_suffix(packing.ending()).unwrap_or(&name);
+    let within = begins(&content).or_else(|| named(inner).filter(|_| inner.len() < name.len()));
+    let format = begins(&head).or(within).or_else(|| named(&name)).ok_or_else(unknown)?;
+    let is_within = within.is_some_and(|within| std::ptr::eq(within, format));
+    if is_within && !LOOKED_THROUGH.contains(&format.extensions[0]) {
+        let what = format!(
+            "this is {} around a {} file, which is not read from start to end; decompress it first",
+            packing.name(),
+            format.extensions[0].to_uppercase()
+        );
+        return Err(ReadError::malformed(path, Place::Byte(0), what));
     }
+    (format.open)(path, options)
+}
+
+/// The first bytes of what a compressed file holds.
+fn unpacked_head(path: &Path) -> Result<Vec<u8>, ReadError> {
+    let mut head = Vec::new();
+    let read = Stream::open(path)?.take(HEAD_BYTES).read_to_end(&mut head);
+    read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    Ok(head)
 }
 
 /// The first bytes of a file. Empty if it is a pipe or a device, whose bytes can be read only once.

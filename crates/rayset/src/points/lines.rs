@@ -1,9 +1,9 @@
 //! Reads and counts the lines of a text file, in bounded memory.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::io::{BufRead, Read};
+use std::path::Path;
 
+use super::stream::Stream;
 use super::{Place, ReadError};
 
 /// Longest record in bytes, so that a file without line ends or with an unclosed quote needs bounded memory.
@@ -11,8 +11,7 @@ pub(super) const RECORD_LIMIT: usize = 1 << 16;
 
 #[derive(Debug)]
 pub(super) struct Lines {
-    path: PathBuf,
-    input: BufReader<File>,
+    input: Stream,
     /// Number of the line read last, starting at 1.
     number: u64,
 }
@@ -20,16 +19,19 @@ pub(super) struct Lines {
 impl Lines {
     /// The file.
     pub(super) fn path(&self) -> &Path {
-        &self.path
+        self.input.path()
+    }
+
+    /// Upper bound on the memory in bytes that reading needs.
+    pub(super) fn memory_needed(&self) -> u64 {
+        self.input.memory_needed()
     }
 
     /// Opens a file, and skips a byte-order mark.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let path = path.to_owned();
-        let file = File::open(&path).map_err(|source| ReadError::Io { path: path.clone(), source })?;
-        let mut lines = Self { path, input: BufReader::with_capacity(256 << 10, file), number: 0 };
-        let start =
-            lines.input.fill_buf().map_err(|source| ReadError::Io { path: lines.path.clone(), source })?;
+        let mut lines = Self::after(Stream::open(path)?, 0);
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        let start = lines.input.fill_buf().map_err(io)?;
         if start.starts_with(b"\xef\xbb\xbf") {
             lines.input.consume(3);
         } else if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {
@@ -39,6 +41,11 @@ impl Lines {
         Ok(lines)
     }
 
+    /// The lines after the first `number`, which have been read.
+    pub(super) fn after(input: Stream, number: u64) -> Self {
+        Self { input, number }
+    }
+
     /// Appends the next line to `record` without its line end. Returns false at the end of the file.
     pub(super) fn append(&mut self, record: &mut Vec<u8>) -> Result<bool, ReadError> {
         // Room for `\r\n`, which does not count.
@@ -46,7 +53,7 @@ impl Lines {
         let read = (&mut self.input)
             .take(room as u64)
             .read_until(b'\n', record)
-            .map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+            .map_err(|source| ReadError::Io { path: self.input.path().to_owned(), source })?;
         if read == 0 {
             return Ok(false);
         }
@@ -65,6 +72,11 @@ impl Lines {
         Ok(true)
     }
 
+    /// Checks what follows in a compressed file, so that its checksum is found to be right.
+    pub(super) fn check_rest(&mut self) -> Result<(), ReadError> {
+        self.input.check_rest()
+    }
+
     pub(super) fn number(&self) -> u64 {
         self.number
     }
@@ -75,6 +87,6 @@ impl Lines {
     }
 
     pub(super) fn fail_at(&self, line: u64, what: impl Into<String>) -> ReadError {
-        ReadError::malformed(&self.path, Place::Line(line), what)
+        ReadError::malformed(self.input.path(), Place::Line(line), what)
     }
 }

@@ -6,6 +6,8 @@
 
 mod array;
 mod column;
+#[cfg(feature = "e57")]
+mod e57;
 mod error;
 mod formats;
 mod gadget;
@@ -14,13 +16,16 @@ mod las;
 mod lines;
 mod mesh;
 mod npy;
+mod packed;
 mod particles;
+mod pcd;
 mod plain;
 mod ply;
 mod ply_body;
 mod ply_header;
 mod ply_write;
-#[cfg(any(feature = "hdf5", feature = "las"))]
+mod ptx;
+#[cfg(any(feature = "e57", feature = "hdf5", feature = "las"))]
 mod quiet;
 mod refusals;
 mod roles;
@@ -30,6 +35,8 @@ mod slices;
 mod snapshot;
 mod source;
 mod splats;
+mod stream;
+mod stretch;
 mod synthetic;
 mod text;
 mod vtk;

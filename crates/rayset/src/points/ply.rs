@@ -158,8 +158,7 @@ impl PointSource for PlySource {
     }
 
     fn memory_needed(&self) -> u64 {
-        // The read buffer.
-        256 << 10
+        self.body.memory_needed()
     }
 
     fn select(&mut self, columns: &[usize]) {
@@ -173,6 +172,9 @@ impl PointSource for PlySource {
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
         batch.reset(&self.schema, &self.selected);
         let count = (self.vertex.count - self.next).min(limit as u64) as usize;
+        if self.next == self.vertex.count {
+            return self.body.check_rest();
+        }
         match (self.body.encoding(), self.vertex.stride()) {
             (Encoding::LittleEndian | Encoding::BigEndian, Some(stride)) => {
                 self.fill_fixed(batch, count, stride)

@@ -1,12 +1,13 @@
 //! The records of a PLY file after its header, in ASCII and both binary byte orders.
 
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::io::{self, BufRead, Read};
+use std::path::Path;
 
 use super::ply_header::{Element, Encoding, Header, Property, Scalar};
+use super::stream::Stream;
 use super::{Place, ReadError, roles};
 
+/// Most bytes of records that are read at a time, unless a record is longer.
 pub(super) const BUFFER_BYTES: usize = 256 << 10;
 /// Longest line of an ASCII file in bytes, so that a file without line ends needs bounded memory.
 const LINE_LIMIT: usize = 1 << 20;
@@ -23,8 +24,7 @@ pub(super) enum Part {
 
 #[derive(Debug)]
 pub(super) struct Body {
-    path: PathBuf,
-    input: BufReader<File>,
+    input: Stream,
     encoding: Encoding,
     /// Bytes read, in binary files.
     byte: u64,
@@ -36,16 +36,25 @@ pub(super) struct Body {
 impl Body {
     /// The file.
     pub(super) fn path(&self) -> &Path {
-        &self.path
+        self.input.path()
+    }
+
+    /// Upper bound on the memory in bytes that reading needs.
+    pub(super) fn memory_needed(&self) -> u64 {
+        self.input.memory_needed()
+    }
+
+    /// Checks what follows the records in a compressed file, so that its checksum is found to be right.
+    pub(super) fn check_rest(&mut self) -> Result<(), ReadError> {
+        self.input.check_rest()
     }
 
     /// Opens a file and reads its header.
     pub(super) fn open(path: &Path) -> Result<(Header, Self), ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut input = BufReader::with_capacity(BUFFER_BYTES, File::open(path).map_err(io)?);
+        let mut input = Stream::open(path)?;
         let header = Header::read(path, &mut input)?;
         let (byte, line, encoding) = (header.bytes, header.lines, header.encoding);
-        Ok((header, Self { path: path.to_owned(), input, encoding, byte, line, record: Vec::new() }))
+        Ok((header, Self { input, encoding, byte, line, record: Vec::new() }))
     }
 
     pub(super) fn encoding(&self) -> Encoding {
@@ -55,11 +64,11 @@ impl Body {
     /// An error at `byte` of a binary file, or on the line of an ASCII file that was read last.
     fn fail(&self, byte: u64, what: impl Into<String>) -> ReadError {
         let place = if self.encoding == Encoding::Ascii { Place::Line(self.line) } else { Place::Byte(byte) };
-        ReadError::malformed(&self.path, place, what)
+        ReadError::malformed(self.input.path(), place, what)
     }
 
     fn io(&self) -> impl Fn(io::Error) -> ReadError + use<> {
-        let path = self.path.clone();
+        let path = self.input.path().to_owned();
         move |source| ReadError::Io { path: path.clone(), source }
     }
 
@@ -197,7 +206,7 @@ impl Body {
         loop {
             self.record.clear();
             let read = (&mut self.input).take(LINE_LIMIT as u64).read_until(b'\n', &mut self.record);
-            let read = read.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+            let read = read.map_err(self.io())?;
             if read == 0 {
                 return Err(self.ends_early(element, index));
             }

@@ -12,13 +12,15 @@ use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene_file::SceneFile;
 
 use crate::common::{build_at, folder, mixed_points};
+use crate::fixtures;
 use crate::las_writer::{Chunks, LasFile};
-use crate::volume_fixtures::{fixtures, unzipped};
+use crate::volume_fixtures::{fixtures as volume_fixtures, unzipped};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 20] = [
+const POINTS: [&str; 24] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
-    "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu",
+    "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu", "p.e57",
+    "p.pcd", "p.ptx", "p.csv.gz",
 ];
 const VOLUMES: [&str; 12] = [
     "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
@@ -100,6 +102,18 @@ fn point_files() -> Vec<(&'static str, Vec<u8>)> {
         files.push(("p.las", file.las()));
         files.push(("p.laz", file.laz(Chunks::Fixed(16))));
     }
+    for name in ["one_scan.e57", "two_scans.e57"] {
+        files.push(("p.e57", fixtures::bytes(name)));
+    }
+    for name in
+        ["ascii_uint32.pcd", "binary_uint32.pcd", "binary_compressed_uint32.pcd", "binary_uint32.pcd.zst"]
+    {
+        files.push(("p.pcd", fixtures::bytes(name)));
+    }
+    for name in ["scans.ptx", "scans.ptx.zst"] {
+        files.push(("p.ptx", fixtures::bytes(name)));
+    }
+    files.push(("p.csv.gz", gzipped(b"x,y,z,class\n1,2,3,4\n5,6,7,8\n")));
     let file = LasFile::random(3, 60, 0, 3);
     for chunks in [Chunks::Variable(&[7, 20]), Chunks::NoTable(25), Chunks::Streamed(25), Chunks::One] {
         files.push(("p.laz", file.laz(chunks)));
@@ -188,7 +202,7 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
         )
     };
     let shorts: Vec<u8> = (0..60_i16).flat_map(i16::to_le_bytes).collect();
-    let fixture = |name: &str| std::fs::read(fixtures("volumes").join(name)).expect("a fixture");
+    let fixture = |name: &str| std::fs::read(volume_fixtures("volumes").join(name)).expect("a fixture");
     let inline = base64(&[words(&[shorts.len() as u64], 4), shorts].concat());
     let ascii: Vec<String> = (0..60).map(|i| i.to_string()).collect();
     vec![

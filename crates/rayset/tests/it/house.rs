@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 24] = [
+const ORDER: [&str; 25] = [
     "parse",
     "setters",
     "sync",

@@ -9,8 +9,8 @@ use laz::decompressors::{IntegerDecompressor, IntegerDecompressorBuilder};
 
 use super::header::Header;
 use super::method::{Chunking, Method};
-use super::stretch::{Input, Stretch};
 use super::trouble::Trouble;
+use crate::points::stretch::{Input, Stretch};
 
 /// Size in bytes of the head of the table: version and number of entries.
 const HEAD_BYTES: u64 = 8;

@@ -16,8 +16,8 @@ use super::gps_time::GpsTimes;
 use super::header::Header;
 use super::method::{Chunking, Method};
 use super::point14::Point14;
-use super::stretch::{BUFFER_BYTES, Input, Stretch};
 use super::trouble::Trouble;
+use crate::points::stretch::{BUFFER_BYTES, Input, Stretch};
 
 /// Memory in bytes of the models of a point without extra bytes: 2.7 MB were measured for points that are compressed one by
 /// one (format 5), and 3.4 MB for layers (format 10, all four scanner channels).

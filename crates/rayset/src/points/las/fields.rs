@@ -154,6 +154,9 @@ fn of_format(format: u8) -> Vec<Field> {
         let time = Field::plain("gps_time", Layers::GPS_TIME, F64, at);
         fields.push(Field { info: time.info.clone().with_unit("s"), ..time });
     }
+    let (scan, layer) = if is_extended { (15, Layers::FLAGS) } else { (14, 0) };
+    fields.push(Field::bits("scan_direction_flag", layer, scan, 6, 1));
+    fields.push(Field::bits("edge_of_flight_line", layer, scan, 7, 1));
     fields
 }
 

@@ -3,7 +3,7 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::stretch::Stretch;
+use crate::points::stretch::Stretch;
 use crate::points::{Place, ReadError};
 
 /// Size in bytes of the header of LAS 1.4; LAS 1.5 adds times that do not affect the layout of the points.

@@ -20,7 +20,6 @@ mod header;
 mod method;
 mod point14;
 mod records;
-mod stretch;
 mod trouble;
 mod words;
 
@@ -36,8 +35,8 @@ use self::fields::Field;
 use self::header::Header;
 use self::method::Method;
 use self::records::Records;
-use self::stretch::Stretch;
 use self::trouble::Trouble;
+use super::stretch::Stretch;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, quiet};
 
 /// Bytes of records that are decoded at a time; a longer record is decoded on its own.

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::header::Header;
-use super::stretch::Stretch;
+use crate::points::stretch::Stretch;
 use crate::points::{Place, ReadError};
 
 /// Longest record that is read, in bytes. Ordinary records cannot be longer.

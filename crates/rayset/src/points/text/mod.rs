@@ -205,8 +205,7 @@ impl PointSource for TextSource {
     }
 
     fn memory_needed(&self) -> u64 {
-        // The read buffer.
-        256 << 10
+        self.lines.memory_needed()
     }
 
     fn select(&mut self, columns: &[usize]) {

@@ -1,0 +1,283 @@
+//! PTX (Leica Cyclone): scans as text, each a grid of points with the pose of the instrument.
+//!
+//! A scan begins with its numbers of columns and of rows, the place of the instrument and its three axes, and a matrix of
+//! four by four, all on lines of their own; a line for each point of the grid follows, with x, y, z, intensity and perhaps
+//! red, green and blue. The matrix is applied to points as rows, so its last row is the translation. The place and the axes
+//! say the same once more, and are not used. Points at 0 0 0 are directions in which nothing was found: they are delivered as
+//! NaN, so that they are counted as invalid.
+//!
+//! The column `scan` has the numbers of the scans, from 0. A scan without colours among others that have them is black.
+
+use std::path::Path;
+
+use super::lines::Lines;
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, roles};
+
+/// Numbers on each of the lines that a scan begins with.
+const HEADER: [usize; 10] = [1, 1, 3, 3, 3, 3, 4, 4, 4, 4];
+/// Line of the header on which the matrix begins.
+const MATRIX: usize = 6;
+/// Numbers of a point without colours, and with.
+const PLAIN: usize = 4;
+const COLORED: usize = 7;
+
+/// Whether a file that begins with these bytes is PTX: its first lines have as many numbers as a header has.
+pub(super) fn begins(head: &[u8]) -> bool {
+    let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
+    let mut lines = head.split(|&byte| byte == b'\n').filter(|line| !line.trim_ascii().is_empty());
+    HEADER.iter().enumerate().all(|(i, &wanted)| {
+        let words = lines.next().and_then(|line| std::str::from_utf8(line).ok()).unwrap_or_default();
+        let mut count = 0;
+        let are_numbers = words.split_ascii_whitespace().all(|word| {
+            count += 1;
+            if i < 2 { word.parse::<u32>().is_ok() } else { word.parse::<f64>().is_ok() }
+        });
+        are_numbers && count == wanted
+    })
+}
+
+/// The points of a PTX file.
+pub(super) struct PtxSource {
+    lines: Lines,
+    line: Vec<u8>,
+    schema: Schema,
+    selected: Vec<usize>,
+    has_color: bool,
+    /// The first point was read for its width, and is still to be used.
+    is_held: bool,
+    /// Number of the current scan, from 0; the line on which it begins, the number of its points, and how many are left.
+    scan: u16,
+    scan_line: u64,
+    points: u64,
+    left: u64,
+    /// Rows of the matrix.
+    pose: [[f64; 3]; 4],
+}
+
+impl PtxSource {
+    /// Opens a file, and reads up to its first point.
+    ///
+    /// # Errors
+    /// [`ReadError`] if the file cannot be read, or does not begin as a scan does.
+    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        let mut source = Self {
+            lines: Lines::open(path)?,
+            line: Vec::new(),
+            schema: Schema::new(Vec::new(), ColorDepth::Byte),
+            selected: Vec::new(),
+            has_color: false,
+            is_held: false,
+            scan: 0,
+            scan_line: 0,
+            points: 0,
+            left: 0,
+            pose: [[0.0; 3]; 4],
+        };
+        if !source.next_line()? {
+            return Err(source.lines.fail("the file is empty, where a number of columns was expected"));
+        }
+        source.read_header()?;
+        // Scans that found nothing have no points that say how wide they are.
+        while source.left == 0 && source.next_line()? {
+            source.next_scan()?;
+        }
+        if source.left > 0 {
+            if !source.next_line()? {
+                return Err(source.ends_early());
+            }
+            let width = source.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count();
+            (source.has_color, source.is_held) = (width == COLORED, true);
+        }
+        source.schema.columns.push(ColumnInfo::new("intensity", ColumnType::F32));
+        if source.has_color {
+            let color = |name: &str| ColumnInfo::new(name, ColumnType::U8);
+            source.schema.columns.extend(["red", "green", "blue"].map(color));
+        }
+        source.schema.columns.push(ColumnInfo::new("scan", ColumnType::U16).of_classes());
+        source.schema.description = "PTX".to_owned();
+        Ok(source)
+    }
+
+    /// Reads the next line that is not empty. Returns false at the end of the file.
+    fn next_line(&mut self) -> Result<bool, ReadError> {
+        loop {
+            self.line.clear();
+            if !self.lines.append(&mut self.line)? {
+                return Ok(false);
+            }
+            if !self.line.trim_ascii().is_empty() {
+                return Ok(true);
+            }
+        }
+    }
+
+    /// Begins the next scan, of which the current line is the first.
+    fn next_scan(&mut self) -> Result<(), ReadError> {
+        self.scan = self.scan.checked_add(1).ok_or_else(|| {
+            self.lines.fail("more than 65536 scans; write them to several files, which are one cloud, too")
+        })?;
+        self.read_header()
+    }
+
+    /// Reads a header, of which the current line is the first.
+    fn read_header(&mut self) -> Result<(), ReadError> {
+        self.scan_line = self.lines.number();
+        let columns = self.size("columns")?;
+        let mut rows = 0;
+        for (i, &wanted) in HEADER.iter().enumerate().skip(1) {
+            if !self.next_line()? {
+                let line = self.scan_line;
+                return Err(self
+                    .lines
+                    .fail(format!("the file ends within the header of a scan, on line {line}")));
+            }
+            if i == 1 {
+                rows = self.size("rows")?;
+                continue;
+            }
+            let mut numbers = [0.0; COLORED];
+            let found = self.numbers(&mut numbers)?;
+            if found != wanted {
+                let what = format!(
+                    "{found} numbers where {wanted} were expected, in line {} of the header of the scan on line {}",
+                    i + 1,
+                    self.scan_line
+                );
+                return Err(self.lines.fail(what));
+            }
+            if i >= MATRIX {
+                self.pose[i - MATRIX].copy_from_slice(&numbers[..3]);
+                let last = if i == HEADER.len() - 1 { 1.0 } else { 0.0 };
+                if !numbers[..4].iter().all(|v| v.is_finite()) || (numbers[3] - last).abs() > 1e-6 {
+                    let what = format!(
+                        "row {} of the matrix is no row of a rotation and a translation: its numbers must be finite, \
+                         and the last {last}",
+                        i - MATRIX + 1
+                    );
+                    return Err(self.lines.fail(what));
+                }
+            }
+        }
+        self.points = u64::from(columns) * u64::from(rows);
+        self.left = self.points;
+        Ok(())
+    }
+
+    /// The number of columns or rows on the current line.
+    fn size(&self, of: &str) -> Result<u32, ReadError> {
+        let text = String::from_utf8_lossy(&self.line);
+        text.trim().parse().map_err(|_| {
+            let found = roles::excerpt(&text);
+            let what = match self.points {
+                0 => format!("`{found}` where a number of {of} was expected, as PTX has before each scan"),
+                points => format!(
+                    "`{found}` where a number of {of} was expected: the scan on line {} has its {points} points",
+                    self.scan_line
+                ),
+            };
+            self.lines.fail(what)
+        })
+    }
+
+    /// Parses the current line into `numbers`, and returns how many there are.
+    fn numbers(&self, numbers: &mut [f64; COLORED]) -> Result<usize, ReadError> {
+        let text = std::str::from_utf8(&self.line)
+            .map_err(|_| self.lines.fail("not text; expected numbers separated by blanks"))?;
+        let mut count = 0;
+        for word in text.split_ascii_whitespace() {
+            let Some(number) = numbers.get_mut(count) else {
+                return Ok(count + 1);
+            };
+            *number = word.parse().map_err(|_| {
+                let found = roles::excerpt(word);
+                self.lines.fail(format!("`{found}` is not a number"))
+            })?;
+            count += 1;
+        }
+        Ok(count)
+    }
+
+    fn ends_early(&self) -> ReadError {
+        let (points, read) = (self.points, self.points - self.left);
+        let what = format!("the scan has {points} points, and {read} follow; the file is cut off or damaged");
+        self.lines.fail_at(self.scan_line, what)
+    }
+
+    /// Reads the point on the current line.
+    fn append(&mut self, batch: &mut PointBatch) -> Result<(), ReadError> {
+        let mut numbers = [0.0; COLORED];
+        let found = self.numbers(&mut numbers)?;
+        if found != PLAIN && !(found == COLORED && self.has_color) {
+            let expected = if self.has_color { "4 or 7" } else { "4" };
+            let what = match found {
+                COLORED => {
+                    "a point with a colour after points without; move the scans with colours to the front, or to a \
+                     file of their own"
+                        .to_owned()
+                }
+                _ => format!("{found} numbers where {expected} were expected: x y z intensity, and red green blue"),
+            };
+            return Err(self.lines.fail(what));
+        }
+        let [x, y, z, intensity, red, green, blue] = numbers;
+        let color = [red, green, blue];
+        if !color.iter().all(|v| (0.0..=255.0).contains(v) && v.fract() == 0.0) {
+            return Err(self
+                .lines
+                .fail(format!("a colour of {color:?}; expected whole numbers from 0 to 255")));
+        }
+        let m = &self.pose;
+        let place = |axis: usize| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis];
+        let is_nothing = [x, y, z] == [0.0; 3];
+        batch.position.push(if is_nothing { [f64::NAN; 3] } else { [0, 1, 2].map(place) });
+        for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
+            column.push(match index {
+                0 => intensity,
+                1..=3 if self.has_color => color[index - 1],
+                _ => self.scan.into(),
+            });
+        }
+        Ok(())
+    }
+}
+
+impl PointSource for PtxSource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        None
+    }
+
+    fn path(&self) -> Option<&Path> {
+        Some(self.lines.path())
+    }
+
+    fn memory_needed(&self) -> u64 {
+        self.lines.memory_needed()
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(&self.schema, &self.selected);
+        while batch.len() < limit {
+            if !std::mem::take(&mut self.is_held) && !self.next_line()? {
+                if self.left > 0 {
+                    return Err(self.ends_early());
+                }
+                break;
+            }
+            if self.left == 0 {
+                self.next_scan()?;
+            } else {
+                self.append(batch)?;
+                self.left -= 1;
+            }
+        }
+        Ok(())
+    }
+}

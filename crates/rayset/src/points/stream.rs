@@ -1,0 +1,104 @@
+//! A file as a stream of bytes, looked through gzip and zstd if it is compressed.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::ReadError;
+use super::packed::{Packing, Unpacked};
+
+/// Size of a read buffer in bytes.
+const BUFFER_BYTES: usize = 256 << 10;
+
+/// The bytes of a file in order.
+///
+/// What begins as gzip or zstd does is decompressed, whatever its name. Errors of the decompressor say whether the file is
+/// cut off or damaged, and near which byte.
+pub(super) struct Stream {
+    path: PathBuf,
+    input: Input,
+    packing: Option<Packing>,
+    memory: u64,
+}
+
+enum Input {
+    Plain(BufReader<File>),
+    Packed(Box<BufReader<Unpacked<BufReader<File>>>>),
+}
+
+impl Stream {
+    /// Opens a file, which may also be a pipe.
+    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        let mut file = BufReader::with_capacity(BUFFER_BYTES, File::open(path).map_err(io)?);
+        let packing = Packing::of(file.fill_buf().map_err(io)?);
+        let mut memory = BUFFER_BYTES as u64;
+        let input = match packing {
+            None => Input::Plain(file),
+            Some(packing) => {
+                let (unpacked, more) = Unpacked::new(file, packing).map_err(io)?;
+                memory = 2 * memory + more;
+                Input::Packed(Box::new(BufReader::with_capacity(BUFFER_BYTES, unpacked)))
+            }
+        };
+        Ok(Self { path: path.to_owned(), input, packing, memory })
+    }
+
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// How the file is compressed; `None` if it is not.
+    pub(super) fn packing(&self) -> Option<Packing> {
+        self.packing
+    }
+
+    /// Upper bound on the memory in bytes of buffers and decompressor.
+    pub(super) fn memory_needed(&self) -> u64 {
+        self.memory
+    }
+
+    /// Reads what is left of a compressed file, so that its checksum is found to be right; of others, nothing.
+    pub(super) fn check_rest(&mut self) -> Result<(), ReadError> {
+        if let Input::Packed(input) = &mut self.input {
+            let rest = io::copy(input, &mut io::sink());
+            rest.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+        }
+        Ok(())
+    }
+}
+
+impl Read for Stream {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match &mut self.input {
+            Input::Plain(input) => input.read(buffer),
+            Input::Packed(input) => input.read(buffer),
+        }
+    }
+}
+
+impl BufRead for Stream {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        match &mut self.input {
+            Input::Plain(input) => input.fill_buf(),
+            Input::Packed(input) => input.fill_buf(),
+        }
+    }
+
+    fn consume(&mut self, bytes: usize) {
+        match &mut self.input {
+            Input::Plain(input) => input.consume(bytes),
+            Input::Packed(input) => input.consume(bytes),
+        }
+    }
+}
+
+impl std::fmt::Debug for Stream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Stream")
+            .field("path", &self.path)
+            .field("packing", &self.packing)
+            .finish_non_exhaustive()
+    }
+}
