@@ -49,6 +49,7 @@ impl MeshSource {
                 _ => body.skip(element)?,
             }
         }
+        body.check_rest()?;
         let mut sum = 0.0;
         let area = triangles.iter().map(|triangle: &[u32; 3]| {
             let [a, b, c]: [DVec3; 3] = triangle.map(|corner| vertices[corner as usize]);
