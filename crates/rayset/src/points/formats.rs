@@ -181,6 +181,8 @@ fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
 
 /// Formats that are looked for within gzip and zstd, by their first extensions: those that are read from start to end.
 const LOOKED_THROUGH: &[&str] = &["ply", "pcd", "ptx", "xyz"];
+/// Formats, by their first extensions, of which compression is a part.
+const COMPRESSED: &[&str] = &["spz"];
 
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {
@@ -230,7 +232,8 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
     let within = begins(&content).or_else(|| named(inner).filter(|_| inner.len() < name.len()));
     let format = begins(&head).or(within).or_else(|| named(&name)).ok_or_else(unknown)?;
     let is_within = within.is_some_and(|within| std::ptr::eq(within, format));
-    if is_within && !LOOKED_THROUGH.contains(&format.extensions[0]) {
+    let reads = |formats: &[&str]| formats.contains(&format.extensions[0]);
+    if is_within && !reads(LOOKED_THROUGH) && !reads(COMPRESSED) {
         let what = format!(
             "this is {} around a {} file, which is not read from start to end; decompress it first",
             packing.name(),

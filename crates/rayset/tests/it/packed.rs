@@ -64,6 +64,10 @@ fn compressed_files_are_read_as_what_they_hold_whatever_they_are_called() {
     let mesh = folder.path().join("mesh.ply.gz");
     std::fs::write(&mesh, gzipped(&ply(5, 3))).expect("a write");
     assert_eq!(MeshSource::open(&mesh, 10).expect("a mesh").count_hint(), Some(10));
+    let packed = gzipped(&ply(5, 3));
+    std::fs::write(&mesh, &packed[..packed.len() - 3]).expect("a write");
+    let said = MeshSource::open(&mesh, 10).err().expect("refused").to_string();
+    assert!(said.contains("is cut off"), "{said}");
 }
 
 #[test]
@@ -103,8 +107,8 @@ fn a_damaged_compressed_file_is_a_sentence() {
         ("p.ptx", zstd_fixture("scans.ptx"), 2),
         ("p.pcd", zstd_fixture("binary_uint32.pcd"), 2),
     ] {
-        let refused = flips(name, &packed, |_| ());
-        assert!(refused + harmless >= packed.len(), "{name}: {refused} of {}", packed.len());
+        let (refused, flipped) = flips(name, &packed, |_| ());
+        assert!(refused + harmless >= flipped, "{name}: {refused} of {flipped}");
         let mut wrong = packed.clone();
         let last = wrong.len() - if name == "p.ply" { 6 } else { 1 };
         wrong[last] ^= 1;

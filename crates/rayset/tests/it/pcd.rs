@@ -86,8 +86,8 @@ fn a_pcd_file_that_is_cut_off_is_a_sentence_at_every_byte() {
 #[test]
 fn a_damaged_pcd_file_is_points_or_a_sentence() {
     for name in ENCODED {
-        let refused = flips("p.pcd", &bytes(name), |_| ());
-        assert!(refused > 150, "{name}: {refused}");
+        let (refused, flipped) = flips("p.pcd", &bytes(name), |_| ());
+        assert!(refused > 40 && refused < flipped, "{name}: {refused} of {flipped}");
     }
 }
 

@@ -54,7 +54,8 @@ fn a_ptx_file_that_is_cut_off_is_a_sentence() {
 
 #[test]
 fn a_damaged_ptx_file_is_points_or_a_sentence() {
-    assert!(flips("p.ptx", &bytes("scans.ptx"), |_| ()) > 500);
+    let (refused, flipped) = flips("p.ptx", &bytes("scans.ptx"), |_| ());
+    assert!(refused > 250 && refused < flipped, "{refused} of {flipped}");
 }
 
 #[test]
