@@ -72,22 +72,26 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     // Red, green and blue of a small picture.
     let picture = count(12, "width")?.saturating_mul(count(13, "height")?).saturating_mul(3);
     let start = picture.saturating_add(head.len() as u64);
+    let place = Place { path, start, bytes, rest: None };
     let voxels = match words[11] {
-        "0" => Place { path, start, bytes, rest: None }.plain()?,
-        "1" => {
-            let left = regular_file_bytes(path)?.saturating_sub(start);
-            if bytes / MOST_RATIO > left {
-                let what = format!(
-                    "the file ends before all voxels are there: {left} compressed bytes cannot hold {bytes}"
-                );
-                return Err(ReadError::Data { path: path.to_owned(), offset: 0, what });
-            }
-            let slices = Slices::new(data_at(path, start)?, size[0] * size[1], size[2]);
-            Voxels { path: path.to_owned(), data: Box::new(slices), rest: Some(0) }
-        }
+        "0" => place.plain()?,
+        "1" => encoded(&place, size)?,
         other => return Err(wrong(&format!("compression {other}; 0 (none) and 1 (run-length) are read"))),
     };
     Ok(VolumeSource::new(&described, bytes, voxels))
+}
+
+/// Opens slices that are run-length encoded.
+fn encoded(place: &Place<'_>, size: [u64; 3]) -> Result<Voxels, ReadError> {
+    let (path, bytes) = (place.path.to_owned(), place.bytes);
+    let left = regular_file_bytes(&path)?.saturating_sub(place.start);
+    if bytes / MOST_RATIO > left {
+        let what =
+            format!("the file ends before all voxels are there: {left} compressed bytes cannot hold {bytes}");
+        return Err(ReadError::Data { path, offset: 0, what });
+    }
+    let slices = Slices::new(data_at(&path, place.start)?, size[0] * size[1], size[2]);
+    Ok(Voxels { path, data: Box::new(slices), rest: Some(0) })
 }
 
 /// What the next bytes of a slice are.
