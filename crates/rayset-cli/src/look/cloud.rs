@@ -277,7 +277,9 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
     if fills_space(statistics) {
         return (LookName::Gas, "points that fill a volume".into());
     }
-    if let Some(column) = intensity_column(header) {
+    // Other files have columns of this name that are no measure of light.
+    let scanned = ["LAS", "E57", "PTX", "PTS", "PCD"].iter().any(|kind| said(kind));
+    if let Some(column) = intensity_column(header).filter(|_| scanned) {
         let (low, high) = range(&statistics.sorted(&column), 0.02);
         if high - low > 0.05 * high.abs().max(1e-12) && high > 0.0 {
             return (LookName::Intensity, "intensities".into());

@@ -195,11 +195,12 @@ impl<'a> Radii<'a> {
     }
 }
 
-/// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a surface of its extent, or 1.
+/// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a surface of its extent, so that
+/// neighbours touch but do not hide each other, or 1.
 fn fallback(ingested: &Ingested) -> f64 {
     let extent = ingested.bounds.size().max_element();
     let spacing = extent / (ingested.count as f64).sqrt().max(1.0);
-    let radius = if spacing > 0.0 && spacing.is_finite() { 2.5 * spacing } else { 1.0 };
+    let radius = if spacing > 0.0 && spacing.is_finite() { 0.75 * spacing } else { 1.0 };
     radius * ingested.auto_scale
 }
 

@@ -82,7 +82,6 @@ impl Named {
         let kinds = ["red", "green", "blue"].map(|name| schema.find(name).map(|column| columns[column].kind));
         schema.color_depth = match kinds {
             [Some(ColumnType::U8), Some(ColumnType::U8), Some(ColumnType::U8)] => ColorDepth::Byte,
-            [Some(ColumnType::U16), Some(ColumnType::U16), Some(ColumnType::U16)] => ColorDepth::Word,
             _ => ColorDepth::Guess,
         };
         schema.description = description;
