@@ -83,6 +83,17 @@ impl FieldSamples {
     }
 }
 
+impl FieldSamples {
+    /// Gives a sample the labels of a point whose contribution is `weighted`, if no other contributed as much.
+    pub(super) fn label(&mut self, lane: usize, sample: usize, weighted: f32, of: impl Fn(usize) -> f32) {
+        for (number, [rows, most]) in self.label.iter_mut().enumerate() {
+            if weighted > most[lane].0[sample] {
+                (rows[lane].0[sample], most[lane].0[sample]) = (of(number), weighted);
+            }
+        }
+    }
+}
+
 /// The operands of a splat.
 pub(super) struct SplatJob<'a> {
     pub(super) run: &'a DecodedRun,

@@ -52,11 +52,7 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
                 for (rows, column) in job.samples.attribute.iter_mut().zip(&run.attribute) {
                     rows[lane].0[at] += weighted * column[i];
                 }
-                for ([rows, most], column) in job.samples.label.iter_mut().zip(&run.label) {
-                    if weighted > most[lane].0[at] {
-                        (rows[lane].0[at], most[lane].0[at]) = (column[i], weighted);
-                    }
-                }
+                job.samples.label(lane, at, weighted, |label| run.label[label][i]);
                 if GRADIENT {
                     let slope = kernel.slope_over_x(s) * f64::from(run.weight[i]) * inverse;
                     for channel in 0..3 {

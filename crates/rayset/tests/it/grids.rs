@@ -280,7 +280,7 @@ fn the_same_voxels_come_out_of_every_format() {
         ),
         written(f, "l.vti", &[appended.as_bytes(), &length, &short]),
     ];
-    let mut files = Vec::new();
+    let mut identities = Vec::new();
     for path in &paths {
         let source = VolumeSource::open(path).unwrap_or_else(|e| panic!("{e}"));
         let built = path.with_extension("rset");
@@ -290,9 +290,10 @@ fn the_same_voxels_come_out_of_every_format() {
         assert_eq!((header.size, header.kind), (SIZE, VoxelKind::I16), "{}", path.display());
         let corner = header.space_from_voxel.transform_point3(header.last_voxel());
         assert_eq!(corner, DVec3::new(89.0, 110.0, 207.0), "{}", path.display());
-        files.push(std::fs::read(&built).expect("a read"));
+        // Of placement and voxels. Formats differ in what else they say, such as what is up.
+        identities.push(header.identity);
     }
-    assert!(files.iter().all(|file| *file == files[0]), "the formats differ");
+    assert!(identities.iter().all(|identity| *identity == identities[0]), "the formats differ");
     let grid = Grid::open(&paths[0].with_extension("rset")).expect("it opens");
     let loaded = grid.load().expect("it loads");
     for (at, v) in loaded.iter().enumerate() {

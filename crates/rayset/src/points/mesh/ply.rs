@@ -33,6 +33,7 @@ pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, Rea
             _ => body.skip(element)?,
         }
     }
+    body.check_rest()?;
     Ok(Description { text: header.description, depth, place: Place::Line(header.lines) })
 }
 
