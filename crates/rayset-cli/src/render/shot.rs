@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::image::DisplayTransform;
 use rayset::output::Destination;
@@ -107,6 +107,7 @@ fn scene_file(args: &RenderArgs, path: &Path) -> Result<SceneFile> {
 fn parsed(path: &Path, chosen: &Chosen) -> Result<(SceneFile, String)> {
     report::remark(&chosen.line);
     let text = serde_json::to_string_pretty(&chosen.scene)?;
-    let file = SceneFile::parse(path, &text).context("the scene chosen for this input is wrong")?;
+    // The place in a text that nobody has written means nothing.
+    let file = SceneFile::parse(path, &text).map_err(|error| anyhow!("{}", error.what))?;
     Ok((file, text))
 }

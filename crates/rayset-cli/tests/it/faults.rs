@@ -79,8 +79,10 @@ impl<'a> Trial<'a> {
             Some(0) => assert!(found == self.new, "{what}: a wrong output is taken for right"),
             Some(1) => {
                 assert!(found == OLD || found == self.new, "{what}: half an output");
-                let line = traced.said.trim_end();
-                assert!(line.starts_with("error: ") && line.lines().count() == 1, "{what}");
+                let lines = traced.said.trim_end().lines();
+                let lines: Vec<&str> = lines.skip_while(|line| line.starts_with("look: ")).collect();
+                assert!(lines.len() == 1 && lines[0].starts_with("error: "), "{what}");
+                let line = lines[0];
                 let cause = match disturbance {
                     Disturbance::Fail(Errno::ENOSPC) => "No space left",
                     Disturbance::Fail(_) => "Input/output error",

@@ -414,6 +414,7 @@ fn a_chunk_in_layers_that_is_larger_than_the_budget_is_an_error_that_names_the_m
         Command::new(env!("CARGO_BIN_EXE_rayset"))
             .current_dir(folder.path())
             .args(["build", "a.laz", "-o", "c.rset", "--radius", "1", "--threads", "1", "--json"])
+            .args(["--attributes", "none"])
             .args(["--memory", memory])
             .output()
             .expect("the program runs")

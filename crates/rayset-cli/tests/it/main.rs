@@ -11,6 +11,7 @@ mod interrupted;
 mod las_files;
 mod las_times;
 mod limits;
+mod looks;
 mod memory;
 mod outputs;
 mod pictures;

@@ -18,7 +18,10 @@ fn rayset(folder: &Path, arguments: &[&str]) -> serde_json::Value {
 }
 
 fn render(folder: &Path, arguments: &[&str]) -> serde_json::Value {
-    rayset(folder, &[&["render", "c.rset", "-o", "c.png", "--stats", "s.json"], arguments].concat());
+    rayset(
+        folder,
+        &[&["render", "c.rset", "--look", "density", "-o", "c.png", "--stats", "s.json"], arguments].concat(),
+    );
     let text = std::fs::read_to_string(folder.join("s.json")).expect("statistics are written");
     serde_json::from_str(&text).expect("statistics are JSON")
 }
