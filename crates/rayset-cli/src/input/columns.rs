@@ -46,7 +46,7 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
     let schema = first.schema();
     let is_own = |index: usize, column: &ColumnInfo| {
         let plays = |role: &&str| schema.find(role) == Some(index);
-        OWN.iter().any(|own| own.eq_ignore_ascii_case(&column.name)) || OWN.iter().any(|own| plays(own))
+        OWN.iter().any(|own| own.eq_ignore_ascii_case(&column.name)) || OWN.iter().any(plays)
     };
     let mut found: Vec<&ColumnInfo> = (schema.columns.iter().enumerate())
         .filter(|(index, column)| !is_own(*index, column))

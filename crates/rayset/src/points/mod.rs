@@ -25,7 +25,6 @@ mod ply_body;
 mod ply_header;
 mod ply_write;
 mod ptx;
-#[cfg(any(feature = "e57", feature = "hdf5", feature = "las"))]
 mod quiet;
 mod refusals;
 mod roles;
