@@ -204,7 +204,8 @@ impl CloudLook {
         }
     }
 
-    /// A sun from behind the eye's left shoulder that throws shadows, and light from everywhere.
+    /// A sun from behind the eye's left shoulder, without shadows, which would cost as much again, and light from
+    /// everywhere.
     fn lamps(&self) -> Value {
         let Orientation { up, facing, .. } = self.orientation;
         let right = facing.cross(up);
@@ -212,7 +213,7 @@ impl CloudLook {
         json!([
             {"type": "ambient", "intensity": 1.5},
             {"type": "headlight", "intensity": 0.3},
-            {"type": "directional", "direction": sun, "intensity": 0.6}
+            {"type": "directional", "direction": sun, "intensity": 0.6, "shadow": false}
         ])
     }
 

@@ -48,14 +48,15 @@ pub(crate) struct RenderArgs {
     pub(super) stats: Option<PathBuf>,
 }
 
-/// The options of a render with default values, for commands that render as part of their work.
+/// The options of a render with default values but a transparent background, for commands that render as part of their work.
 pub(crate) fn defaults(cloud: &Path, output: &Path) -> Result<RenderArgs> {
     #[derive(clap::Parser)]
     struct Wrapper {
         #[command(flatten)]
         args: RenderArgs,
     }
-    let words = [Path::new("render"), cloud, Path::new("--output"), output];
+    let [command, to, background, none] = ["render", "--output", "--background", "none"].map(Path::new);
+    let words = [command, cloud, to, output, background, none];
     Ok(<Wrapper as clap::Parser>::try_parse_from(words.map(Path::as_os_str))?.args)
 }
 
