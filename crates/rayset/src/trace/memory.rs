@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::node_samples::{NodeSamples, RequiredOutputs};
 use super::packet_tracer::tree_bytes;
 use super::program::PLACE_BYTES;
-use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES};
+use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, TILE_MAKER_BYTES};
 use super::transfer::ColorTable;
 use crate::field::{LANES, SampleRow};
 use crate::geometry::DAffine3;
@@ -26,10 +26,8 @@ const THREAD_BYTES: u64 = 640 << 10;
 const CLOUD_BYTES: u64 = 48 << 10;
 /// What look-ahead stores per page of the files, though it never has most of them in view at a time.
 const LOOKAHEAD_BYTES: u64 = 24;
-/// One part in this many of the pages' memory is lost to gaps between them.
+/// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for everything else.
 const ALLOCATOR_PART: u64 = 32;
-/// The same if pages and tiles of shadow tables, of different sizes, replace each other: more is lost.
-const MIXED_ALLOCATOR_PART: u64 = 14;
 /// What a march through the graph keeps for every place: its range of samples, its cloud's state, its shared block.
 const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<NodeSamples>>()) as u64;
 /// Bytes per column for the blocks of 16 rows of layers that are being written to an OpenEXR file: six blocks,
@@ -100,7 +98,8 @@ impl SceneNeeds {
             + tree
             + sums
             + marches * census.places * MARCH_BYTES
-            + (in_shadow * LANES * size_of::<SampleRow>()) as u64;
+            + (in_shadow * LANES * size_of::<SampleRow>()) as u64
+            + if shadow > 0 { TILE_MAKER_BYTES as u64 } else { 0 };
         let scene_bytes = census.given_bytes
             + passes * (census.places * PLACE_BYTES + census.table_bytes)
             + 4 * size_of_val(lights) as u64;
@@ -280,7 +279,7 @@ pub fn plan(
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
     let demand = Demand::of(&[needs], threads);
-    // Tiles are listed, 24 bytes each.
+    // Tiles are listed, 16 bytes each.
     let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
     let row = u64::from(width) * pixel + u64::from(width) / 2;
     let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
@@ -354,8 +353,6 @@ struct Demand {
     /// Bytes of the largest and of the smallest page, including tiles of shadow tables.
     largest: u64,
     smallest: u64,
-    /// One part in this many is lost to gaps between pages.
-    allocator_part: u64,
     /// Bytes of all pages of the files.
     file_bytes: u64,
 }
@@ -373,7 +370,6 @@ impl Demand {
         let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
         // Each thread works on one scene at a time.
         let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
-        let mixed = shadow_tiles > 0 && files().any(|(_, bytes)| bytes != tile);
         Self {
             threads,
             fixed: of_scenes
@@ -384,20 +380,19 @@ impl Demand {
             page,
             largest,
             smallest,
-            allocator_part: if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART },
             file_bytes: files().map(|(pages, bytes)| pages * bytes).sum(),
         }
     }
 
     /// The least memory that pages need.
     fn least_page_bytes(&self) -> u64 {
-        least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / MIXED_ALLOCATOR_PART)
+        least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / ALLOCATOR_PART)
     }
 
     /// Bytes of pages that fit in `room` bytes of memory, and how many of these shadow tables may take.
     fn divide(&self, room: u64) -> (u64, u64) {
-        // The allocator's overhead per page weighs most for small pages.
-        let each = self.smallest + OVERHEAD_BYTES + self.smallest / self.allocator_part;
+        // The overhead per page weighs most for small pages.
+        let each = self.smallest + OVERHEAD_BYTES + self.smallest / ALLOCATOR_PART;
         let page_bytes = (room / each * self.smallest).max(least_pages(self.threads) * self.largest);
         let shadow_bytes = page_bytes
             .saturating_sub(self.file_bytes)
