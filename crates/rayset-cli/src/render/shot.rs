@@ -29,6 +29,8 @@ pub(super) struct Shot {
     pub(super) loading_bytes: u64,
     /// The scene that was chosen for a cloud or grid.
     pub(super) chosen: Option<String>,
+    /// Number of points of a cloud; `None` of anything else.
+    pub(super) points: Option<u64>,
     /// Keeps what was built of the input.
     _input: Opened,
 }
@@ -67,6 +69,7 @@ impl Shot {
             files: file.files,
             loading_bytes: file.loading_bytes,
             chosen,
+            points: if let Input::Cloud(cloud) = &opened.input { Some(cloud.header().points) } else { None },
             _input: opened,
         })
     }

@@ -3,6 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
+use super::ambient_occlusion::apron;
 use super::node_samples::{NodeSamples, RequiredOutputs};
 use super::packet_tracer::tree_bytes;
 use super::program::PLACE_BYTES;
@@ -51,6 +52,7 @@ pub struct SceneNeeds {
     /// Number of tiles of shadow tables.
     shadow_tiles: u64,
     layers: bool,
+    ambient_occlusion: bool,
 }
 
 impl SceneNeeds {
@@ -104,7 +106,15 @@ impl SceneNeeds {
             + passes * (census.places * PLACE_BYTES + census.table_bytes)
             + 4 * size_of_val(lights) as u64;
         let shadow_tiles = DeepShadowMap::tiles_of(scene, settings.shadows);
-        Self { clouds, grids, scene_bytes, thread_bytes, shadow_tiles, layers: settings.layers }
+        Self {
+            clouds,
+            grids,
+            scene_bytes,
+            thread_bytes,
+            shadow_tiles,
+            layers: settings.records_layers(),
+            ambient_occlusion: settings.ambient_occlusion > 0.0,
+        }
     }
 
     /// Adds the memory that loading the scene took: little of it becomes available to pages, because what remains
@@ -284,7 +294,8 @@ pub fn plan(
     let row = u64::from(width) * pixel + u64::from(width) / 2;
     let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
     // The picture's rows also pass through the encoder.
-    let fixed = process_bytes + demand.fixed + 8 * row + encoder;
+    let kept_rows = if needs.ambient_occlusion { 2 * u64::from(apron(height)) + 1 } else { 0 };
+    let fixed = process_bytes + demand.fixed + (8 + kept_rows) * row + encoder;
     let least_page_bytes = demand.least_page_bytes();
     let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
@@ -325,10 +336,10 @@ fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -
     let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
     RequiredOutputs {
         color: true,
-        normal: lit || settings.layers,
+        normal: lit || settings.records_layers(),
         boundary: lit && (turns_rays || scene.lighting.throws_shadows() || cuts()),
         outside: false,
-        material: settings.layers || (lit && has(scene, |node| node.material.is_some())),
+        material: settings.records_layers() || (lit && has(scene, |node| node.material.is_some())),
         attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
     }
 }
