@@ -127,7 +127,8 @@ impl<'a> Search<'a> {
             let (bounds, reach) = (self.queries.boxes[stretch], self.reach[stretch]);
             candidates.clear();
             candidates.extend(
-                (0..others.boxes.len()).filter(|&other| square_between(&bounds, &others.boxes[other]) < reach),
+                (0..others.boxes.len())
+                    .filter(|&other| square_between(&bounds, &others.boxes[other]) < reach),
             );
             if !candidates.is_empty() {
                 self.visit(stretch, others, &candidates);
@@ -176,7 +177,9 @@ mod tests {
             .collect();
         points.extend([[0.5, 0.5, 0.02]; NEIGHBOUR + 1]);
         // Any order is allowed; this one makes boxes that are of some use.
-        points.sort_by(|a, b| ((a[0] * 20.0).floor(), a[1]).partial_cmp(&((b[0] * 20.0).floor(), b[1])).unwrap());
+        points.sort_by(|a, b| {
+            ((a[0] * 20.0).floor(), a[1]).partial_cmp(&((b[0] * 20.0).floor(), b[1])).unwrap()
+        });
         points
     }
 
