@@ -60,8 +60,11 @@ impl Stretches {
         }
         for square in squares {
             if square < nearest[NEIGHBOUR] {
-                let at = nearest.partition_point(|&d| d <= square);
-                nearest.copy_within(at..NEIGHBOUR, at + 1);
+                let mut at = NEIGHBOUR;
+                while at > 0 && nearest[at - 1] > square {
+                    nearest[at] = nearest[at - 1];
+                    at -= 1;
+                }
                 nearest[at] = square;
             }
         }
@@ -88,7 +91,10 @@ impl<'a> Search<'a> {
                 break;
             }
             let beside = stretch.saturating_sub(1)..(stretch + 2).min(queries.boxes.len());
-            beside.clone().for_each(|other| search.visit(stretch, queries, &[other]));
+            search.visit(stretch, queries, &[stretch]);
+            candidates.clear();
+            candidates.extend(beside.clone().filter(|&other| other != stretch));
+            search.visit(stretch, queries, &candidates);
             let (bounds, reach) = (queries.boxes[stretch], search.reach[stretch]);
             candidates.clear();
             candidates.extend((0..queries.boxes.len()).filter(|other| {

@@ -338,7 +338,8 @@ impl Measured {
     /// `None` if no radius is known.
     fn typical(&self) -> Option<Typical> {
         let [lower, median, upper] = [0.25, 0.5, 0.75].map(|part| self.quantile(part));
-        let limit = (upper * (upper / lower).powi(3)).max(LEAST_LIMIT * median);
+        let spread = upper / lower;
+        let limit = (upper * spread * spread.sqrt()).max(LEAST_LIMIT * median);
         (self.known > 0).then_some(Typical { radius: median as f32, limit: limit.min(LIMIT) as f32 })
     }
 }
@@ -348,8 +349,8 @@ const LEAST_LIMIT: f64 = 3.0;
 
 /// What radii are usual in a cloud.
 ///
-/// With quartiles Q₁ and Q₃ of the radii, those beyond Q₃ (Q₃/Q₁)³, and beyond three times the median, belong to stray points.
-/// In logarithms this is the customary fence of three times the interquartile range, so a scan whose spacing
+/// With quartiles Q₁ and Q₃ of the radii, those beyond Q₃ (Q₃/Q₁)^1.5, and beyond three times the median, belong to stray points.
+/// In logarithms this is the customary fence of 1.5 times the interquartile range, so a scan whose spacing
 /// varies widely has a wide limit.
 struct Typical {
     radius: f32,
