@@ -184,7 +184,7 @@ mod tests {
         points.extend([[0.5, 0.5, 0.02]; NEIGHBOUR + 1]);
         // Any order is allowed; this one makes boxes that are of some use.
         points.sort_by(|a, b| {
-            ((a[0] * 20.0).floor(), a[1]).partial_cmp(&((b[0] * 20.0).floor(), b[1])).unwrap()
+            ((a[0] * 20.0).floor(), a[1]).partial_cmp(&((b[0] * 20.0).floor(), b[1])).expect("numbers")
         });
         points
     }
