@@ -4,6 +4,7 @@
 #![allow(clippy::type_complexity, reason = "tables of cases are clearest written out")]
 
 mod ambient_occlusion;
+mod automatic_radii;
 mod bad_bytes;
 mod bounces;
 mod build_control;

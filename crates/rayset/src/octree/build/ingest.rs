@@ -118,10 +118,14 @@ pub(super) fn run(
     })
 }
 
+/// The definition of automatic radii, which `spacing` measures: clouds of another one have another identity.
+const AUTO_RADII: &str = ", 0.65 of the eighth neighbour";
+
 /// Everything besides the records on which pages depend, so that files that differ in it have different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
+    let definition = if *radius == Rule::Auto { AUTO_RADII } else { "" };
     format!(
-        "radius {radius:?} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}",
+        "radius {radius:?}{definition} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}",
         options.radius_scale,
         options.weight_scale,
         options.precision,

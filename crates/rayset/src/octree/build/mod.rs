@@ -12,6 +12,7 @@ mod control;
 mod depths;
 mod error;
 mod ingest;
+mod neighbours;
 mod options;
 mod partition;
 mod pipeline;

@@ -112,6 +112,8 @@ pub(super) struct Partition<'a> {
     /// Largest number of records that one thread loads at once.
     cap: u64,
     stage: Stage,
+    /// Number of passes of the stage, of which this is the first.
+    passes: u64,
     total: u64,
     done: AtomicU64,
 }
@@ -137,7 +139,12 @@ impl<'a> Partition<'a> {
         let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
         let cap = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
         let cap = cap.clamp(2 * LEAF_POINTS, MOST_SORTED);
-        Self { context, stride, keys, threads, cap, stage, total, done: 0.into() }
+        Self { context, stride, keys, threads, cap, stage, passes: 1, total, done: 0.into() }
+    }
+
+    /// The same as the first of several passes of its stage, as far as progress is concerned.
+    pub(super) fn in_passes(self, passes: u64) -> Self {
+        Self { passes, ..self }
     }
 
     /// Sorts the records of a region and passes them through `pack` to `out`.
@@ -402,7 +409,7 @@ impl<'a> Partition<'a> {
 
     fn advance(&self, records: usize) {
         let done = self.done.fetch_add(records as u64, Ordering::Relaxed) + records as u64;
-        self.context.progress(self.stage, done, self.total);
+        self.context.progress(self.stage, done / self.passes, self.total);
     }
 }
 

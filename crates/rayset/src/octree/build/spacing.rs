@@ -1,197 +1,365 @@
 //! Out-of-core estimation of radii from the local spacing, for points that have none.
 //!
-//! The octree is subdivided until a cell holds at most 1024 points. In each cell, the distance to the eighth nearest
-//! neighbour is measured for up to 64 of its points; 1.5 times the median is the radius of all points of the cell, so that
-//! about twenty supports overlap on a surface. A cell of fewer than 32 points gives no reliable measurement, so its points
-//! get the geometric mean of all measured radii. The result depends on the points alone.
+//! The radius of a point is 0.65 times the distance to its eighth nearest neighbour. Stray points, which are much farther from
+//! others than is usual in the cloud, and those of which nine or more coincide, get the median radius: see [`Typical`].
+//!
+//! Records are first sorted along the Hilbert curve, with a box around every few hundred. Then they are loaded again a block
+//! at a time: neighbours are looked for in the block, and after that in the records elsewhere whose boxes are near enough
+//! (`neighbours`). Distances are exact, and the rest are counts of them, so the result depends on the points alone.
 
 use super::context::Context;
 use super::control::Stage;
 use super::error::{BuildError, Quantity};
 use super::ingest::{Ingested, LIMIT};
+use super::neighbours::{STRETCH, Search, Stretches, square_between};
 use super::partition::{Assemble, Pack, Partition, Region, Sorted};
+use super::pipeline;
 use super::plan::Cell;
 use super::record::{self, KeyMaker};
-use crate::cancel::CancelToken;
-use crate::geometry::curve::MAX_LEVEL;
-use crate::spill::SpillWriter;
+use crate::geometry::{Aabb, DVec3};
+use crate::spill::{Spill, SpillWriter};
 
-const CELL_POINTS: usize = 1024;
-const LEAST_POINTS: usize = 32;
-const PROBES: usize = 64;
-const NEIGHBOUR: usize = 8;
-const RADII_PER_DISTANCE: f64 = 1.5;
+/// Chosen by measurement (docs/benchmarks.md, "Automatic radii"): the largest with which the surface lies, in the mean, within
+/// half of the spacing.
+const RADII_PER_DISTANCE: f64 = 0.65;
+/// Number of records that share a box, if there is memory for so many boxes.
+const GRAIN: u64 = 256;
+/// Largest number of records in a block.
+const MOST_IN_BLOCK: u64 = 1 << 15;
+/// Position and radius of a record.
+const HEAD: usize = 28;
 
 /// Rewrites all records, each with a radius.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
     // Owner cells do not matter yet: with a tiny radius, points are sorted by their Hilbert codes alone.
     let keys = KeyMaker { root: ingested.root, radius: Some(f32::MIN_POSITIVE) };
     let stride = ingested.layout.stride();
-    let partition = Partition::new(context, stride, keys, ingested.count, Stage::Spacing);
-    let mut radii = Radii::new(context, ingested.auto_scale)?;
-    let measure = Measure { cancel: context.control.cancel.clone() };
-    partition.run(Region::all(&ingested.spill, ingested.count), &measure, &mut radii)?;
-    radii.finish(context, ingested)
+    let partition = Partition::new(context, stride, keys, ingested.count, Stage::Spacing).in_passes(2);
+    let mut curve = CurveWriter::new(context, stride)?;
+    partition.run(Region::all(&ingested.spill, ingested.count), &Copy, &mut curve)?;
+    let layout = ingested.layout.with_radius();
+    let sorted = curve.finish(ingested.count, layout.stride())?;
+    let measured = sorted.measure(context, ingested.auto_scale)?;
+    measured.check_range(context, &ingested)?;
+    let typical = measured.typical().unwrap_or_else(|| Typical::alone(fallback(&ingested)));
+    let radius_range = sorted.settle(context, &measured, &typical)?;
+    Ok(Ingested { spill: sorted.spill, layout, radius: None, radius_range, ..ingested })
 }
 
-/// Radii of a stretch of points (zero if unknown), and the records themselves.
-pub(super) struct Measured {
-    records: Vec<u8>,
-    radii: Vec<f32>,
-    stride: usize,
-}
+/// Passes records on as they are.
+struct Copy;
 
-struct Measure {
-    cancel: CancelToken,
-}
-
-impl Measure {
-    fn visit(&self, level: u32, records: Sorted<'_>, out: &mut Vec<f32>) {
-        if records.len() > CELL_POINTS && level < MAX_LEVEL {
-            let (_, children) = records.split(level);
-            children.into_iter().for_each(|child| self.visit(level + 1, child, out));
-            return;
-        }
-        let measured = records.len() >= LEAST_POINTS && !self.cancel.is_cancelled();
-        let radius = if measured { median_distance(records) } else { None };
-        let radius = radius.map_or(0.0, |d| (d * RADII_PER_DISTANCE) as f32);
-        out.resize(out.len() + records.len(), radius);
-    }
-
-    fn copy(records: Sorted<'_>, radii: Vec<f32>) -> Measured {
+impl Copy {
+    fn bytes(records: Sorted<'_>) -> Vec<u8> {
         let stride = if records.len() > 0 { records.record(0).len() } else { 0 };
         let mut bytes = Vec::with_capacity(records.len() * stride);
         (0..records.len()).for_each(|i| bytes.extend_from_slice(records.record(i)));
-        Measured { records: bytes, radii, stride }
+        bytes
     }
 }
 
-/// The median, over a sample of the points, of the distance to the eighth nearest neighbour; `None` if it is zero or not
-/// finite.
-fn median_distance(records: Sorted<'_>) -> Option<f64> {
-    let n = records.len();
-    // Cells at the deepest level may hold any number of nearly coincident points: a sample of them suffices.
-    let step = n.div_ceil(CELL_POINTS);
-    let points: Vec<[f64; 3]> = (0..n).step_by(step).map(|i| record::position(records.record(i))).collect();
-    let mut distances = Vec::with_capacity(PROBES);
-    let probes = points.len().min(PROBES);
-    for probe in 0..probes {
-        let p = points[probe * points.len() / probes];
-        let mut nearest = [f64::INFINITY; NEIGHBOUR + 1];
-        for q in &points {
-            let d2 = (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2) + (p[2] - q[2]).powi(2);
-            if d2 < nearest[NEIGHBOUR] {
-                let at = nearest.partition_point(|&d| d <= d2);
-                nearest.copy_within(at..NEIGHBOUR, at + 1);
-                nearest[at] = d2;
-            }
-        }
-        distances.push(nearest[NEIGHBOUR].sqrt());
-    }
-    distances.sort_unstable_by(f64::total_cmp);
-    Some(distances[distances.len() / 2]).filter(|&d| d > 0.0 && d.is_finite())
-}
+impl Pack for Copy {
+    type Piece = Vec<u8>;
 
-impl Pack for Measure {
-    type Piece = Measured;
-
-    fn subtree(&self, cell: Cell, records: Sorted<'_>) -> Measured {
-        let mut radii = Vec::with_capacity(records.len());
-        self.visit(cell.level, records, &mut radii);
-        Self::copy(records, radii)
+    fn subtree(&self, _: Cell, records: Sorted<'_>) -> Vec<u8> {
+        Self::bytes(records)
     }
 
-    fn own(&self, records: Sorted<'_>) -> Measured {
-        // Only reached for more points in a cell of the deepest level than fit in memory.
-        Self::copy(records, vec![0.0; records.len()])
+    fn own(&self, records: Sorted<'_>) -> Vec<u8> {
+        Self::bytes(records)
     }
 }
 
-/// Collects measured records in order.
-struct Radii<'a> {
+/// Writes sorted records, each with room for a radius, and keeps boxes around them.
+struct CurveWriter<'a> {
     context: &'a Context<'a>,
     writer: SpillWriter,
-    scale: f64,
-    log_sum: f64,
-    measured: u64,
-    unknown: u64,
-    /// Smallest and largest of the measured radii.
-    least: f64,
-    most: f64,
+    stride: usize,
+    written: u64,
+    boxes: Vec<Aabb>,
+    grain: u64,
+    most_boxes: usize,
 }
 
-impl<'a> Radii<'a> {
-    fn new(context: &'a Context<'a>, scale: f64) -> Result<Self, BuildError> {
+impl<'a> CurveWriter<'a> {
+    fn new(context: &'a Context<'a>, stride: usize) -> Result<Self, BuildError> {
         let writer = SpillWriter::new(context.spill()?, 1 << 20);
-        let (least, most) = (f64::INFINITY, 0.0);
-        Ok(Self { context, writer, scale, log_sum: 0.0, measured: 0, unknown: 0, least, most })
+        let most_boxes = context.options.memory_bytes as usize / 16 / size_of::<Aabb>();
+        Ok(Self { context, writer, stride, written: 0, boxes: Vec::new(), grain: GRAIN, most_boxes })
     }
 
-    fn take(&mut self, measured: &Measured) -> Result<(), BuildError> {
-        let mut last = (0.0_f32, 0.0);
-        for (record, &radius) in measured.records.chunks_exact(measured.stride).zip(&measured.radii) {
-            let scaled = f64::from(radius) * self.scale;
-            if radius > 0.0 {
-                self.least = self.least.min(scaled);
-                self.most = self.most.max(scaled);
-            }
-            let scaled = scaled.clamp(0.0, LIMIT) as f32;
-            if radius > 0.0 {
-                if last.0 != scaled {
-                    last = (scaled, f64::from(scaled).ln());
+    fn take(&mut self, records: &[u8]) -> Result<(), BuildError> {
+        for record in records.chunks_exact(self.stride) {
+            if self.written.is_multiple_of(self.grain) {
+                if self.boxes.len() >= self.most_boxes && self.boxes.len().is_multiple_of(2) {
+                    self.boxes = self.boxes.chunks(2).map(|pair| pair[0].union(pair[1])).collect();
+                    self.grain *= 2;
                 }
-                self.log_sum += last.1;
-                self.measured += 1;
-            } else {
-                self.unknown += 1;
+                self.boxes.push(Aabb::EMPTY);
             }
+            if let Some(last) = self.boxes.last_mut() {
+                last.include(DVec3::from_array(record::position(record)));
+            }
+            self.written += 1;
             let io = self.context.io("write temporary files in");
             self.writer.push(&record[..24]).map_err(&io)?;
-            self.writer.push(&scaled.to_le_bytes()).map_err(&io)?;
+            self.writer.push(&[0; 4]).map_err(&io)?;
             self.writer.push(&record[24..]).map_err(&io)?;
         }
         Ok(())
     }
 
-    /// Sets the unknown radii, if there are any, and computes the totals.
-    fn finish(self, context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
+    fn finish(self, count: u64, stride: usize) -> Result<Curve, BuildError> {
+        let spill = self.writer.finish().map_err(self.context.io("write temporary files in"))?;
+        Ok(Curve { spill, stride, count, boxes: self.boxes, grain: self.grain })
+    }
+}
+
+impl Assemble<Vec<u8>> for CurveWriter<'_> {
+    fn open(&mut self, _: Cell) {}
+
+    fn own(&mut self, piece: Vec<u8>) -> Result<(), BuildError> {
+        self.take(&piece)
+    }
+
+    fn subtree(&mut self, _: Cell, piece: Vec<u8>) -> Result<(), BuildError> {
+        self.take(&piece)
+    }
+
+    fn close(&mut self) -> Result<(), BuildError> {
+        Ok(())
+    }
+}
+
+/// All records along the Hilbert curve, and a box around each `grain` of them.
+struct Curve {
+    spill: Spill,
+    stride: usize,
+    count: u64,
+    boxes: Vec<Aabb>,
+    grain: u64,
+}
+
+impl Curve {
+    /// Gives every record the radius that its neighbours suggest, or 0 if they suggest none.
+    fn measure(&self, context: &Context<'_>, scale: f64) -> Result<Measured, BuildError> {
+        let threads = context.options.threads.max(1);
+        // A block needs memory for its records, their positions and distances, and as much again for records elsewhere.
+        let per_record = (self.stride + 24 + 8 * 9 + 16) as u64;
+        let block = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
+        let block = block.clamp(512, MOST_IN_BLOCK) / STRETCH as u64 * STRETCH as u64;
+        let mut measured = Measured::default();
+        let blocks = self.count.div_ceil(block) as usize;
+        let work = |number: usize| {
+            let first = number as u64 * block;
+            self.measure_block(context, first..(first + block).min(self.count), scale)
+        };
+        let mut done = self.count;
+        pipeline::ordered(blocks, threads, work, |_, radii| {
+            radii.iter().for_each(|&radius| measured.count(radius));
+            done += radii.len() as u64;
+            context.progress(Stage::Spacing, done / 2, self.count);
+            Ok(())
+        })?;
+        Ok(measured)
+    }
+
+    /// Measures the radii of a block and stores them, within the range of an `f32`.
+    fn measure_block(
+        &self,
+        context: &Context<'_>,
+        block: std::ops::Range<u64>,
+        scale: f64,
+    ) -> Result<Vec<f64>, BuildError> {
+        let mut bytes = Vec::new();
+        self.read(context, &block, &mut bytes)?;
+        let mut points = Stretches::default();
+        bytes.chunks_exact(self.stride).for_each(|record| points.push(record::position(record)));
+        let mut search = Search::among(&points, || !context.is_cancelled());
+        context.check()?;
+        self.search_elsewhere(context, &block, &mut search)?;
+        let mut radii = Vec::with_capacity(points.len());
+        for (record, distance) in bytes.chunks_exact_mut(self.stride).zip(search.distances()) {
+            let radius = if distance.is_finite() { RADII_PER_DISTANCE * scale * distance } else { 0.0 };
+            let stored = if radius > 0.0 { radius.clamp(1.0 / LIMIT, LIMIT) as f32 } else { 0.0 };
+            record[24..HEAD].copy_from_slice(&stored.to_le_bytes());
+            radii.push(radius);
+        }
+        // Others may read these records meanwhile, but only their positions, which stay as they are.
+        let at = block.start * self.stride as u64;
+        self.spill.write_at(&bytes, at).map_err(context.io("rewrite temporary files in"))?;
+        Ok(radii)
+    }
+
+    /// Looks for neighbours outside of the block that is searched for.
+    fn search_elsewhere(
+        &self,
+        context: &Context<'_>,
+        block: &std::ops::Range<u64>,
+        search: &mut Search<'_>,
+    ) -> Result<(), BuildError> {
+        let (bounds, reach) = search.extent();
+        let mut near: Vec<(f64, u64)> = self
+            .boxes
+            .iter()
+            .enumerate()
+            .map(|(number, other)| (square_between(&bounds, other), number as u64))
+            .filter(|&(square, number)| {
+                let range = number * self.grain..((number + 1) * self.grain).min(self.count);
+                square < reach && !(block.start <= range.start && range.end <= block.end)
+            })
+            .collect();
+        // The nearest first: what is found there makes the others too far away.
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (mut bytes, mut others) = (Vec::new(), Stretches::default());
+        for (_, number) in near {
+            if !search.reaches(&self.boxes[number as usize]) {
+                continue;
+            }
+            let end = ((number + 1) * self.grain).min(self.count);
+            for first in (number * self.grain..end).step_by(GRAIN as usize) {
+                let piece = first..(first + GRAIN).min(end);
+                if block.start <= piece.start && piece.end <= block.end {
+                    continue;
+                }
+                self.read(context, &piece, &mut bytes)?;
+                others.clear();
+                let records = piece.zip(bytes.chunks_exact(self.stride));
+                records
+                    .filter(|(index, _)| !block.contains(index))
+                    .for_each(|(_, record)| others.push(record::position(record)));
+                search.extend(&others);
+            }
+        }
+        Ok(())
+    }
+
+    fn read(
+        &self,
+        context: &Context<'_>,
+        range: &std::ops::Range<u64>,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), BuildError> {
+        context.check()?;
+        bytes.resize((range.end - range.start) as usize * self.stride, 0);
+        let at = range.start * self.stride as u64;
+        self.spill.read_at(bytes, at).map_err(context.io("read temporary files in"))
+    }
+
+    /// Gives the typical radius to records that have none, or one beyond the limit; returns the range of all radii.
+    fn settle(
+        &self,
+        context: &Context<'_>,
+        measured: &Measured,
+        typical: &Typical,
+    ) -> Result<(f32, f32), BuildError> {
+        let (least, most) = (measured.least as f32, measured.most as f32);
+        if measured.unknown == 0 && most <= typical.limit {
+            return Ok((least, most));
+        }
+        let mut range = (f32::INFINITY, 0.0_f32);
+        let mut bytes = Vec::new();
+        for first in (0..self.count).step_by(8192) {
+            self.read(context, &(first..(first + 8192).min(self.count)), &mut bytes)?;
+            let mut changed = false;
+            for record in bytes.chunks_exact_mut(self.stride) {
+                let mut radius = record::radius(record);
+                if radius <= 0.0 || radius > typical.limit {
+                    radius = typical.radius;
+                    record[24..HEAD].copy_from_slice(&radius.to_le_bytes());
+                    changed = true;
+                }
+                range = (range.0.min(radius), range.1.max(radius));
+            }
+            if changed {
+                let at = first * self.stride as u64;
+                self.spill.write_at(&bytes, at).map_err(context.io("rewrite temporary files in"))?;
+            }
+        }
+        Ok(range)
+    }
+}
+
+/// Counts of radii: 128 for each power of two.
+struct Measured {
+    counts: Vec<u64>,
+    known: u64,
+    unknown: u64,
+    least: f64,
+    most: f64,
+}
+
+/// Bits of an `f32` that a count leaves out.
+const LEFT_OUT: u32 = 16;
+
+impl Default for Measured {
+    fn default() -> Self {
+        let counts = vec![0; 1 << (31 - LEFT_OUT)];
+        Self { counts, known: 0, unknown: 0, least: f64::INFINITY, most: 0.0 }
+    }
+}
+
+impl Measured {
+    fn count(&mut self, radius: f64) {
+        if radius > 0.0 {
+            self.known += 1;
+            (self.least, self.most) = (self.least.min(radius), self.most.max(radius));
+            let stored = radius.clamp(1.0 / LIMIT, LIMIT) as f32;
+            self.counts[(stored.to_bits() >> LEFT_OUT) as usize] += 1;
+        } else {
+            self.unknown += 1;
+        }
+    }
+
+    /// An error if a radius cannot be stored.
+    fn check_range(&self, context: &Context<'_>, ingested: &Ingested) -> Result<(), BuildError> {
         for (quantity, farthest) in [(Quantity::SmallRadius, self.least), (Quantity::Radius, self.most)] {
             let out = if quantity == Quantity::Radius { farthest > LIMIT } else { farthest < 1.0 / LIMIT };
-            if self.measured > 0 && out {
-                let (count, records) = (self.measured, ingested.count);
+            if self.known > 0 && out {
+                let (count, records) = (self.known, ingested.count);
                 let factor = quantity.factor(farthest, context.options.length_scale);
                 return Err(BuildError::OutOfRange { quantity, count, records, farthest, factor });
             }
         }
-        let mean =
-            if self.measured > 0 { (self.log_sum / self.measured as f64).exp() } else { fallback(&ingested) };
-        let mean = (mean.clamp(1e-18, 1e18)) as f32;
-        let layout = ingested.layout.with_radius();
-        let stride = layout.stride();
-        let any_unknown = self.unknown > 0;
-        let io = context.io("rewrite temporary files in");
-        let spill = self.writer.finish().map_err(&io)?;
-        let mut range = (f32::INFINITY, 0.0_f32);
-        let mut buffer = Vec::new();
-        let mut first = 0;
-        while first < ingested.count {
-            context.check()?;
-            let count = (ingested.count - first).min(8192);
-            buffer.resize(count as usize * stride, 0);
-            spill.read_at(&mut buffer, first * stride as u64).map_err(&io)?;
-            for record in buffer.chunks_exact_mut(stride) {
-                if record::radius(record) <= 0.0 {
-                    record[24..28].copy_from_slice(&mean.to_le_bytes());
-                }
-                let radius = record::radius(record);
-                range = (range.0.min(radius), range.1.max(radius));
-            }
-            if any_unknown {
-                spill.write_at(&buffer, first * stride as u64).map_err(&io)?;
-            }
-            first += count;
-        }
-        Ok(Ingested { spill, layout, radius: None, radius_range: range, ..ingested })
+        Ok(())
+    }
+
+    /// The radius than which a part of all radii is smaller, rounded down to the beginning of its count.
+    fn quantile(&self, part: f64) -> f64 {
+        let mut before = (part * self.known as f64) as u64;
+        let at = self.counts.iter().position(|&count| {
+            let found = before < count;
+            before = before.saturating_sub(count);
+            found
+        });
+        f64::from(f32::from_bits((at.unwrap_or(0) as u32) << LEFT_OUT))
+    }
+
+    /// `None` if no radius is known.
+    fn typical(&self) -> Option<Typical> {
+        let [lower, median, upper] = [0.25, 0.5, 0.75].map(|part| self.quantile(part));
+        let spread = upper / lower;
+        let limit = (upper * spread * spread.sqrt()).max(LEAST_LIMIT * median);
+        (self.known > 0).then_some(Typical { radius: median as f32, limit: limit.min(LIMIT) as f32 })
+    }
+}
+
+/// The limit is at least this multiple of the median: clouds that are sampled evenly have sparse edges, too.
+const LEAST_LIMIT: f64 = 3.0;
+
+/// What radii are usual in a cloud.
+///
+/// With quartiles Q₁ and Q₃ of the radii, those beyond Q₃ (Q₃/Q₁)^1.5, and beyond three times the median, belong to stray points.
+/// In logarithms this is the customary fence of 1.5 times the interquartile range, so a scan whose spacing
+/// varies widely has a wide limit.
+struct Typical {
+    radius: f32,
+    limit: f32,
+}
+
+impl Typical {
+    fn alone(radius: f64) -> Self {
+        Self { radius: radius.clamp(1.0 / LIMIT, LIMIT) as f32, limit: LIMIT as f32 }
     }
 }
 
@@ -202,20 +370,4 @@ fn fallback(ingested: &Ingested) -> f64 {
     let spacing = extent / (ingested.count as f64).sqrt().max(1.0);
     let radius = if spacing > 0.0 && spacing.is_finite() { 0.75 * spacing } else { 1.0 };
     radius * ingested.auto_scale
-}
-
-impl Assemble<Measured> for Radii<'_> {
-    fn open(&mut self, _: Cell) {}
-
-    fn own(&mut self, piece: Measured) -> Result<(), BuildError> {
-        self.take(&piece)
-    }
-
-    fn subtree(&mut self, _: Cell, piece: Measured) -> Result<(), BuildError> {
-        self.take(&piece)
-    }
-
-    fn close(&mut self) -> Result<(), BuildError> {
-        Ok(())
-    }
 }

@@ -1,0 +1,269 @@
+//! Radii that are measured: they are what the documents say, and clouds with them look like what was scanned.
+
+#![allow(clippy::print_stdout, reason = "a measurement prints its table")]
+
+use std::collections::HashMap;
+
+use rayset::field::Kernel;
+use rayset::octree::build::{self, BuildControl, BuildOptions, Precision, Rule};
+use rayset::points::{ArraySource, PointBatch, ReadOptions, open};
+
+use crate::common::{Random, real_data};
+
+type Point = [f64; 3];
+
+const PER_DISTANCE: f64 = 0.65;
+const NEIGHBOUR: usize = 8;
+
+/// Builds a cloud with automatic radii and returns its points with them.
+fn measured(points: &[Point]) -> Vec<(Point, f64)> {
+    let options = BuildOptions {
+        radius: Some(Rule::Auto),
+        precision: Precision::Exact,
+        page_bytes: Some(262_144),
+        ..BuildOptions::default()
+    };
+    let source = ArraySource::new(points.to_vec(), vec![]);
+    let (cloud, _) = build::run_in_memory(vec![Box::new(source)], &options, &BuildControl::default())
+        .expect("the cloud builds");
+    let all = cloud.sample(usize::MAX).expect("the cloud reads");
+    assert_eq!(all.len(), points.len(), "a sample of all points");
+    let radius = cloud.sample_schema().find("radius").expect("a column of radii");
+    (0..all.len()).map(|i| (all.position[i], all.columns[radius].get(i))).collect()
+}
+
+fn square(a: Point, b: Point) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+/// A square of 1 × 1 in which points lie at random.
+fn sheet(count: usize, random: &mut Random) -> Vec<Point> {
+    (0..count).map(|_| [random.unit(), random.unit(), 0.0]).collect()
+}
+
+#[test]
+fn a_radius_is_0_65_times_the_distance_of_the_eighth_neighbour_across_all_cells() {
+    let lattice: Vec<Point> = (0..3600).map(|i| [f64::from(i % 60), f64::from(i / 60), 7.0]).collect();
+    let cube = |random: &mut Random| (0..3000).map(|_| std::array::from_fn(|_| random.unit())).collect();
+    let random = &mut Random(5);
+    for (name, points) in [("lattice", lattice), ("sheet", sheet(5000, random)), ("cube", cube(random))] {
+        let built = measured(&points);
+        let mut error = 0.0;
+        for &(p, radius) in &built {
+            let mut squares: Vec<f64> = points.iter().map(|&q| square(p, q)).collect();
+            let expected = PER_DISTANCE * squares.select_nth_unstable_by(NEIGHBOUR, f64::total_cmp).1.sqrt();
+            error += (radius - expected).abs() / expected / built.len() as f64;
+        }
+        assert!(error < 1e-6, "{name}: radii are wrong by {error} in the mean");
+    }
+}
+
+#[test]
+fn stray_points_are_drawn_with_the_median_radius() {
+    let random = &mut Random(6);
+    let mut points = sheet(20_000, random);
+    // Above the sheet, alone and in pairs.
+    let strays = 40;
+    for i in 0..strays / 2 {
+        let p = [random.unit(), random.unit(), 0.5 + 0.1 * f64::from(i)];
+        points.extend([p, [p[0], p[1], p[2] + if i % 2 == 0 { 1e-3 } else { 0.04 }]]);
+    }
+    let built = measured(&points);
+    let typical = median(built.iter().map(|&(_, radius)| radius));
+    let (stray, sheet): (Vec<_>, Vec<_>) = built.iter().partition(|(p, _)| p[2] > 0.0);
+    assert_eq!(stray.len(), strays as usize);
+    for (p, radius) in stray {
+        assert!((0.98..=1.0).contains(&(radius / typical)), "{p:?}: {radius}, where {typical} is usual");
+    }
+    let wide = sheet.iter().filter(|(_, radius)| *radius > 1.2 * typical).count();
+    assert!(wide > 100, "corners and sparse parts of the sheet keep their own: {wide}");
+}
+
+#[test]
+fn a_scan_whose_spacing_varies_widely_has_no_stray_points() {
+    // As around a scanner: spacing in proportion to distance, over a factor of 50.
+    let random = &mut Random(8);
+    let points: Vec<Point> = (0..20_000)
+        .map(|_| {
+            let (distance, angle) = (50_f64.powf(random.unit()), std::f64::consts::TAU * random.unit());
+            [distance * angle.cos(), distance * angle.sin(), 0.0]
+        })
+        .collect();
+    let built = measured(&points);
+    let far: Vec<_> = built.iter().filter(|(p, _)| square(*p, [0.0; 3]) > 1600.0).collect();
+    let near: Vec<_> = built.iter().filter(|(p, _)| square(*p, [0.0; 3]) < 2.0).collect();
+    let ratio = median(far.iter().map(|(_, r)| *r)) / median(near.iter().map(|(_, r)| *r));
+    assert!(ratio > 25.0, "radii follow the spacing: {ratio}");
+}
+
+/// The density of a cloud.
+struct Density {
+    points: Vec<(Point, f64)>,
+    cell: f64,
+    /// Points whose balls meet a cell.
+    cells: HashMap<[i64; 3], Vec<u32>>,
+}
+
+impl Density {
+    fn new(points: Vec<(Point, f64)>) -> Self {
+        let cell = 2.0 * median(points.iter().map(|&(_, radius)| radius));
+        let mut cells: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+        for (i, (p, r)) in points.iter().enumerate() {
+            let range =
+                |axis: usize| ((p[axis] - r) / cell).floor() as i64..=((p[axis] + r) / cell).floor() as i64;
+            for x in range(0) {
+                for y in range(1) {
+                    range(2).for_each(|z| cells.entry([x, y, z]).or_default().push(i as u32));
+                }
+            }
+        }
+        Self { points, cell, cells }
+    }
+
+    fn at(&self, q: Point) -> f64 {
+        let cell = q.map(|v| (v / self.cell).floor() as i64);
+        let near = self.cells.get(&cell).into_iter().flatten().map(|&i| self.points[i as usize]);
+        near.map(|(p, r)| Kernel::Wyvill.value(square(p, q) / (r * r))).sum()
+    }
+}
+
+/// How far a scan is from the surface of the cloud that was made of a part of it.
+#[derive(Debug)]
+struct Fit {
+    /// Root of the mean squared distance of points of the scan from the surface, in spacings of the part, where those with
+    /// no surface within 1.5 spacings count as that far.
+    rms: f64,
+    /// The share of points of the scan with no surface within one spacing.
+    holes: f64,
+}
+
+/// Distances of up to `most` points of a scan to the surface on which the density is `level`: the nearest along 66 directions,
+/// which can only be too far.
+fn fit(scan: &[Point], density: &Density, spacing: f64, level: f64, most: usize) -> Fit {
+    const DIRECTIONS: usize = 66;
+    const STEPS: usize = 30;
+    let reach = 1.5 * spacing;
+    let directions: Vec<Point> = (0..DIRECTIONS)
+        .map(|i| {
+            let (z, turn) = (1.0 - (2 * i + 1) as f64 / DIRECTIONS as f64, 2.399_963 * i as f64);
+            let across = (1.0 - z * z).sqrt();
+            [across * turn.cos(), across * turn.sin(), z]
+        })
+        .collect();
+    let (mut squares, mut holes) = (0.0, 0.0);
+    let every = scan.len().div_ceil(most);
+    let asked: Vec<Point> = scan.iter().copied().step_by(every).collect();
+    for &p in &asked {
+        let here = density.at(p) - level;
+        let mut nearest = reach;
+        for direction in &directions {
+            let (mut before, mut step) = (here, 1);
+            while step <= STEPS && reach * ((step - 1) as f64) < nearest * STEPS as f64 {
+                let t = reach * step as f64 / STEPS as f64;
+                let now = density.at(std::array::from_fn(|axis| p[axis] + t * direction[axis])) - level;
+                if (now < 0.0) != (before < 0.0) {
+                    nearest = nearest.min(t - reach / STEPS as f64 * now / (now - before));
+                    break;
+                }
+                (before, step) = (now, step + 1);
+            }
+        }
+        squares += (nearest / spacing).powi(2);
+        holes += f64::from(u8::from(nearest > spacing));
+    }
+    let count = asked.len() as f64;
+    Fit { rms: (squares / count).sqrt(), holes: holes / count }
+}
+
+/// A part of the points, drawn at random.
+fn thinned(scan: &[Point], part: f64, random: &mut Random) -> Vec<Point> {
+    scan.iter().copied().filter(|_| random.unit() < part).collect()
+}
+
+/// Where the opacity of a scan's look is one half, and where density is.
+const LEVELS: [f64; 2] = [0.4, 0.5];
+
+#[test]
+fn thinned_scans_have_a_surface_within_half_a_spacing_and_no_holes() {
+    let random = &mut Random(9);
+    let sphere: Vec<Point> = (0..30_000)
+        .map(|_| {
+            let (z, turn) = (2.0 * random.unit() - 1.0, std::f64::consts::TAU * random.unit());
+            let across = (1.0 - z * z).sqrt();
+            [across * turn.cos(), across * turn.sin(), z]
+        })
+        .collect();
+    let plane = sheet(20_000, random);
+    // Lines of flight over a slope: four times as far from each other as the points along them.
+    let slope: Vec<Point> = (0..30_000)
+        .map(|i| {
+            let (along, line) = (0.25 * f64::from(i % 480), f64::from(i / 480));
+            let [x, y] = [along, line].map(|v| v + 0.1 * (random.unit() - 0.5));
+            [x, y, 0.7 * x]
+        })
+        .collect();
+    let areas = [4.0 * std::f64::consts::PI, 1.0, 120.0 * 62.5 * 1.49_f64.sqrt()];
+    for ((name, scan), area) in
+        [("sphere", sphere), ("plane", plane), ("slope", slope)].into_iter().zip(areas)
+    {
+        for part in [0.5, 0.25, 0.1] {
+            let points = thinned(&scan, part, random);
+            let spacing = (area / points.len() as f64).sqrt();
+            let density = Density::new(measured(&points));
+            let found = fit(&scan, &density, spacing, LEVELS[1], 400);
+            let what = format!("{name}, {part} of the points: {found:?}");
+            assert!(found.holes <= 0.01 && found.rms <= 0.5 && found.rms > 0.1, "{what}");
+        }
+    }
+}
+
+/// Measures real scans in the folder `RAYSET_TEST_DATA` and prints the table of docs/benchmarks.md.
+#[test]
+#[ignore = "a measurement, not a promise: `cargo test --test it -- --ignored --nocapture thinned_real_scans`"]
+fn thinned_real_scans() {
+    let names = ["lidar/Topography.laz", "scan/lucy.ply", "scan/bun_zipper.ply", "pcd/office1.pcd"];
+    println!(
+        "| scan | part | spacing | RMS, 0.4 | holes | RMS, 0.5 | holes |\n| --- | --- | ---: | ---: | ---: | ---: | ---: |"
+    );
+    for name in names {
+        let Some(path) = real_data(name) else { continue };
+        let mut source = open(&path, &ReadOptions::default()).expect("it opens");
+        let (mut scan, mut batch) = (Vec::new(), PointBatch::default());
+        source.select(&[]);
+        loop {
+            source.fill(&mut batch, 4096).expect("it reads");
+            if batch.is_empty() {
+                break;
+            }
+            scan.extend(batch.position.iter().copied().filter(|p| p.iter().all(|v| v.is_finite())));
+        }
+        let random = &mut Random(10);
+        for part in [0.5, 0.25, 0.1] {
+            let points = measured(&thinned(&scan, part, random));
+            // The mean area that belongs to a point, eight of which lie within the distance of the eighth neighbour; those
+            // of the hundredth part that is sparsest are left out.
+            let mut areas: Vec<f64> = points
+                .iter()
+                .map(|(_, radius)| std::f64::consts::PI * (radius / PER_DISTANCE).powi(2) / NEIGHBOUR as f64)
+                .collect();
+            areas.sort_by(f64::total_cmp);
+            areas.truncate(areas.len() * 99 / 100);
+            let spacing = (areas.iter().sum::<f64>() / areas.len() as f64).sqrt();
+            let density = Density::new(points);
+            let [low, high] = LEVELS.map(|level| fit(&scan, &density, spacing, level, 3000));
+            println!(
+                "| {name} | {part} | {spacing:.4} | {:.2} | {:.2} % | {:.2} | {:.2} % |",
+                low.rms,
+                100.0 * low.holes,
+                high.rms,
+                100.0 * high.holes
+            );
+        }
+    }
+}
