@@ -339,6 +339,15 @@ fn fills_space(statistics: &Statistics) -> bool {
     (occupied(cells) / occupied(0.5 * cells)).log2() > DIMENSION
 }
 
+/// Whether points are where a depth camera sees them from the origin, which has x to the right, y down and z ahead: all within
+/// its field of view.
+fn is_camera_frame(statistics: &Statistics) -> bool {
+    /// Of depth cameras, at most: the tangent of half their field of view.
+    const TANGENT: f64 = 1.2;
+    let mut points = statistics.positions().filter(|p| p.is_finite()).peekable();
+    points.peek().is_some() && points.all(|p| p.z > 0.0 && p.x.abs().max(p.y.abs()) < TANGENT * p.z)
+}
+
 /// What is up, and where the front is.
 fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -> Orientation {
     let sides: [f64; 3] = ["x", "y", "z"].map(|axis| {
@@ -361,6 +370,8 @@ fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -
         Orientation::with_up(up, "by the kind of file")
     } else if surveyed {
         Orientation::with_up(DVec3::Z, "survey coordinates")
+    } else if said("PCD") && is_camera_frame(statistics) {
+        Orientation::with_up(DVec3::NEG_Y, "a camera's own axes").toward_front(Some(DVec3::Z))
     } else if lies_on(thin) && !said("PLY") {
         Orientation::with_up(axis(thin), "the thinnest extent")
     } else if sides[long] > 1.3 * others(long).fold(0.0, f64::max) && long > 0 {

@@ -10,6 +10,10 @@ use super::view::Orientation;
 
 /// Values of a sample.
 const SAMPLE_VALUES: usize = 1 << 15;
+/// Values at or beyond this are marks of places without one, as 9.97e36 and 1e20 are: scenes know numbers up to 1e18.
+const MARKS: f64 = 1e17;
+/// Largest number of a scene.
+const LARGEST: f64 = 1e18;
 /// Behind voxels.
 const NIGHT: &str = "#0b0d10";
 
@@ -32,6 +36,8 @@ pub(super) struct GridLook {
     /// What is at or below this, or at or above it if the background is high, is background.
     threshold: f64,
     background_is_low: bool,
+    /// Whether there are marks of places without a value.
+    has_marks: bool,
     pub(super) orientation: Orientation,
     /// The places that the camera frames.
     pub(super) points: Vec<(DVec3, f64)>,
@@ -41,9 +47,10 @@ pub(super) struct GridLook {
 impl GridLook {
     pub(super) fn choose(grid: &Grid, up: Option<DVec3>) -> Result<Self> {
         let header = grid.header();
+        let is_value = |v: f64| v.abs() < MARKS;
         let sample = grid.sample(SAMPLE_VALUES)?;
         let all: Vec<f64> = (0..sample.len()).map(|i| sample.columns[0].get(i)).collect();
-        let mut values: Vec<f64> = all.iter().copied().filter(|v| v.is_finite()).collect();
+        let mut values: Vec<f64> = all.iter().copied().filter(|&v| is_value(v)).collect();
         values.sort_by(f64::total_cmp);
         let (least, largest) = (percentile(&values, 0.0), percentile(&values, 1.0));
         let content = if (-9000.0..=-900.0).contains(&least) && (600.0..70_000.0).contains(&largest) {
@@ -72,7 +79,7 @@ impl GridLook {
             .position
             .iter()
             .zip(&all)
-            .filter(|(_, v)| !shown.is_empty() && stands_out(**v))
+            .filter(|(_, v)| !shown.is_empty() && is_value(**v) && stands_out(**v))
             .map(|(p, _)| (DVec3::from_array(*p), 0.0))
             .collect();
         let points = if points.len() >= 8 {
@@ -87,7 +94,8 @@ impl GridLook {
         };
         let is_body = content == Content::Field && header.facing.is_some();
         let content = if is_body { Content::Body } else { content };
-        Ok(Self { content, shown, threshold, background_is_low, orientation, points, diagonal })
+        let has_marks = all.iter().any(|v| v.abs() >= MARKS);
+        Ok(Self { content, shown, threshold, background_is_low, has_marks, orientation, points, diagonal })
     }
 
     /// The object of the scene.
@@ -142,6 +150,10 @@ impl GridLook {
         stops.dedup_by(|b, a| b.0 <= a.0);
         let (low, high) = (stops[0].0, stops[stops.len() - 1].0);
         let high = if high > low { high } else { low + low.abs().max(1.0) * 1e-3 };
+        if self.has_marks {
+            stops.insert(0, (-LARGEST, 0.0));
+            stops.push((LARGEST, 0.0));
+        }
         let map = match (self.content, self.background_is_low) {
             (Content::Body, _) => {
                 json!([[0, "#6b3a2e"], [0.35, "#b98a76"], [0.7, "#ead9cb"], [1, "#ffffff"]])

@@ -245,3 +245,60 @@ fn a_volume_is_rendered_by_itself_without_its_background() {
     assert!(pixels[24 * width + 24][3] > 100, "the ball shows");
     assert_eq!(pixels[0][3], 0, "the background does not");
 }
+
+/// An array of NumPy of 24 × 24 × 24 voxels: a ball of values from 0 to 1, and `mark` in the first slices.
+fn marked_volume(path: &Path, mark: f32) {
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (24, 24, 24), }";
+    bytes.extend(format!("{header:117}\n").bytes());
+    for i in 0..24 * 24 * 24 {
+        let [z, y, x] = [i / 576, i / 24 % 24, i % 24].map(|v| v as f32 - 11.5);
+        let value = (1.0 - (x * x + y * y + z * z).sqrt() / 10.0).max(0.0);
+        bytes.extend(if i / 576 < 4 { mark } else { value }.to_le_bytes());
+    }
+    fs::write(path, bytes).expect("a write");
+}
+
+#[test]
+fn numbers_that_mark_places_without_a_value_do_not_choose_the_look_of_a_volume_and_are_not_seen() {
+    let folder = folder();
+    let f = folder.path();
+    let render = |mark: f32| {
+        marked_volume(&f.join("v.npy"), mark);
+        let said = succeeds(f, &["render", "v.npy", "-o", "v.png", "--size", "48x48", "--no-cache"]);
+        let look = said.lines().find(|line| line.starts_with("look: ")).unwrap_or_default().to_owned();
+        (look, picture(&f.join("v.png")).2)
+    };
+    let (plain_look, plain) = render(0.0);
+    for mark in [9.969_21e36, 1e20, -1e20] {
+        let (look, pixels) = render(mark);
+        let word = |look: &str| look.split(';').next().unwrap_or_default().to_owned();
+        assert!(word(&look).starts_with("look: volume (values above 0."), "{look}, {plain_look}");
+        // The corners are as dark as without marks, and the ball is there.
+        let sum = |pixels: &[[u8; 4]]| pixels.iter().map(|p| u64::from(p[0])).sum::<u64>();
+        let background = pixels.iter().filter(|p| **p == plain[0]).count();
+        assert!(background * 4 > pixels.len(), "{background} pixels of background with {mark}");
+        assert!(sum(&pixels) > pixels.len() as u64 * u64::from(plain[0][0]) * 3 / 2, "no ball with {mark}");
+    }
+}
+
+#[test]
+fn points_as_a_depth_camera_sees_them_have_y_down() {
+    let folder = folder();
+    let f = folder.path();
+    let pcd = |offset: f64| {
+        let mut text = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n".to_owned();
+        text += "WIDTH 900\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 900\nDATA ascii\n";
+        for i in 0..900 {
+            let (x, y) = (f64::from(i % 30) / 15.0 - 1.0, f64::from(i / 30) / 15.0 - 1.0);
+            text += &format!("{x} {y} {}\n", offset + x * x + y);
+        }
+        fs::write(f.join("p.pcd"), text).expect("a write");
+        succeeds(f, &["render", "p.pcd", "-o", "p.png", "--size", "16x16", "--no-cache"])
+    };
+    let said = pcd(3.0);
+    assert!(said.contains("-y up (a camera's own axes)"), "{said}");
+    // Around the origin no camera has seen them.
+    let said = pcd(0.0);
+    assert!(!said.contains("-y up") && !said.contains("a camera's"), "{said}");
+}
