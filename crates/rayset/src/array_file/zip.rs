@@ -170,10 +170,8 @@ fn directory(file: &mut File, length: u64) -> io::Result<Option<(u64, u64, u64)>
     let Some(end) = tail.windows(4).rposition(|window| window == b"PK\x05\x06") else { return Ok(None) };
     let record = &tail[end..];
     let field = |at, length| number(record, at, length);
-    let (Some(mut entries), Some(mut bytes), Some(mut at)) = (field(10, 2), field(12, 4), field(16, 4))
-    else {
-        return Ok(None);
-    };
+    let numbers = (field(10, 2), field(12, 4), field(16, 4), field(20, 2));
+    let (Some(mut entries), Some(mut bytes), Some(mut at), Some(_)) = numbers else { return Ok(None) };
     if entries == 0xffff || bytes == 0xffff_ffff || at == 0xffff_ffff {
         // The record for large files is found by its locator, which stands before this one.
         let Some(locator) = end.checked_sub(20).map(|start| &tail[start..end]) else { return Ok(None) };
