@@ -190,7 +190,7 @@ mod tests {
         page.extend_from_slice(packets);
         page.resize(1020, 0);
         let sum = crc32c::crc32c(&page);
-        page.extend_from_slice(&sum.to_be_bytes());
+        page.extend_from_slice(&sum.swap_bytes().to_le_bytes());
         page
     }
 
