@@ -103,7 +103,7 @@ enum Invalid {
 
 pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let inputs = input::expand(&args.inputs)?;
-    if args.raw.is_some() || inputs.iter().any(|path| VolumeSource::is_volume(path)) {
+    if args.raw.is_some() || input::has_volume(&inputs)? {
         return build_grid(args, &inputs);
     }
     let options = options(args)?;
@@ -154,6 +154,7 @@ fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
         Some(layout) => VolumeSource::open_raw(input, layout)?,
         None => VolumeSource::open(input)?,
     };
+    input::remark_about(input, &source);
     let meter = Meter::new("slices", args.json);
     let started = std::time::Instant::now();
     let options = GridBuildOptions::default()

@@ -105,6 +105,7 @@ mod setters;
 mod spill;
 pub mod storage;
 mod sync;
+mod text_numbers;
 pub mod volumes;
 
 pub use cancel::CancelToken;

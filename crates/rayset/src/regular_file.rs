@@ -1,8 +1,9 @@
 //! Opening files whose paths come from users: anything that is not a regular file is an error before any of it is read.
-//! Reading a pipe would wait for a writer, and a device may never end.
+//! Reading a pipe would wait for a writer, and a device may never end. And reading what is buffered of them, whatever signals
+//! come.
 
 use std::fs::{File, FileType, OpenOptions};
-use std::io;
+use std::io::{self, BufRead};
 use std::path::Path;
 
 /// Opens a regular file, or a link to one, for reading.
@@ -22,6 +23,23 @@ pub fn open(path: &Path) -> io::Result<File> {
     let file = options.open(path)?;
     check(file.metadata()?.file_type())?;
     Ok(file)
+}
+
+/// What the buffer of a reader holds, filled if it is empty; empty at the end. Unlike `fill_buf`, it tries again if a signal
+/// interrupts the read.
+pub(crate) fn held<R: BufRead + ?Sized>(input: &mut R) -> io::Result<&[u8]> {
+    loop {
+        match input.fill_buf() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+            Ok(_) => break,
+        }
+    }
+    // Of a buffer that holds something nothing is read. At the end, another read finds the end.
+    match input.fill_buf() {
+        Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(&[]),
+        held => held,
+    }
 }
 
 fn check(kind: FileType) -> io::Result<()> {

@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use rayset::file::{FileKind, LEAST_FILE_BYTES};
-use rayset::{Cloud, Grid};
+use rayset::volumes::VolumeSource;
+use rayset::{Cloud, Grid, points};
 
 /// A file built by rayset.
 pub(crate) enum Built {
@@ -85,11 +86,30 @@ fn advice(path: &Path, head: &[u8]) -> String {
         _ => match extension.as_str() {
             "json" => "a scene goes to `rayset check` or `rayset render`".into(),
             "png" | "exr" => "it is a picture by its name".into(),
-            "ply" | "las" | "laz" | "hdf5" | "h5" | "npy" | "npz" | "vtk" | "vtp" | "vtu" | "xyz" | "txt"
-            | "csv" | "asc" | "pts" | "nrrd" | "nhdr" | "mha" | "mhd" | "nii" | "gz" | "vti" => {
+            known if points::extensions().chain(VolumeSource::extensions()).any(|one| one == known) => {
                 format!("build one of it: `rayset build {name} -o {}`", built.display())
             }
             _ => "`rayset build` makes one of points or voxels".into(),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_any_kind_that_is_read_is_to_be_built() {
+        for extension in
+            ["ply", "e57", "pcd", "ptx", "spz", "ksplat", "stl", "dx", "vdb", "slc", "nii", "gz", "zst"]
+        {
+            let said = advice(Path::new(&format!("folder/a.{extension}")), b"12345678");
+            assert_eq!(
+                said,
+                format!("build one of it: `rayset build folder/a.{extension} -o folder/a.rset`")
+            );
+        }
+        let said = advice(Path::new("a.unknown"), b"12345678");
+        assert_eq!(said, "`rayset build` makes one of points or voxels");
     }
 }

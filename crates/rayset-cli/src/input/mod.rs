@@ -13,4 +13,4 @@ pub(crate) use self::columns::{customary as customary_columns, of_all as all_col
 pub(crate) use self::files::expand;
 pub(crate) use self::kinds::{Built, open_built};
 pub(crate) use self::raw::{Input, Opened, Resources, open};
-pub(crate) use self::sources::open_points;
+pub(crate) use self::sources::{has_volume, open_points, remark_about};

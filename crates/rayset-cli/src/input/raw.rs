@@ -14,7 +14,7 @@ use super::cache::{self, CacheArgs, Place};
 use super::columns;
 use super::files;
 use super::kinds::{self, Built};
-use super::sources::open_points;
+use super::sources::{has_volume, open_points, remark_about};
 use crate::memory::PROCESS_BYTES;
 use crate::outputs::Outputs;
 use crate::progress::Meter;
@@ -112,9 +112,10 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
 
 fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
     let memory = resources.memory.saturating_sub(PROCESS_BYTES);
-    if files.iter().any(|path| VolumeSource::is_volume(path)) {
+    if has_volume(files)? {
         let [file] = files else { bail!("a grid is built from one volume at a time; name one of them") };
         let source = VolumeSource::open(file)?;
+        remark_about(file, &source);
         let meter = Meter::new("slices", false);
         let control = BuildControl::from(&meter as &dyn Progress);
         let options = GridBuildOptions::default().with_memory_bytes(memory);

@@ -1,9 +1,10 @@
-//! Opens files of points, and says what is lost of them.
+//! Opens files of points, and says what is lost of them, and what of volumes is read.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use rayset::points::{self, PointSource, ReadOptions};
+use rayset::volumes::VolumeSource;
 
 use crate::report;
 
@@ -18,4 +19,21 @@ pub(crate) fn open_points(files: &[PathBuf], options: &ReadOptions) -> Result<Ve
         sources.push(source);
     }
     Ok(sources)
+}
+
+/// Whether one of some files is a volume.
+pub(crate) fn has_volume(files: &[PathBuf]) -> Result<bool> {
+    for file in files {
+        if VolumeSource::is_volume(file)? {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// Says what the reader of a volume chose, and what it knows of the volume.
+pub(crate) fn remark_about(file: &Path, source: &VolumeSource) {
+    for sentence in &source.about {
+        report::remark(format_args!("{}: {sentence}", file.display()));
+    }
 }

@@ -2,6 +2,7 @@
 //! well; what has the name of the output is the old file or the new one, whole; and nothing else is left.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::Path;
 use std::process::Command;
 
@@ -30,8 +31,9 @@ fn prepared() -> tempfile::TempDir {
 }
 
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let entries = std::fs::read_dir(folder).expect("the folder lists").map(|entry| {
-        let path = entry.expect("an entry").path();
+    let paths =
+        std::fs::read_dir(folder).expect("the folder lists").map(|entry| entry.expect("an entry").path());
+    let entries = paths.filter(|path| path.is_file()).map(|path| {
         let bytes = std::fs::read(&path).expect("it reads");
         (path.file_name().expect("a name").to_string_lossy().into_owned(), bytes)
     });
@@ -41,6 +43,8 @@ fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 /// A run that makes `output`, disturbed at every operation in every way.
 struct Trial<'a> {
     folder: &'a Path,
+    /// Of the files in this folder operations are disturbed.
+    watched: &'a Path,
     arguments: &'a [&'a str],
     output: &'a str,
     before: BTreeMap<String, Vec<u8>>,
@@ -49,13 +53,22 @@ struct Trial<'a> {
 
 impl<'a> Trial<'a> {
     fn new(folder: &'a Path, arguments: &'a [&'a str], output: &'a str) -> (Self, Vec<Operation>) {
+        Self::watching(folder, folder, arguments, output)
+    }
+
+    fn watching(
+        folder: &'a Path,
+        watched: &'a Path,
+        arguments: &'a [&'a str],
+        output: &'a str,
+    ) -> (Self, Vec<Operation>) {
         succeeds(folder, arguments);
         let new = std::fs::read(folder.join(output)).expect("the output reads");
         std::fs::write(folder.join(output), OLD).expect("a write");
         let before = files(folder);
-        let traced = tracer::run(folder, arguments, None);
+        let traced = tracer::run_watching(folder, watched, arguments, None);
         assert_eq!(traced.code, Some(0), "{}", traced.said);
-        let trial = Self { folder, arguments, output, before, new };
+        let trial = Self { folder, watched, arguments, output, before, new };
         trial.restore();
         (trial, traced.operations)
     }
@@ -65,7 +78,8 @@ impl<'a> Trial<'a> {
     }
 
     fn fails_cleanly(&self, number: usize, disturbance: Disturbance) {
-        let traced = tracer::run(self.folder, self.arguments, Some((number, disturbance)));
+        let disturbed = Some((number, disturbance));
+        let traced = tracer::run_watching(self.folder, self.watched, self.arguments, disturbed);
         let met = traced.operations.get(number);
         let what =
             format!("{:?}: {disturbance:?} of operation {number}, {met:?}: {}", self.arguments, traced.said);
@@ -80,7 +94,11 @@ impl<'a> Trial<'a> {
             Some(1) => {
                 assert!(found == OLD || found == self.new, "{what}: half an output");
                 let lines = traced.said.trim_end().lines();
-                let lines: Vec<&str> = lines.skip_while(|line| line.starts_with("look: ")).collect();
+                // Before it, it is said what is lost of the input.
+                let is_reader = self.watched != self.folder;
+                let is_said_before =
+                    |line: &&str| line.starts_with("look: ") || is_reader && !line.starts_with("error: ");
+                let lines: Vec<&str> = lines.skip_while(is_said_before).collect();
                 assert!(lines.len() == 1 && lines[0].starts_with("error: "), "{what}");
                 let line = lines[0];
                 let cause = match disturbance {
@@ -89,6 +107,10 @@ impl<'a> Trial<'a> {
                     _ => panic!("{what}: half a read or write is nothing wrong"),
                 };
                 assert_eq!(line.matches(cause).count(), 1, "{what}");
+                if is_reader {
+                    let names = files(self.watched).into_keys();
+                    assert!(names.into_iter().any(|name| line.contains(&name)), "{what}: no file is named");
+                }
                 assert!(disturbance != Disturbance::Fail(Errno::EINTR), "{what}");
             }
             other => panic!("{what}: ended with {other:?}"),
@@ -179,4 +201,108 @@ fn a_run_killed_at_any_file_operation_leaves_the_old_output_or_the_new_one_and_t
         let numbers = operations.iter().enumerate().filter(|(_, operation)| changes(operation));
         numbers.for_each(|(number, _)| trial.is_survived(number));
     }
+}
+
+/// Files of every kind that is read besides PLY and plain voxels. Of a snapshot in several files, all are there; volumes that
+/// are packed are unpacked first.
+const INPUTS: [&str; 33] = [
+    "two_scans.e57",
+    "ascii_uint32.pcd",
+    "binary_float32.pcd",
+    "binary_compressed_float32.pcd",
+    "binary_uint32.pcd.zst",
+    "scans.ptx",
+    "scans.ptx.zst",
+    "format_2.las",
+    "format_8.laz",
+    "npy/plain_f8.npy",
+    "npy/deflated.npz",
+    "snapshots/swift.hdf5",
+    "snapshots/arepo.0.hdf5+snapshots/arepo.1.hdf5",
+    "gadget/format1",
+    "gadget/parts.0+gadget/parts.1",
+    "vtk/poly_text_42.vtk",
+    "vtk/poly_binary_51.vtk",
+    "vtk/binary_zlib.vtp",
+    "vtk/base64_zlib.vtu",
+    "meshes/ball.obj",
+    "meshes/ball.ply",
+    "meshes/ball.stl",
+    "splats/inria.ply",
+    "splats/packed.compressed.ply",
+    "splats/v3.spz",
+    "splats/v4.spz",
+    "splats/records.splat",
+    "splats/level1.ksplat",
+    "volumes/plain.dx",
+    "volumes/runs.slc",
+    "volumes/deflated.npz",
+    "volumes/binary_f4.vtk",
+    "vdb/blosc.vdb.gz",
+];
+/// Operations on one input that are disturbed, at most.
+const OPERATIONS: usize = 6;
+
+/// A folder with inputs in a folder of their own. Returns the name of the first.
+fn with_inputs(names: &str) -> (tempfile::TempDir, String) {
+    let folder = folder();
+    std::fs::create_dir(folder.path().join("in")).expect("a folder");
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures");
+    let mut first = String::new();
+    for name in names.split('+') {
+        let mut bytes = std::fs::read(fixtures.join(name)).expect("a fixture");
+        let mut name = Path::new(name).file_name().expect("a name").to_string_lossy().into_owned();
+        if let Some(unpacked) = name.strip_suffix(".vdb.gz") {
+            let packed = std::mem::take(&mut bytes);
+            flate2::read::GzDecoder::new(&packed[..]).read_to_end(&mut bytes).expect("gzip");
+            name = format!("{unpacked}.vdb");
+        }
+        std::fs::write(folder.path().join("in").join(&name), bytes).expect("a write");
+        if first.is_empty() {
+            first = format!("in/{name}");
+        }
+    }
+    (folder, first)
+}
+
+/// Which of so many operations are disturbed: the first, the last, and some between.
+fn chosen(count: usize) -> impl Iterator<Item = usize> {
+    let most = OPERATIONS.min(count);
+    (0..most).map(move |i| i * (count - 1) / (most - 1).max(1))
+}
+
+fn every_input_fails_cleanly(inputs: &[&str]) {
+    for names in inputs {
+        let (folder, input) = with_inputs(names);
+        let watched = folder.path().join("in");
+        if !tracer::can_trace(folder.path()) {
+            return;
+        }
+        let mesh = input.contains("ball").then_some(["--mesh-points", "50"]);
+        let mut arguments = vec!["build", &input, "-o", "out.rset", "--threads", "1", "--json"];
+        arguments.extend(mesh.iter().flatten());
+        let (trial, operations) = Trial::watching(folder.path(), &watched, &arguments, "out.rset");
+        assert!(operations.contains(&Operation::Read), "{names}: {operations:?}");
+        for (turn, number) in chosen(operations.len()).enumerate() {
+            trial.fails_cleanly(number, Disturbance::Fail(Errno::EIO));
+            // Of the others, each takes its turn.
+            let others = &operations[number].disturbances()[1..];
+            others.get(turn % others.len().max(1)).iter().for_each(|d| trial.fails_cleanly(number, **d));
+        }
+    }
+}
+
+#[test]
+fn points_of_every_kind_are_read_or_not_whatever_file_operation_fails() {
+    every_input_fails_cleanly(&INPUTS[..15]);
+}
+
+#[test]
+fn points_of_vtk_meshes_and_splats_are_read_or_not_whatever_file_operation_fails() {
+    every_input_fails_cleanly(&INPUTS[15..28]);
+}
+
+#[test]
+fn volumes_of_every_kind_are_read_or_not_whatever_file_operation_fails() {
+    every_input_fails_cleanly(&INPUTS[28..]);
 }

@@ -64,13 +64,14 @@ pub(crate) struct Traced {
     pub(crate) code: Option<i32>,
     /// What it wrote to standard error.
     pub(crate) said: String,
-    /// Its operations on files in its folder, in order.
+    /// Its operations on files in the watched folder, in order.
     pub(crate) operations: Vec<Operation>,
 }
 
 /// Whether processes may be traced here; some containers forbid it.
 pub(crate) fn can_trace(folder: &Path) -> bool {
-    let can = Tracer::start(folder, &["--version"]).is_ok_and(|tracer| tracer.run(None).code == Some(0));
+    let can =
+        Tracer::start(folder, folder, &["--version"]).is_ok_and(|tracer| tracer.run(None).code == Some(0));
     if !can {
         eprintln!("skipped: this system lets no process be traced");
     }
@@ -79,12 +80,23 @@ pub(crate) fn can_trace(folder: &Path) -> bool {
 
 /// Runs the program in a folder; `disturbed` names an operation by its number, from 0.
 pub(crate) fn run(folder: &Path, arguments: &[&str], disturbed: Option<(usize, Disturbance)>) -> Traced {
-    Tracer::start(folder, arguments).expect("the program can be traced").run(disturbed)
+    run_watching(folder, folder, arguments, disturbed)
+}
+
+/// The same, of whose operations those on files in the folder `watched` are met alone.
+pub(crate) fn run_watching(
+    folder: &Path,
+    watched: &Path,
+    arguments: &[&str],
+    disturbed: Option<(usize, Disturbance)>,
+) -> Traced {
+    Tracer::start(folder, watched, arguments).expect("the program can be traced").run(disturbed)
 }
 
 struct Tracer {
     main: Pid,
     folder: PathBuf,
+    watched: PathBuf,
     said: File,
     operations: Vec<Operation>,
     /// The thread whose operation has been replaced by none, and what it is to fail with.
@@ -92,7 +104,7 @@ struct Tracer {
 }
 
 impl Tracer {
-    fn start(folder: &Path, arguments: &[&str]) -> nix::Result<Self> {
+    fn start(folder: &Path, watched: &Path, arguments: &[&str]) -> nix::Result<Self> {
         let said = tempfile::tempfile().expect("a temporary file");
         // A shell that stops itself can be taken hold of before it becomes the program.
         let mut command = Command::new("/bin/sh");
@@ -107,14 +119,14 @@ impl Tracer {
             | Options::PTRACE_O_TRACECLONE
             | Options::PTRACE_O_TRACEEXEC
             | Options::PTRACE_O_EXITKILL;
-        let folder = folder.canonicalize().expect("the folder has a path");
+        let [folder, watched] = [folder, watched].map(|f| f.canonicalize().expect("the folder has a path"));
         if let Err(error) = ptrace::seize(main, options) {
             let _ = kill(main, Signal::SIGKILL);
             let _ = wait(Some(main), WaitPidFlag::empty());
             return Err(error);
         }
         kill(main, Signal::SIGCONT)?;
-        Ok(Self { main, folder, said, operations: Vec::new(), failing: None })
+        Ok(Self { main, folder, watched, said, operations: Vec::new(), failing: None })
     }
 
     fn run(mut self, disturbed: Option<(usize, Disturbance)>) -> Traced {
@@ -177,7 +189,7 @@ impl Tracer {
         let _ = ptrace::setregs(thread, registers);
     }
 
-    /// What a system call does to files in the folder, if anything.
+    /// What a system call does to files in the watched folder, if anything.
     fn operation(&self, registers: &nix::libc::user_regs_struct) -> Option<Operation> {
         use nix::libc as c;
         let nix::libc::user_regs_struct { rdi, rsi, rdx, .. } = *registers;
@@ -209,17 +221,18 @@ impl Tracer {
         is_here.then_some(operation)
     }
 
-    /// Whether a descriptor of the program is one of a file in the folder, named or not.
+    /// Whether a descriptor of the program is one of a file in the watched folder, named or not.
     fn has_open(&self, descriptor: u64) -> bool {
         let link = format!("/proc/{}/fd/{}", self.main, descriptor as i32);
-        std::fs::read_link(link).is_ok_and(|path| path.starts_with(&self.folder))
+        std::fs::read_link(link).is_ok_and(|path| path.starts_with(&self.watched))
     }
 
-    /// Whether a path in the program's memory leads into the folder, in which it runs.
+    /// Whether a path in the program's memory leads into the watched folder.
     fn is_named(&self, address: u64) -> bool {
         use std::os::unix::ffi::OsStringExt;
         self.text(address).is_some_and(|text| {
-            !text.is_empty() && self.folder.join(std::ffi::OsString::from_vec(text)).starts_with(&self.folder)
+            !text.is_empty()
+                && self.folder.join(std::ffi::OsString::from_vec(text)).starts_with(&self.watched)
         })
     }
 

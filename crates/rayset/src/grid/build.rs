@@ -159,6 +159,12 @@ impl Room {
     }
 }
 
+fn sorted(sentences: &[String]) -> Vec<String> {
+    let mut sentences = sentences.to_vec();
+    sentences.sort_unstable();
+    sentences
+}
+
 fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
     let header = GridHeader {
         identity: Identity::default(),
@@ -170,7 +176,7 @@ fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
         offset: source.offset,
         space_from_voxel: source.space_from_voxel,
         file_bytes: 0,
-        sources: Vec::new(),
+        sources: sorted(&source.about),
         up: source.up.and_then(DVec3::try_normalize),
         facing: source.facing.and_then(DVec3::try_normalize),
     };

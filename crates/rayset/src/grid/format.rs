@@ -98,7 +98,7 @@ pub struct GridHeader {
     pub space_from_voxel: DAffine3,
     /// Size of the whole file in bytes.
     pub file_bytes: u64,
-    /// Descriptions of the sources, sorted. Volume readers do not provide any yet.
+    /// What its reader chose and knows of the volume ([`VolumeSource::about`](crate::grid::read::VolumeSource::about)), sorted.
     pub sources: Vec<String>,
     /// The direction in the space of the file that is up, of length one; `None` if its format does not say.
     pub up: Option<DVec3>,

@@ -1,5 +1,7 @@
 //! Columns of numbers in the types that files use, so that times, classes and identifiers are kept exactly.
 
+use crate::text_numbers::{TextNumber, bytes_of};
+
 /// The type of the numbers of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
@@ -143,6 +145,27 @@ impl ColumnType {
             Self::F32 => number!(f32),
             Self::F64 => number!(f64),
         }
+    }
+}
+
+impl TextNumber for ColumnType {
+    fn parse(&self, text: &str) -> Option<([u8; 8], usize)> {
+        match self {
+            Self::U8 => bytes_of!(text, u8),
+            Self::I8 => bytes_of!(text, i8),
+            Self::U16 => bytes_of!(text, u16),
+            Self::I16 => bytes_of!(text, i16),
+            Self::U32 => bytes_of!(text, u32),
+            Self::I32 => bytes_of!(text, i32),
+            Self::U64 => bytes_of!(text, u64),
+            Self::I64 => bytes_of!(text, i64),
+            Self::F32 => bytes_of!(text, f32),
+            Self::F64 => bytes_of!(text, f64),
+        }
+    }
+
+    fn type_name(&self) -> String {
+        self.name().to_owned()
     }
 }
 

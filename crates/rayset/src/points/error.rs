@@ -57,6 +57,9 @@ pub enum ReadError {
         /// Number of points that the header claims.
         count: u64,
     },
+    /// Reading was cancelled by the token that the source [watches](super::PointSource::watch).
+    #[error("cancelled")]
+    Cancelled,
     /// This build of the library cannot read the format.
     #[error("{}: this build cannot read such files; compile it with the feature `{feature}`", path.display())]
     NotCompiled {

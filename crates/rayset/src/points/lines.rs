@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::stream::Stream;
 use super::{Place, ReadError};
+use crate::regular_file::held;
 
 /// Longest record in bytes, so that a file without line ends or with an unclosed quote needs bounded memory.
 pub(super) const RECORD_LIMIT: usize = 1 << 16;
@@ -31,7 +32,7 @@ impl Lines {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let mut lines = Self::after(Stream::open(path)?, 0);
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let start = lines.input.fill_buf().map_err(io)?;
+        let start = held(&mut lines.input).map_err(io)?;
         if start.starts_with(b"\xef\xbb\xbf") {
             lines.input.consume(3);
         } else if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {

@@ -10,10 +10,11 @@ use flate2::bufread::MultiGzDecoder;
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
 use super::quiet;
+use crate::regular_file::held;
 
 const ZSTD_MAGIC: u32 = 0xfd2f_b528;
 /// Largest window of zstd that is read, in bytes: that of its highest level.
-const WINDOW_LIMIT: u64 = 128 << 20;
+pub(super) const WINDOW_LIMIT: u64 = 128 << 20;
 /// The window that frames after the first may have, at least. Higher levels than 16 of zstd have larger ones.
 const LEAST_WINDOW: u64 = 2 << 20;
 /// Memory in bytes of a decoder besides its window.
@@ -91,15 +92,39 @@ enum Decoder<R> {
 }
 
 impl<R: BufRead> Unpacked<R> {
+    /// A decompressor of zstd, which keeps at most `window` bytes.
+    pub(super) fn zstd(input: R, window: u64) -> Self {
+        let mut decoder = FrameDecoder::new();
+        decoder.set_max_window_size(window);
+        let input = Counted { input, bytes: 0 };
+        let zstd = Zstd { input, decoder, is_in_frame: false, is_broken: false, is_cut: false };
+        Self(Decoder::Zstd(Box::new(zstd)))
+    }
+
+    /// What is decompressed.
+    pub(super) fn input(&self) -> &R {
+        match &self.0 {
+            Decoder::Gzip(decoder) => &decoder.get_ref().input,
+            Decoder::Zstd(zstd) => &zstd.input.input,
+        }
+    }
+
+    /// Whether zstd data could not be decompressed because they end early.
+    pub(super) fn is_cut(&self) -> bool {
+        matches!(&self.0, Decoder::Zstd(zstd) if zstd.is_cut)
+    }
+
     /// A decompressor, and the memory in bytes that it needs.
     ///
     /// # Errors
     /// If the input cannot be read, or needs too large a window.
     pub(super) fn new(mut input: R, packing: Packing) -> io::Result<(Self, u64)> {
-        let window = first_window(input.fill_buf()?);
-        let input = Counted { input, bytes: 0 };
+        let window = zstd_window(held(&mut input)?).unwrap_or(0);
         Ok(match packing {
-            Packing::Gzip => (Self(Decoder::Gzip(MultiGzDecoder::new(input))), DECODER_BYTES),
+            Packing::Gzip => {
+                let input = Counted { input, bytes: 0 };
+                (Self(Decoder::Gzip(MultiGzDecoder::new(input))), DECODER_BYTES)
+            }
             Packing::Zstd => {
                 if window > WINDOW_LIMIT {
                     let what = format!(
@@ -111,29 +136,29 @@ impl<R: BufRead> Unpacked<R> {
                     return Err(invalid(what));
                 }
                 let window = window.max(LEAST_WINDOW);
-                let mut decoder = FrameDecoder::new();
-                decoder.set_max_window_size(window);
-                let zstd = Zstd { input, decoder, is_in_frame: false, is_broken: false };
-                (Self(Decoder::Zstd(Box::new(zstd))), 2 * window + DECODER_BYTES)
+                (Self::zstd(input, window), 2 * window + DECODER_BYTES)
             }
         })
     }
 }
 
-/// The window in bytes that the first frame needs, if these bytes are zstd's; otherwise any number.
-fn first_window(head: &[u8]) -> u64 {
-    let Some((&flags, rest)) = head.get(4..).and_then(<[u8]>::split_first) else { return 0 };
-    if flags & 32 == 0 {
-        let window = u64::from(rest.first().copied().unwrap_or(0));
-        let base = 1_u64 << (10 + (window >> 3));
-        return base + base / 8 * (window & 7);
+/// The window in bytes that a frame of zstd needs, which begins with these bytes; `None` if they are no such beginning.
+pub(super) fn zstd_window(frame: &[u8]) -> Option<u64> {
+    if number(frame) != Some(ZSTD_MAGIC) {
+        return None;
     }
-    // A frame of a single segment has no window but its content.
+    let (&flags, rest) = frame[4..].split_first()?;
+    if flags & 32 == 0 {
+        let window = u64::from(*rest.first()?);
+        let base = 1_u64 << (10 + (window >> 3));
+        return Some(base + base / 8 * (window & 7));
+    }
+    // A frame of a single segment has no window but its content, whose size is behind the number of a dictionary.
     let start = [0, 1, 2, 4][usize::from(flags & 3)];
     let size = [1, 2, 4, 8][usize::from(flags >> 6)];
-    let content = rest.get(start..start + size).unwrap_or_default();
+    let content = rest.get(start..start + size)?;
     let more = if size == 2 { 256 } else { 0 };
-    content.iter().rev().fold(0_u64, |value, &byte| value << 8 | u64::from(byte)).saturating_add(more)
+    Some(content.iter().rev().fold(0_u64, |value, &byte| value << 8 | u64::from(byte)).saturating_add(more))
 }
 
 fn invalid(what: String) -> io::Error {
@@ -179,6 +204,8 @@ struct Zstd<R> {
     is_in_frame: bool,
     /// It has failed, and its state may be unusable.
     is_broken: bool,
+    /// It has failed at the end of its data.
+    is_cut: bool,
 }
 
 impl<R: BufRead> Zstd<R> {
@@ -214,17 +241,15 @@ impl<R: BufRead> Zstd<R> {
     /// Begins the next frame. Returns false if there is none.
     fn next_frame(&mut self) -> io::Result<bool> {
         loop {
-            if self.input.fill_buf()?.is_empty() {
+            if held(&mut self.input)?.is_empty() {
                 return Ok(false);
             }
             let mut start = [0; 4];
-            let short =
-                |_| invalid("its zstd data end within a frame's first bytes; it is cut off".to_owned());
-            self.input.read_exact(&mut start).map_err(short)?;
+            self.read_head(&mut start)?;
             // Frames to be skipped have one of sixteen numbers.
             if number(&start).is_some_and(|magic| magic & !15 == 0x184d_2a50) {
                 let mut length = [0; 4];
-                self.input.read_exact(&mut length).map_err(short)?;
+                self.read_head(&mut length)?;
                 let length = u64::from(u32::from_le_bytes(length));
                 if io::copy(&mut (&mut self.input).take(length), &mut io::sink())? < length {
                     return Err(self.fail(Some(&io::Error::from(io::ErrorKind::UnexpectedEof))));
@@ -244,9 +269,21 @@ impl<R: BufRead> Zstd<R> {
         }
     }
 
+    /// Reads some of the first bytes of a frame.
+    fn read_head(&mut self, bytes: &mut [u8]) -> io::Result<()> {
+        self.input.read_exact(bytes).map_err(|error| {
+            if error.kind() != io::ErrorKind::UnexpectedEof {
+                return error;
+            }
+            self.is_cut = true;
+            invalid("its zstd data end within a frame's first bytes; it is cut off".to_owned())
+        })
+    }
+
     /// Whatever comes after it, the decoder is not used again.
     fn fail(&mut self, cause: Option<&(dyn Error + 'static)>) -> io::Error {
         self.is_broken = true;
+        self.is_cut = held(&mut self.input).is_ok_and(<[u8]>::is_empty);
         trouble("zstd", self.input.bytes, cause)
     }
 

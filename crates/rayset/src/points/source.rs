@@ -5,6 +5,7 @@ use std::path::Path;
 use super::column::{ColumnInfo, Values};
 use super::error::ReadError;
 use super::roles;
+use crate::cancel::CancelToken;
 
 /// The value range of the colour columns of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,6 +125,9 @@ pub trait PointSource: Send {
     fn memory_needed(&self) -> u64 {
         0
     }
+    /// Hands over a token that stops long reads: after it is cancelled, [`fill`](Self::fill) may fail with
+    /// [`ReadError::Cancelled`]. Sources whose every `fill` is short need not look at it; a build looks between two.
+    fn watch(&mut self, _cancel: &CancelToken) {}
     /// Replaces the contents of `batch` by up to `limit` further points; the batch is empty at the end.
     ///
     /// # Errors

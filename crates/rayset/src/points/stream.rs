@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::ReadError;
 use super::packed::{Packing, Unpacked};
+use crate::regular_file::held;
 
 /// Size of a read buffer in bytes.
 const BUFFER_BYTES: usize = 256 << 10;
@@ -31,7 +32,7 @@ impl Stream {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let mut file = BufReader::with_capacity(BUFFER_BYTES, File::open(path).map_err(io)?);
-        fill(&mut file).map_err(io)?;
+        held(&mut file).map_err(io)?;
         let packing = Packing::of(file.buffer());
         let mut memory = BUFFER_BYTES as u64;
         let input = match packing {
@@ -67,16 +68,6 @@ impl Stream {
             rest.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
         }
         Ok(())
-    }
-}
-
-/// Fills the buffer of a reader. Unlike `fill_buf`, it tries again if a signal interrupts the read.
-pub(super) fn fill(input: &mut impl BufRead) -> io::Result<()> {
-    loop {
-        match input.fill_buf() {
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            filled => return filled.map(drop),
-        }
     }
 }
 

@@ -3,10 +3,11 @@
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
+use super::base64::{Base64, UntilTag};
 use super::blocks::{Blocks, Words};
 use super::document::{Document, Tag};
 use super::fault::{Fault, data_at, what_of};
-use super::text::{Ascii, Base64, Number, UntilTag};
+use crate::text_numbers::{Behind, TextNumber, TextNumbers};
 
 /// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.
 const MOST_DEFLATED: u64 = 1032;
@@ -48,7 +49,7 @@ pub(crate) enum Opened {
 
 impl DataArray<'_> {
     /// Opens the numbers. `number` says what they are.
-    pub(crate) fn open(&self, number: impl Number + Send + 'static) -> Result<Opened, Fault> {
+    pub(crate) fn open(&self, number: impl TextNumber + Send + 'static) -> Result<Opened, Fault> {
         match self.tag.attribute("format") {
             Some("ascii") => self.ascii(number),
             Some("binary") => self.encoded(&Encoded::Inline(self.content()?)),
@@ -67,15 +68,14 @@ impl DataArray<'_> {
         Fault::Header { place: self.tag.place(""), what }
     }
 
-    fn ascii(&self, number: impl Number + Send + 'static) -> Result<Opened, Fault> {
+    fn ascii(&self, number: impl TextNumber + Send + 'static) -> Result<Opened, Fault> {
         let at = self.content()?;
         // At least one digit each, and one separator between two numbers.
-        let least = (2 * self.count).saturating_sub(1);
+        let least = self.count.saturating_mul(2).saturating_sub(1);
         if self.file_bytes - at.min(self.file_bytes) < least {
             return Err(self.early(&format!("{} numbers need at least {least} bytes", self.count)));
         }
-        let text = UntilTag::new(data_at(self.path, at)?);
-        let data = Box::new(Ascii::new(text, number, self.count));
+        let data = Box::new(TextNumbers::new(data_at(self.path, at)?, number, self.count, Behind::Tag));
         Ok(Opened::Stream { data, rest: Some(0), is_text: true })
     }
 

@@ -6,6 +6,7 @@ use flate2::{Decompress, FlushDecompress, Status};
 
 use super::document::Tag;
 use super::fault::Fault;
+use crate::regular_file::held;
 
 /// The format of the length words before data.
 #[derive(Clone, Copy, Debug)]
@@ -98,7 +99,7 @@ impl Blocks {
     /// Advances to the next block; false after the last.
     fn next_block(&mut self) -> io::Result<bool> {
         if self.left == 0 {
-            if self.alone && !self.data.fill_buf()?.is_empty() {
+            if self.alone && !held(&mut self.data)?.is_empty() {
                 return Err(self.wrong("more data follow it"));
             }
             return Ok(false);
@@ -121,7 +122,7 @@ impl Read for Blocks {
             if self.ended && !self.next_block()? {
                 return Ok(0);
             }
-            let held = self.data.fill_buf()?;
+            let held = held(&mut self.data)?;
             if held.is_empty() && self.compressed > 0 {
                 return Err(io::ErrorKind::UnexpectedEof.into());
             }

@@ -9,6 +9,7 @@ use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 
 use super::fault::{Fault, data_at};
+use crate::regular_file::held;
 
 /// Limit on the bytes of a file that are read as XML, without the text of arrays.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -173,7 +174,7 @@ fn pass_text(xml: &mut Xml) -> io::Result<Option<u64>> {
     let (mut stream, mut found) = (xml.stream(), None);
     loop {
         let offset = stream.offset();
-        let held = stream.fill_buf()?;
+        let held = held(&mut stream)?;
         let end = held.iter().position(|&byte| byte == b'<').unwrap_or(held.len());
         if found.is_none() {
             let letter = held[..end].iter().position(|byte| !byte.is_ascii_whitespace());
@@ -193,11 +194,9 @@ fn pass_text(xml: &mut Xml) -> io::Result<Option<u64>> {
 fn marker(xml: &mut Xml) -> io::Result<Option<u64>> {
     let mut stream = xml.stream();
     loop {
-        let mut byte = [0];
-        if stream.read(&mut byte)? == 0 {
-            return Ok(None);
-        }
-        match byte[0] {
+        let Some(&byte) = held(&mut stream)?.first() else { return Ok(None) };
+        stream.consume(1);
+        match byte {
             b'_' => return Ok(Some(stream.offset())),
             space if space.is_ascii_whitespace() => {}
             _ => return Ok(None),

@@ -2,13 +2,12 @@
 //! zlib. What volumes and points are made of them is said where these are read.
 
 mod array;
+mod base64;
 mod blocks;
 mod document;
 mod fault;
-mod text;
 
 pub(crate) use self::array::{DataArray, Opened};
 pub(crate) use self::blocks::Words;
 pub(crate) use self::document::{Document, Group, Piece, Tag, read};
 pub(crate) use self::fault::Fault;
-pub(crate) use self::text::Number;

@@ -251,3 +251,69 @@ fn a_source_that_hands_out_other_columns_than_were_selected_is_an_error() {
         assert_eq!(columns, count);
     }
 }
+
+/// A file that takes long to be read before its first point: a mesh of each kind, splats of which attributes lie behind others.
+fn slow_files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
+    let write = |name: &str, bytes: Vec<u8>| {
+        let path = folder.join(name);
+        std::fs::write(&path, bytes).expect("a write");
+        path
+    };
+    let triangles = 300_000_u32;
+    let mut stl = vec![b' '; 80];
+    stl.extend(triangles.to_le_bytes());
+    for i in 0..triangles {
+        let numbers = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, i as f32];
+        numbers.iter().for_each(|n: &f32| stl.extend(n.to_le_bytes()));
+        stl.extend([0, 0]);
+    }
+    let mut obj = String::from("v 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    obj.push_str(&"f 1 2 3\n".repeat(100_000));
+    obj.push_str(&"vn 0 0 1\n".repeat(400_000));
+    let mut ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                   element face 300000\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+        .to_owned();
+    ply.push_str(&"3 0 1 2\n".repeat(300_000));
+    let count = 3_000_000_u32;
+    let mut spz = b"NGSP".to_vec();
+    spz.extend(2_u32.to_le_bytes());
+    spz.extend(count.to_le_bytes());
+    spz.extend([0, 12, 0, 0]);
+    spz.resize(16 + count as usize * 19, 0x80);
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::new(1));
+    std::io::Write::write_all(&mut gzip, &spz).expect("a write");
+    vec![
+        write("a.stl", stl),
+        write("a.obj", obj.into_bytes()),
+        write("a.ply", ply.into_bytes()),
+        write("a.spz", gzip.finish().expect("gzip")),
+    ]
+}
+
+#[test]
+fn meshes_and_splats_that_are_read_before_their_first_point_stop_when_they_are_cancelled() {
+    let folder = folder();
+    for path in slow_files(folder.path()) {
+        let options = rayset::points::ReadOptions::default().with_mesh_points(Some(10));
+        let mut source = rayset::points::open(&path, &options).expect("it opens");
+        source.select(&[]);
+        let cancel = CancelToken::new();
+        source.watch(&cancel);
+        let stopper = cancel.clone();
+        let cancelled = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(4));
+            stopper.cancel();
+            Instant::now()
+        });
+        let filled = source.fill(&mut PointBatch::default(), 100);
+        let took = Instant::now().saturating_duration_since(cancelled.join().expect("it ends"));
+        assert!(matches!(filled, Err(ReadError::Cancelled)), "{}: {filled:?}", path.display());
+        assert!(took < Duration::from_millis(50), "{}: {took:?}", path.display());
+        // A build says that it was cancelled, and leaves nothing.
+        let source = rayset::points::open(&path, &options).expect("it opens");
+        let control = BuildControl::default().with_cancel(&cancel);
+        let output = folder.path().join("c.rset");
+        let built = build::run(vec![source], &output, &BuildOptions::default(), &control);
+        assert!(matches!(built, Err(BuildError::Cancelled)) && !output.exists(), "{}", path.display());
+    }
+}

@@ -182,3 +182,11 @@ fn real_e57_files_are_read_as_by_lib_e57_format() {
     assert_eq!(position.iter().filter(|p| !p[0].is_nan()).count(), 180);
     assert!(close(sums(&position, 0), 89.95435666933113) && close(sums(&position, 2), 114.6459050783777));
 }
+
+#[test]
+fn scans_that_claim_the_same_bytes_are_refused_before_they_are_read_over_and_over() {
+    // Each of the two would fit into the file by itself.
+    let (old, new) = (r#"fileOffset="1432" recordCount="25""#, r#"fileOffset="48" recordCount="400""#);
+    let said = refusal(&with_xml("two_scans.e57", old, new));
+    assert!(said.contains("scan 1 has 400 points") && said.contains("do not fit into the file"), "{said}");
+}

@@ -41,3 +41,17 @@ fn damaged_snapshots_of_gadget_are_errors_and_never_panics() {
     assert!(damage(&fixtures("gadget").join("format1"), 17) > 40);
     assert!(damage(&fixtures("gadget").join("format2_big"), 31) > 40);
 }
+
+#[test]
+fn a_header_of_another_length_is_an_error_with_its_place() {
+    let folder = folder();
+    let path = folder.path().join("snap");
+    let record = |bytes: &[u8]| {
+        let mark = (bytes.len() as u32).to_le_bytes();
+        [&mark[..], bytes, &mark].concat()
+    };
+    let bytes = [record(b"HEAD\x08\x01\0\0"), record(&[0; 200]), record(b"POS \x08\0\0\0"), record(&[0; 12])];
+    std::fs::write(&path, bytes.concat()).expect("a write");
+    let said = attempt(&path).expect_err("a short header");
+    assert!(said.contains("byte 16: the header has 200 bytes, expected 256"), "{said}");
+}

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 25] = [
+const ORDER: [&str; 26] = [
     "parse",
     "setters",
     "sync",
     "cancel",
     "geometry",
     "regular_file",
+    "text_numbers",
     "array_file",
     "storage",
     "output",

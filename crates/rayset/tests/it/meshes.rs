@@ -262,3 +262,12 @@ fn damaged_and_shortened_meshes_are_errors_or_other_meshes_and_never_panic() {
         }
     }
 }
+
+#[test]
+fn remarks_behind_the_numbers_of_an_obj_file_are_passed_over() {
+    let folder = folder();
+    let text = "v 0 0 0 # first\nv 1 0 0 #second\nv 0 1 0\nf 1 2 3 # a face of 3 corners\n";
+    let path = write(folder.path(), "a.obj", text);
+    let points = sample(&path, 10).expect("a mesh");
+    assert_eq!(points.len(), 10);
+}

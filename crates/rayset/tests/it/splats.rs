@@ -421,3 +421,18 @@ fn real_splat_files_have_the_means_that_splat_transform_finds() {
         assert_eq!(found.0, [[-1.0, 0.0, -1.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0; 3]], "{name}");
     }
 }
+
+#[test]
+fn packed_splats_in_gzip_are_read_to_their_checksum() {
+    let folder = folder();
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut gzip, &bytes_of("packed.compressed.ply")).expect("a write");
+    let mut bytes = gzip.finish().expect("gzip");
+    let whole = table(&write(folder.path(), "a.ply.gz", &bytes), None).expect("splats");
+    assert_eq!(whole.0, table(&fixture("packed.compressed.ply"), None).expect("splats").0);
+    let sum = bytes.len() - 8;
+    bytes[sum] ^= 1;
+    let said =
+        table(&write(folder.path(), "a.ply.gz", &bytes), None).expect_err("another checksum").to_string();
+    assert!(said.contains("gzip data are damaged"), "{said}");
+}

@@ -94,3 +94,17 @@ fn smoke_of_houdini_is_read() {
     assert_eq!(numbers.iter().copied().fold(0.0, f32::max), 5.714_843_8);
     assert_eq!(numbers.iter().filter(|v| **v != 0.0).count(), 1_049_275);
 }
+
+#[test]
+fn what_a_reader_chose_and_knows_of_a_volume_is_kept_in_its_grid() {
+    let folder = folder();
+    let path = folder.path().join("several.vdb");
+    std::fs::write(&path, unzipped("vdb", "several.vdb")).expect("a write");
+    let source = VolumeSource::open(&path).expect("a volume");
+    let about = source.about.clone();
+    assert!(about.iter().any(|sentence| sentence.contains("is read, of")), "{about:?}");
+    let output = folder.path().join("g.rset");
+    build(source, &output, &GridBuildOptions::default(), &BuildControl::default()).expect("a grid");
+    let grid = rayset::grid::Grid::open(&output).expect("it opens");
+    assert_eq!(grid.header().sources, about);
+}

@@ -118,3 +118,90 @@ const REAL: [(&str, &[&str], &[f64]); 3] = [
         ],
     ),
 ];
+
+/// A legacy file of three points in text, with what goes behind them.
+fn legacy(folder: &std::path::Path, behind: &str) -> std::path::PathBuf {
+    let path = folder.join("a.vtk");
+    let text = format!(
+        "# vtk DataFile Version 5.1\nt\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n0 0 0 1 0 0 0 1 0\n{behind}"
+    );
+    std::fs::write(&path, text).expect("a write");
+    path
+}
+
+#[test]
+fn what_is_told_of_the_arrays_of_a_field_is_no_array() {
+    let folder = folder();
+    let told = "METADATA\nINFORMATION 1\nNAME L2_NORM_RANGE LOCATION vtkDataArray\nDATA 2 0 1\n\n";
+    let path = legacy(
+        folder.path(),
+        &format!(
+            "POINT_DATA 3\nFIELD f 3\na 1 3 int\n1 2 3\n{told}b 1 3 int\n4 5 6\n{told}c 1 3 int\n7 8 9\n{told}"
+        ),
+    );
+    let mut source = points::open(&path, &ReadOptions::default()).expect("points");
+    assert_eq!(source.schema().names().collect::<Vec<_>>(), ["a", "b", "c"]);
+    let all = read_all(&mut *source, 100).expect("points");
+    assert_eq!(all.columns.iter().map(|c| c.get(2)).collect::<Vec<_>>(), [3.0, 6.0, 9.0]);
+}
+
+#[test]
+fn lists_of_cells_are_passed_wherever_they_lie_in_the_file() {
+    let folder = folder();
+    // A buffer of 65536 bytes may end within the word that says how cells are written.
+    for padding in 65380..65450 {
+        let title = format!("{:<padding$}", "t");
+        let path = folder.path().join("a.vtk");
+        let text = format!(
+            "# vtk DataFile Version 5.1\n{title}\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\nVERTICES 2 1\n\
+             OFFSETS vtktypeint64\n0 1\nCONNECTIVITY vtktypeint64\n0\n"
+        );
+        std::fs::write(&path, text).expect("a write");
+        assert_eq!(attempt(&path).map(|all| all.len()), Ok(1), "{padding}");
+    }
+}
+
+#[test]
+fn a_number_of_too_many_letters_is_an_error_and_not_two_numbers() {
+    let folder = folder();
+    let long = format!("0.{}", "5".repeat(90));
+    let path = legacy(folder.path(), &format!("POINT_DATA 3\nFIELD f 1\na 1 3 float\n{long} 2 3\n"));
+    let said = attempt(&path).expect_err("too long");
+    assert!(said.contains("more than 64 letters") && said.contains("`a`"), "{said}");
+    let path = folder.path().join("a.vtp");
+    let text = format!(
+        "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"1\"><Points><DataArray type=\"Float32\" \
+         NumberOfComponents=\"3\" format=\"ascii\">{long} 1 </DataArray></Points></Piece></PolyData></VTKFile>"
+    );
+    std::fs::write(&path, text).expect("a write");
+    let said = attempt(&path).expect_err("two numbers");
+    assert!(said.contains("more than 64 letters"), "{said}");
+}
+
+#[test]
+fn counts_that_no_file_holds_are_refused_with_their_place() {
+    let folder = folder();
+    let path = folder.path().join("a.vtp");
+    for count in [u64::MAX / 6, u64::MAX / 2 + 1, u64::MAX] {
+        let text = format!(
+            "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"{count}\"><Points><DataArray \
+             type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">1 2 3</DataArray></Points></Piece></PolyData>\
+             </VTKFile>"
+        );
+        std::fs::write(&path, text).expect("a write");
+        let said = attempt(&path).expect_err("no file");
+        assert!(said.contains("the file ends before all numbers are there"), "{said}");
+    }
+}
+
+#[test]
+fn arrays_without_end_are_refused_soon() {
+    let folder = folder();
+    let mut text = String::from("POINT_DATA 3\nFIELD f 1000000\n");
+    (0..300_000).for_each(|_| text.push_str("a 1 0 int\n"));
+    let path = legacy(folder.path(), &text.replace("ASCII", "BINARY"));
+    let started = std::time::Instant::now();
+    let said = attempt(&path).expect_err("too many");
+    assert!(said.contains("more than 65536 arrays"), "{said}");
+    assert!(started.elapsed().as_secs() < 5, "{:?}", started.elapsed());
+}

@@ -169,7 +169,7 @@ pub(super) fn skip_lines(path: &Path, start: u64, lines: u64) -> Result<Option<u
     let mut file = data_at(path, start)?;
     let (mut left, mut bytes) = (lines, 0);
     while left > 0 {
-        let held = file.fill_buf().map_err(io_error(path))?;
+        let held = regular_file::held(&mut file).map_err(io_error(path))?;
         if held.is_empty() {
             return Ok(None);
         }

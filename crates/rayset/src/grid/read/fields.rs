@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::ReadError;
 use super::data::{data_at, io_error, regular_file_bytes};
+use crate::regular_file::held;
 
 /// Longest header in bytes. This bounds the memory for a file without line ends.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -67,7 +68,7 @@ impl Lines {
     pub(super) fn skip_words(&mut self, words: u64) -> Result<bool, ReadError> {
         let (mut left, mut within) = (words, false);
         while left > 0 {
-            let held = self.file.fill_buf().map_err(io_error(&self.path))?;
+            let held = held(&mut self.file).map_err(io_error(&self.path))?;
             if held.is_empty() {
                 return Ok(left == 1 && within);
             }

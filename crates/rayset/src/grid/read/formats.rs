@@ -7,6 +7,7 @@ use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
+use super::data::io_error;
 use super::refused::refused;
 use super::{ReadError, VolumeSource, dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
 
@@ -22,7 +23,7 @@ struct Format {
     /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of this format, whatever its
     /// name. The bytes of a compressed file are those of what is compressed. Where the beginning says too little, more of
     /// the file is read.
-    begins: fn(&[u8], &Path) -> bool,
+    begins: fn(&[u8], &Path) -> Result<bool, ReadError>,
     /// Whether a file may be compressed by gzip as a whole.
     zipped: bool,
     open: fn(&Path) -> Result<VolumeSource, ReadError>,
@@ -32,45 +33,45 @@ struct Format {
 const FORMATS: &[Format] = &[
     Format {
         extensions: &["nrrd", "nhdr"],
-        begins: |head, _| head.starts_with(b"NRRD000"),
+        begins: |head, _| Ok(head.starts_with(b"NRRD000")),
         zipped: false,
         open: nrrd::open,
     },
     Format {
         extensions: &["mha", "mhd"],
-        begins: |head, _| head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = "),
+        begins: |head, _| Ok(head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = ")),
         zipped: false,
         open: meta::open,
     },
     Format {
         extensions: &["nii", "nii.gz"],
-        begins: |head, _| head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0")),
+        begins: |head, _| Ok(head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0"))),
         zipped: true,
         open: nifti::open,
     },
     Format {
         extensions: &["vdb"],
-        begins: |head, _| head.starts_with(VDB_MAGIC),
+        begins: |head, _| Ok(head.starts_with(VDB_MAGIC)),
         zipped: false,
         open: vdb::open,
     },
     // Arrays of other dimensions are no volumes, so the name does not tell.
     Format { extensions: &[], begins: npy::is_volume, zipped: false, open: npy::open },
-    Format { extensions: &["slc"], begins: |head, _| slc::is_slc(head), zipped: false, open: slc::open },
+    Format { extensions: &["slc"], begins: |head, _| Ok(slc::is_slc(head)), zipped: false, open: slc::open },
     // Files of other datasets have the same name.
     Format {
         extensions: &[],
-        begins: |head, _| legacy_vtk::is_grid(head),
+        begins: |head, _| Ok(legacy_vtk::is_grid(head)),
         zipped: false,
         open: legacy_vtk::open,
     },
-    Format { extensions: &["dx"], begins: |head, _| dx::is_dx(head), zipped: false, open: dx::open },
+    Format { extensions: &["dx"], begins: |head, _| Ok(dx::is_dx(head)), zipped: false, open: dx::open },
     Format {
         extensions: &["vti"],
         // Other files of VTK begin as this one does.
         begins: |head, _| {
-            head.windows(VTI_TYPES[0].len()).any(|w| w == VTI_TYPES[0])
-                || head.windows(VTI_TYPES[1].len()).any(|w| w == VTI_TYPES[1])
+            let has = |kind: &[u8]| head.windows(kind.len()).any(|w| w == kind);
+            Ok(VTI_TYPES.iter().any(|kind| has(kind)))
         },
         zipped: false,
         open: vti::open,
@@ -92,34 +93,42 @@ enum Kind {
     Unknown,
 }
 
-fn kind_of(path: &Path) -> Kind {
-    let (head, zipped) = head(path).unwrap_or_default();
+fn kind_of(path: &Path) -> Result<Kind, ReadError> {
+    let (head, zipped) = head(path).map_err(io_error(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let is_named = |extensions: &[&str]| extensions.iter().any(|e| name.ends_with(&format!(".{e}")));
-    if let Some(format) = FORMATS.iter().find(|format| (format.begins)(&head, path)) {
+    for format in FORMATS {
+        if !(format.begins)(&head, path)? {
+            continue;
+        }
         if zipped && !format.zipped {
             let what =
                 "this is a volume that is compressed as a whole; decompress it first, as `gunzip FILE` does";
-            return Kind::Refused(what.to_owned());
+            return Ok(Kind::Refused(what.to_owned()));
         }
-        return Kind::Read(format);
+        return Ok(Kind::Read(format));
     }
     let refused = refused(path, &head, is_named).map(|what| Kind::Refused(what.to_owned()));
-    match FORMATS.iter().find(|format| is_named(format.extensions)) {
+    Ok(match FORMATS.iter().find(|format| is_named(format.extensions)) {
         Some(format) => Kind::Read(format),
         None => refused.unwrap_or(Kind::Unknown),
-    }
+    })
+}
+
+/// Endings of the names of files of all formats, without the dot.
+pub(super) fn extensions() -> impl Iterator<Item = &'static str> {
+    FORMATS.iter().flat_map(|format| format.extensions).copied()
 }
 
 /// Whether a file is a volume.
-pub(super) fn is_volume(path: &Path) -> bool {
-    !matches!(kind_of(path), Kind::Unknown)
+pub(super) fn is_volume(path: &Path) -> Result<bool, ReadError> {
+    Ok(!matches!(kind_of(path)?, Kind::Unknown))
 }
 
 /// Opens a volume in its own format.
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let refuse = |what: String| Err(ReadError::Format { path: path.to_owned(), what });
-    match kind_of(path) {
+    match kind_of(path)? {
         Kind::Read(format) => Ok((format.open)(path)?.with_header(path)),
         Kind::Refused(what) => refuse(what),
         Kind::Unknown => refuse(EXPECTED.to_owned()),

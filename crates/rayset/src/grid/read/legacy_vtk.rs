@@ -6,10 +6,10 @@ use std::path::Path;
 use super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
-use super::numbers::Numbers;
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
+use crate::text_numbers::{Behind, TextNumbers};
 
 const FIRST_LINE: &str = "# vtk DataFile Version";
 const REGULAR: &str = "STRUCTURED_POINTS";
@@ -102,7 +102,7 @@ fn text(path: &Path, array: &Array) -> Result<Voxels, ReadError> {
             format!("the file ends before all voxels are there: {left} bytes for {} numbers", array.count);
         return Err(ReadError::Data { path: path.to_owned(), offset: 0, what });
     }
-    let data = Numbers::new(data_at(path, array.at)?, array.stored, array.count, false);
+    let data = TextNumbers::new(data_at(path, array.at)?, array.stored, array.count, Behind::Space);
     Ok(Voxels { path: path.to_owned(), data: Box::new(data), rest: None })
 }
 

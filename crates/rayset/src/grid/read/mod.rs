@@ -15,7 +15,6 @@ mod meta;
 mod nifti;
 mod npy;
 mod nrrd;
-mod numbers;
 mod orientation;
 mod raw;
 mod refused;
@@ -49,9 +48,16 @@ impl VolumeSource {
         raw::open(path, layout)
     }
 
+    /// Endings of the names of files of volumes, without the dot, in lower case.
+    pub fn extensions() -> impl Iterator<Item = &'static str> {
+        formats::extensions()
+    }
+
     /// Whether a file is a volume, by its first bytes or, where these say nothing, by the extension of its name.
-    #[must_use]
-    pub fn is_volume(path: &Path) -> bool {
+    ///
+    /// # Errors
+    /// [`ReadError::Io`] if the operating system refuses to read it.
+    pub fn is_volume(path: &Path) -> Result<bool, ReadError> {
         formats::is_volume(path)
     }
 }

@@ -6,56 +6,69 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::data::{Place, Voxels, data_at, io_error};
+use super::data::{Place, Voxels, data_at, io_error, regular_file_bytes};
 use super::error::ReadError;
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
-use crate::array_file::{ArrayHeader, Member, is_archive, members};
+use crate::array_file::{Array, Fault, Header, MAGIC, Member, Scalar, is_archive, text_place};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 
 /// The arrays that are read if several have three dimensions, the first first.
 const USUAL_NAMES: [&str; 4] = ["volume", "data", "vol", "arr_0"];
 const SPACINGS: [&str; 2] = ["spacing", "sampling"];
 const ORIGIN: &str = "origin";
-const EXTENSION: &str = ".npy";
+
+fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
+    move |fault| match fault {
+        Fault::Io(source) => io_error(path)(source),
+        Fault::Wrong { at, what } => ReadError::header(path, &format!("byte {at}"), &what),
+    }
+}
 
 /// Whether a file is an array of numbers of three dimensions, or an archive that has one.
-pub(super) fn is_volume(head: &[u8], path: &Path) -> bool {
+pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
     if is_archive(head) {
-        let volume = |(_, header): &(Member, ArrayHeader)| is_volume_array(header);
-        return arrays(path).is_ok_and(|arrays| arrays.iter().any(volume));
+        return match Array::all(path) {
+            Ok(arrays) => Ok(arrays.iter().any(|array| is_volume_array(&array.header))),
+            Err(Fault::Io(source)) if source.raw_os_error().is_some() => Err(io_error(path)(source)),
+            // Whoever reads it will say what is wrong with it.
+            Err(_) => Ok(false),
+        };
     }
-    ArrayHeader::read(&mut &*head).is_ok_and(|header| is_volume_array(&header))
+    let Some((start, length)) = text_place(head) else { return Ok(false) };
+    let text = head.get(start..start.saturating_add(length as usize));
+    let header = text.and_then(|text| Header::parse(text, start).ok());
+    Ok(header.is_some_and(|header| is_volume_array(&header)))
 }
 
 /// One slice is a picture.
-fn is_volume_array(header: &ArrayHeader) -> bool {
-    header.shape.len() == 3 && header.shape.iter().all(|n| *n > 1) && stored(&header.descr).is_some()
+fn is_volume_array(header: &Header) -> bool {
+    header.shape.len() == 3 && header.shape.iter().all(|n| *n > 1) && stored(header).is_some()
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    let mut file = data_at(path, 0)?;
-    let mut magic = [0; 4];
-    let archive = file.read_exact(&mut magic).is_ok() && is_archive(&magic);
-    if archive {
+    let mut magic = Vec::new();
+    data_at(path, 0)?.take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io_error(path))?;
+    if is_archive(&magic) {
         return open_archive(path);
     }
-    let mut file = data_at(path, 0)?;
-    let header = ArrayHeader::read(&mut file).map_err(|what| ReadError::header(path, "byte 0", &what))?;
-    let described = described(&header, "its header", [1.0; 3], [0.0; 3]);
+    let array = Array::open(path, Member::whole(regular_file_bytes(path)?)).map_err(of_fault(path))?;
+    let described = described(&array.header, "its header", [1.0; 3], [0.0; 3]);
     let described = described.map_err(|what| ReadError::header(path, "its header", &what))?;
     let bytes = described.check(path)?;
-    let voxels = Place { path, start: header.bytes, bytes, rest: Some(0) }.plain()?;
+    let voxels = Place { path, start: array.header.bytes, bytes, rest: Some(0) }.plain()?;
     Ok(VolumeSource::new(&described, bytes, voxels))
 }
 
 fn open_archive(path: &Path) -> Result<VolumeSource, ReadError> {
-    let arrays = arrays(path)?;
-    let volumes: Vec<&(Member, ArrayHeader)> = arrays.iter().filter(|(_, h)| is_volume_array(h)).collect();
-    let usual = || USUAL_NAMES.iter().find_map(|name| volumes.iter().find(|(m, _)| stem(m) == *name));
-    let chosen = if let [one] = volumes[..] { Some(one) } else { usual().copied() };
-    let (member, header) = chosen.ok_or_else(|| {
-        let names: Vec<String> = arrays.iter().map(|(m, h)| format!("`{}` {:?}", stem(m), h.shape)).collect();
+    let arrays = Array::all(path).map_err(of_fault(path))?;
+    let volumes: Vec<&Array> = arrays.iter().filter(|array| is_volume_array(&array.header)).collect();
+    let called = |name: &str| volumes.iter().find(|array| array.member.name == name);
+    let usual = || USUAL_NAMES.iter().find_map(|name| called(name)).copied();
+    let chosen = if let [one] = volumes[..] { Some(one) } else { usual() };
+    let array = chosen.ok_or_else(|| {
+        let name = |array: &Array| format!("`{}` {:?}", array.member.name, array.header.shape);
+        let names: Vec<String> = arrays.iter().map(name).collect();
         let what = format!(
             "expected one array of three dimensions, or one called {}; the archive has {}",
             USUAL_NAMES.join(", "),
@@ -63,10 +76,11 @@ fn open_archive(path: &Path) -> Result<VolumeSource, ReadError> {
         );
         ReadError::header(path, "its arrays", &what)
     })?;
-    let place = format!("array `{}`", stem(member));
+    let (member, header) = (&array.member, &array.header);
+    let place = format!("array `{}`", member.name);
     let triple = |names: &[&str], default: f64| {
-        let found = arrays.iter().find(|(m, _)| names.contains(&stem(m)));
-        found.map_or(Ok([default; 3]), |(member, _)| three(path, member))
+        let found = arrays.iter().find(|array| names.contains(&array.member.name.as_str()));
+        found.map_or(Ok([default; 3]), |array| three(path, array))
     };
     let (spacing, origin) = (triple(&SPACINGS, 1.0)?, triple(&[ORIGIN], 0.0)?);
     let described = described(header, &place, spacing, origin);
@@ -80,8 +94,7 @@ fn open_archive(path: &Path) -> Result<VolumeSource, ReadError> {
         );
         return Err(ReadError::header(path, &place, &what));
     }
-    let mut data = member.open(path).map_err(io_error(path))?;
-    ArrayHeader::read(&mut data).map_err(|what| ReadError::header(path, &place, &what))?;
+    let data = member.open(path, header.bytes).map_err(io_error(path))?;
     let voxels = Voxels { path: path.to_owned(), data, rest: Some(0) };
     let source = VolumeSource::new(&described, bytes, voxels);
     if volumes.len() == 1 {
@@ -89,42 +102,26 @@ fn open_archive(path: &Path) -> Result<VolumeSource, ReadError> {
     }
     Ok(source.with_about(format!(
         "the array `{}` is read, of {} with three dimensions",
-        stem(member),
+        member.name,
         volumes.len()
     )))
 }
 
-/// The arrays of an archive with their headers.
-fn arrays(path: &Path) -> Result<Vec<(Member, ArrayHeader)>, ReadError> {
-    let members = members(path).map_err(io_error(path))?;
-    let arrays = members.into_iter().filter(|member| member.name.ends_with(EXTENSION));
-    arrays
-        .map(|member| {
-            let mut data = member.open(path).map_err(io_error(path))?;
-            let header = ArrayHeader::read(&mut data);
-            let header = header
-                .map_err(|what| ReadError::header(path, &format!("array `{}`", stem(&member)), &what))?;
-            Ok((member, header))
-        })
-        .collect()
-}
-
-fn stem(member: &Member) -> &str {
-    member.name.trim_end_matches(EXTENSION)
-}
-
 /// Reads an array of three numbers.
-fn three(path: &Path, member: &Member) -> Result<[f64; 3], ReadError> {
-    let wrong = |what: &str| ReadError::header(path, &format!("array `{}`", stem(member)), what);
-    let mut data = member.open(path).map_err(io_error(path))?;
-    let header = ArrayHeader::read(&mut data).map_err(|what| wrong(&what))?;
-    let types = stored(&header.descr).filter(|_| header.shape == [3]);
+fn three(path: &Path, array: &Array) -> Result<[f64; 3], ReadError> {
+    let (member, header) = (&array.member, &array.header);
+    let wrong = |what: &str| ReadError::header(path, &format!("array `{}`", member.name), what);
+    let types = stored(header).filter(|_| header.shape == [3]);
     let (stored, big_endian) = types.ok_or_else(|| wrong("expected three numbers"))?;
+    let mut data = member.open(path, header.bytes).map_err(io_error(path))?;
     let mut all = [0.0; 3];
     for one in &mut all {
         let (mut from, mut to) = ([0; 8], [0; 4]);
         let from = &mut from[..stored.bytes()];
-        data.read_exact(from).map_err(|_| wrong("the file ends within three numbers"))?;
+        data.read_exact(from).map_err(|error| match error.raw_os_error() {
+            Some(_) => io_error(path)(error),
+            None => wrong("the file ends within three numbers"),
+        })?;
         if big_endian {
             from.reverse();
         }
@@ -140,17 +137,10 @@ fn three(path: &Path, member: &Member) -> Result<[f64; 3], ReadError> {
 }
 
 /// `place` is where an error is. `spacing` and `origin` are in the order of the axes of the array.
-fn described(
-    header: &ArrayHeader,
-    place: &str,
-    spacing: [f64; 3],
-    origin: [f64; 3],
-) -> Result<Described, String> {
-    let (stored, big_endian) = stored(&header.descr).ok_or_else(|| {
-        format!(
-            "elements of the type `{}`; numbers of i1 to i8, u1 to u8 and f2 to f8 are read",
-            header.descr
-        )
+fn described(header: &Header, place: &str, spacing: [f64; 3], origin: [f64; 3]) -> Result<Described, String> {
+    let (stored, big_endian) = stored(header).ok_or_else(|| {
+        let kind = if header.is_structured { "records" } else { header.descr.as_str() };
+        format!("elements of the type `{kind}`; numbers of i1 to i8, u1 to u8 and f2 to f8 are read")
     })?;
     let [nz, ny, nx] = <[u64; 3]>::try_from(&*header.shape)
         .map_err(|_| format!("an array of the shape {:?}; a volume has three dimensions", header.shape))?;
@@ -174,25 +164,22 @@ fn described(
 }
 
 /// The type of elements, and whether they are big-endian. `None` if they are no real numbers.
-fn stored(descr: &str) -> Option<(Stored, bool)> {
-    let (order, kind) = descr.split_at_checked(1)?;
-    let stored = match kind {
-        "b1" | "u1" => Stored::U8,
-        "i1" => Stored::I8,
-        "u2" => Stored::U16,
-        "i2" => Stored::I16,
-        "u4" => Stored::U32,
-        "i4" => Stored::I32,
-        "u8" => Stored::U64,
-        "i8" => Stored::I64,
-        "f2" => Stored::F16,
-        "f4" => Stored::F32,
-        "f8" => Stored::F64,
+fn stored(header: &Header) -> Option<(Stored, bool)> {
+    let field = header.fields.first().filter(|_| !header.is_structured)?;
+    let Scalar { letter, bytes, big_endian } = field.scalar;
+    let stored = match (letter, bytes) {
+        ('b' | 'u', 1) => Stored::U8,
+        ('i', 1) => Stored::I8,
+        ('u', 2) => Stored::U16,
+        ('i', 2) => Stored::I16,
+        ('u', 4) => Stored::U32,
+        ('i', 4) => Stored::I32,
+        ('u', 8) => Stored::U64,
+        ('i', 8) => Stored::I64,
+        ('f', 2) => Stored::F16,
+        ('f', 4) => Stored::F32,
+        ('f', 8) => Stored::F64,
         _ => return None,
     };
-    match order {
-        "<" | "|" | "=" => Some((stored, false)),
-        ">" => Some((stored, true)),
-        _ => None,
-    }
+    Some((stored, big_endian))
 }

@@ -1,6 +1,7 @@
 //! The types of numbers in files, and their conversion to those of a grid.
 
 use crate::grid::VoxelKind;
+use crate::text_numbers::{TextNumber, bytes_of};
 
 /// The type of the numbers in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,27 +63,28 @@ impl Stored {
         }
         true
     }
+}
 
-    /// Parses a number and returns its little-endian bytes and their count. `None` if the text is not a number of this type,
-    /// or is out of range.
-    pub(super) fn parse(self, text: &str) -> Option<([u8; 8], usize)> {
-        let mut bytes = [0; 8];
-        let mut put = |of: &[u8]| bytes[..of.len()].copy_from_slice(of);
+impl TextNumber for Stored {
+    fn parse(&self, text: &str) -> Option<([u8; 8], usize)> {
         match self {
-            Self::I8 => put(&text.parse::<i8>().ok()?.to_le_bytes()),
-            Self::U8 => put(&text.parse::<u8>().ok()?.to_le_bytes()),
-            Self::I16 => put(&text.parse::<i16>().ok()?.to_le_bytes()),
-            Self::U16 => put(&text.parse::<u16>().ok()?.to_le_bytes()),
-            Self::I32 => put(&text.parse::<i32>().ok()?.to_le_bytes()),
-            Self::U32 => put(&text.parse::<u32>().ok()?.to_le_bytes()),
-            Self::I64 => put(&text.parse::<i64>().ok()?.to_le_bytes()),
-            Self::U64 => put(&text.parse::<u64>().ok()?.to_le_bytes()),
+            Self::I8 => bytes_of!(text, i8),
+            Self::U8 => bytes_of!(text, u8),
+            Self::I16 => bytes_of!(text, i16),
+            Self::U16 => bytes_of!(text, u16),
+            Self::I32 => bytes_of!(text, i32),
+            Self::U32 => bytes_of!(text, u32),
+            Self::I64 => bytes_of!(text, i64),
+            Self::U64 => bytes_of!(text, u64),
             // No format has such numbers as text.
-            Self::F16 => return None,
-            Self::F32 => put(&text.parse::<f32>().ok()?.to_le_bytes()),
-            Self::F64 => put(&text.parse::<f64>().ok()?.to_le_bytes()),
+            Self::F16 => None,
+            Self::F32 => bytes_of!(text, f32),
+            Self::F64 => bytes_of!(text, f64),
         }
-        Some((bytes, self.bytes()))
+    }
+
+    fn type_name(&self) -> String {
+        format!("{self:?}").to_lowercase()
     }
 }
 

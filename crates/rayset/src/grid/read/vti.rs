@@ -9,17 +9,7 @@ use super::fields::{numbers, parsed};
 use super::source::{Described, VolumeSource};
 use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
-use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Number, Opened, Piece, Tag, Words};
-
-impl Number for Stored {
-    fn parse(&self, text: &str) -> Option<([u8; 8], usize)> {
-        Stored::parse(*self, text)
-    }
-
-    fn name(&self) -> String {
-        format!("{self:?}").to_lowercase()
-    }
-}
+use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Opened, Piece, Tag, Words};
 
 fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
     move |fault| match fault {

@@ -11,7 +11,7 @@ use crate::container::{Identity, Metadata, RecordSum};
 use crate::geometry::{Aabb, DVec3};
 use crate::octree::format::AttributeInfo;
 use crate::octree::layout::RootCell;
-use crate::points::{PointBatch, PointSource, Values};
+use crate::points::{PointBatch, PointSource, ReadError, Values};
 use crate::spill::{Spill, SpillWriter};
 
 /// Number of points read at a time.
@@ -58,10 +58,14 @@ pub(super) fn run(
     for (input, mut source) in sources.into_iter().enumerate() {
         let selection: Vec<usize> = columns.names.iter().filter_map(|n| source.schema().find(n)).collect();
         source.select(&selection);
+        source.watch(&context.control.cancel);
         tally.depth = Depths::number(source.schema());
         let mut index = 0;
         loop {
-            source.fill(&mut batch, BATCH_POINTS)?;
+            match source.fill(&mut batch, BATCH_POINTS) {
+                Err(ReadError::Cancelled) if context.is_cancelled() => return Err(BuildError::Cancelled),
+                filled => filled?,
+            }
             if batch.is_empty() {
                 break;
             }

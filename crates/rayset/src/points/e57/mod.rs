@@ -31,7 +31,7 @@ use crate::geometry::DVec3;
 
 /// Number of points that are decoded at a time.
 const ROWS: usize = 1024;
-/// Number of points that a scan may have whose fields all have a single value, which takes no bytes.
+/// Number of points of all scans whose fields all have a single value, which takes no bytes.
 const CONSTANT_POINTS: u64 = 1 << 16;
 
 /// The points of an E57 file.
@@ -65,10 +65,12 @@ impl E57Source {
         }
         let (scans, mut schema) =
             scan::all(&contents.scans).map_err(|what| bad(format!("in the XML that begins here, {what}")))?;
+        // All together: scans may claim the same bytes.
+        let (mut bits, mut constant) = (0_u128, 0_u64);
         for (index, scan) in scans.iter().enumerate() {
-            let bits = scan.record_bits() as u128 * u128::from(scan.records);
-            let is_endless = scan.record_bits() == 0 && scan.records > CONSTANT_POINTS;
-            if bits > 8 * u128::from(pages.content_bytes()) || is_endless {
+            bits = bits.saturating_add(scan.record_bits() as u128 * u128::from(scan.records));
+            constant = constant.saturating_add(if scan.record_bits() == 0 { scan.records } else { 0 });
+            if bits > 8 * u128::from(pages.content_bytes()) || constant > CONSTANT_POINTS {
                 return Err(bad(format!(
                     "the XML that begins here says that scan {index} has {} points of {} bits, which do not fit into \
                      the file; it is cut off or damaged",

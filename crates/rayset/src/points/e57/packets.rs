@@ -114,18 +114,23 @@ impl Packets {
         let start = pages.byte();
         let mut head = [0; 6];
         pages.read(&mut head, "a packet of points")?;
-        let length = 1 + usize::from(u16::from_le_bytes([head[2], head[3]]));
+        let length = 1 + u64::from(u16::from_le_bytes([head[2], head[3]]));
         let fields = usize::from(u16::from_le_bytes([head[4], head[5]]));
-        let mut rest = length.saturating_sub(head.len());
         match head[0] {
-            // An index of packets, or one to be ignored.
-            0 | 2 => {}
-            1 if fields == self.streams.len() => rest = self.keep_packet(pages, start, rest)?,
+            // An index of packets, or one to be ignored, which may have no more than its first four bytes.
+            0 | 2 if length >= 4 => {}
+            1 if fields == self.streams.len() => {
+                let rest = (length as usize).saturating_sub(head.len());
+                self.keep_packet(pages, start, rest)?;
+            }
             1 => {
                 let known = self.streams.len();
                 let what =
                     format!("the packet at byte {start} has {fields} fields, and the XML names {known}");
                 return Err(pages.fail(what));
+            }
+            0 | 2 => {
+                return Err(pages.fail(format!("the packet at byte {start} has a length of {length} bytes")));
             }
             kind => {
                 let what = format!(
@@ -136,12 +141,11 @@ impl Packets {
                 return Err(pages.fail(what));
             }
         }
-        pages.skip(rest as u64);
-        Ok(())
+        pages.skip_from(start, length)
     }
 
-    /// Keeps the pieces of a packet of which `rest` bytes are left, and returns how many then are.
-    fn keep_packet(&mut self, pages: &mut Pages, start: u64, rest: usize) -> Result<usize, ReadError> {
+    /// Keeps the pieces of a packet of which `rest` bytes are left.
+    fn keep_packet(&mut self, pages: &mut Pages, start: u64, rest: usize) -> Result<(), ReadError> {
         let mut sizes = vec![0; 2 * self.streams.len()];
         let too_long = |pages: &Pages| {
             pages.fail(format!(
@@ -152,7 +156,7 @@ impl Packets {
         pages.read(&mut sizes, "a packet of points")?;
         let sizes: Vec<usize> =
             sizes.chunks_exact(2).map(|b| usize::from(u16::from_le_bytes([b[0], b[1]]))).collect();
-        let rest = rest.checked_sub(sizes.iter().sum()).ok_or_else(|| too_long(pages))?;
+        rest.checked_sub(sizes.iter().sum()).ok_or_else(|| too_long(pages))?;
         for (stream, size) in self.streams.iter_mut().zip(sizes) {
             // Numbers of no bits are not stored.
             if stream.bits == 0 {
@@ -169,6 +173,52 @@ impl Packets {
             );
             return Err(pages.fail(what));
         }
-        Ok(rest)
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A page with a section of these packets, of one field of a byte.
+    fn page(packets: &[u8]) -> Vec<u8> {
+        let mut page = vec![0; 48];
+        let mut header = [0; 32];
+        (header[0], header[16]) = (1, 80);
+        page.extend_from_slice(&header);
+        page.extend_from_slice(packets);
+        page.resize(1020, 0);
+        let sum = crc32c::crc32c(&page);
+        page.extend_from_slice(&sum.swap_bytes().to_le_bytes());
+        page
+    }
+
+    fn numbers(packets: &[u8], count: usize) -> Result<Vec<u64>, ReadError> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("p.e57");
+        std::fs::write(&path, page(packets)).expect("a write");
+        let mut pages = Pages::new(&path, std::fs::File::open(&path).expect("a file"), 1024);
+        let mut packets = Packets::open(&mut pages, 48, &[8], 0)?;
+        let mut found = Vec::new();
+        while found.len() < count {
+            let rows = packets.available(&mut pages, count - found.len())?;
+            let mut part = Vec::new();
+            packets.numbers(0, rows, &mut part);
+            packets.pass(rows);
+            found.extend(part);
+        }
+        Ok(found)
+    }
+
+    #[test]
+    fn packets_to_be_ignored_may_be_as_short_as_their_heads() {
+        let data = |byte: u8| [1, 0, 9, 0, 1, 0, 1, 0, byte, 0];
+        let ignored = [2, 0, 3, 0];
+        let index = [0, 0, 7, 0, 9, 9, 9, 9];
+        let packets = [&ignored[..], &data(5), &index, &data(6), &ignored, &ignored, &data(7)].concat();
+        assert_eq!(numbers(&packets, 3).expect("three numbers"), [5, 6, 7]);
+        let said = numbers(&[2, 0, 1, 0, 0, 0], 1).expect_err("shorter than its head").to_string();
+        assert!(said.contains("a length of 2 bytes"), "{said}");
     }
 }

@@ -76,6 +76,13 @@ impl Pages {
         self.at = self.at.saturating_add(bytes);
     }
 
+    /// Goes behind `bytes` bytes of content that begin at a byte of the file, which is in the content of a page.
+    pub(super) fn skip_from(&mut self, start: u64, bytes: u64) -> Result<(), ReadError> {
+        self.go_to(start, "a packet", start)?;
+        self.skip(bytes);
+        Ok(())
+    }
+
     /// Fills `out`, or fails at the end of the file. `what` says what is read.
     pub(super) fn read(&mut self, mut out: &mut [u8], what: &str) -> Result<(), ReadError> {
         while !out.is_empty() {

@@ -119,6 +119,10 @@ impl GadgetFile {
             Self { path: path.to_owned(), file, big_endian, named, header, blocks: Vec::new(), bytes };
         let mut at = if named { 16 } else { 0 };
         let length = this.record(at, &[HEADER_BYTES], "the header")?;
+        if length != HEADER_BYTES {
+            let what = format!("the header has {length} bytes, expected {HEADER_BYTES}");
+            return Err(this.wrong(at, what));
+        }
         this.header = this.read_header(at + 4)?;
         at += length + 8;
         this.read_blocks(at)?;

@@ -12,11 +12,13 @@ pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, Rea
     let mut reader = ObjReader::open(path)?;
     let mut vertices = 0_u64;
     while let Some(statement) = reader.next()? {
+        sink.check()?;
         match statement {
             Statement::Vertex { position, color } => {
                 vertices += 1;
                 sink.vertex(DVec3::from_array(position), color);
             }
+            Statement::Others => {}
             Statement::Face(corners) => {
                 let mut fan = Fan::default();
                 for &corner in corners {

@@ -6,6 +6,9 @@ use std::path::Path;
 use crate::points::lines::Lines;
 use crate::points::{ReadError, roles};
 
+/// Most statements that are passed over at a time.
+const OTHERS: usize = 1024;
+
 /// A statement.
 pub(super) enum Statement<'a> {
     Vertex {
@@ -14,6 +17,8 @@ pub(super) enum Statement<'a> {
     },
     /// The vertices at the corners, counted from 0. They may be defined later.
     Face(&'a [u64]),
+    /// Some others, none of which makes points.
+    Others,
 }
 
 #[derive(Debug)]
@@ -37,10 +42,16 @@ impl ObjReader {
         self.lines.path()
     }
 
-    /// The next vertex or face; `None` at the end.
+    /// The next vertex or face, or others, if there are many before it; `None` at the end.
     pub(super) fn next(&mut self) -> Result<Option<Statement<'_>>, ReadError> {
-        while self.read_line()? {
-            let mut words = self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        for _ in 0..OTHERS {
+            if !self.read_line()? {
+                self.check_corners()?;
+                return Ok(None);
+            }
+            let words = self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+            // The rest of a line is a remark.
+            let mut words = words.take_while(|word| !word.starts_with(b"#"));
             match words.next() {
                 Some(b"v") => {
                     let (position, color) = vertex(words).map_err(|what| self.lines.fail(what))?;
@@ -60,8 +71,7 @@ impl ObjReader {
                 _ => {}
             }
         }
-        self.check_corners()?;
-        Ok(None)
+        Ok(Some(Statement::Others))
     }
 
     /// Reads a line, and those that a backslash at its end continues it with. Returns false at the end of the file.

@@ -81,6 +81,7 @@ fn read_vertices(
     sink: &mut impl Sink,
 ) -> Result<(), ReadError> {
     for index in 0..element.count {
+        sink.check()?;
         let (mut position, mut color) = (DVec3::ZERO, [0.0; 3]);
         body.record(
             element,
@@ -111,6 +112,7 @@ fn read_faces(
     sink: &mut impl Sink,
 ) -> Result<(), ReadError> {
     for index in 0..element.count {
+        sink.check()?;
         let mut fan = Fan::default();
         body.record(element, index, |place| place == corners, |place, part| {
             match part {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::triangles::{Description, Mesh, Sink, Survey};
 use super::{obj, ply, stl};
-use crate::geometry::DVec3;
+use crate::cancel::CancelToken;
 use crate::points::synthetic::SplitMix;
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema};
 
@@ -57,6 +57,8 @@ pub struct MeshSource {
     left: u64,
     schema: Schema,
     selected: Vec<usize>,
+    /// Stops loading the mesh.
+    cancel: CancelToken,
 }
 
 impl MeshSource {
@@ -106,6 +108,7 @@ impl MeshSource {
             left,
             schema,
             selected: Vec::new(),
+            cancel: CancelToken::new(),
         })
     }
 
@@ -120,26 +123,27 @@ impl MeshSource {
     }
 
     fn load(&mut self) -> Result<(), ReadError> {
-        let mut mesh = Mesh::with_room(&self.survey);
+        let mut mesh = Mesh::with_room(&self.survey, &self.cancel);
         let description = self.format.read(&self.path, &mut mesh)?;
         let fail = |what: &str| ReadError::malformed(&self.path, description.place, what);
-        if mesh.triangles.iter().flatten().any(|&corner| corner as usize >= mesh.vertices.len()) {
-            return Err(fail("the file has changed while it was read"));
-        }
         let mut sum = 0.0;
-        self.area = Vec::with_capacity(mesh.triangles.len());
-        self.area.extend(mesh.triangles.iter().map(|triangle: &[u32; 3]| {
-            let [a, b, c]: [DVec3; 3] = triangle.map(|corner| mesh.vertices[corner as usize]);
+        let mut area = Vec::with_capacity(mesh.triangles.len());
+        for triangle in &mesh.triangles {
+            mesh.check()?;
+            let corners = triangle.map(|corner| mesh.vertices.get(corner as usize).copied());
+            let [Some(a), Some(b), Some(c)] = corners else {
+                return Err(fail("the file has changed while it was read"));
+            };
             sum += 0.5 * (b - a).cross(c - a).length();
-            sum
-        }));
+            area.push(sum);
+        }
         if !sum.is_finite() {
             return Err(fail("a face has a corner that is not finite, or the area of the mesh overflows"));
         }
         if sum <= 0.0 {
             return Err(fail("the mesh has no faces with an area"));
         }
-        self.mesh = mesh;
+        (self.mesh, self.area) = (mesh, area);
         Ok(())
     }
 }
@@ -164,6 +168,10 @@ impl PointSource for MeshSource {
 
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
+    }
+
+    fn watch(&mut self, cancel: &CancelToken) {
+        self.cancel = cancel.clone();
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {

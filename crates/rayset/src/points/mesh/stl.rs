@@ -56,6 +56,7 @@ fn read_binary(path: &Path, file: File, count: u64, sink: &mut impl Sink) -> Res
     let mut input = BufReader::with_capacity(256 << 10, file);
     let mut record = [0; TRIANGLE_BYTES];
     for index in 0..count {
+        sink.check()?;
         input.read_exact(&mut record).map_err(|source| {
             if source.kind() == io::ErrorKind::UnexpectedEof {
                 let byte = HEADER_BYTES + index * TRIANGLE_BYTES as u64;
@@ -81,6 +82,7 @@ fn read_text(path: &Path, sink: &mut impl Sink) -> Result<(), ReadError> {
     let mut lines = Lines::open(path)?;
     let (mut line, mut triangles, mut corners, mut is_open) = (Vec::new(), 0_u64, 0, false);
     loop {
+        sink.check()?;
         line.clear();
         if !lines.append(&mut line)? {
             break;

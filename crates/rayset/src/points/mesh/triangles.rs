@@ -1,12 +1,20 @@
 //! Vertices and triangles, as they come from a file.
 
+use crate::cancel::CancelToken;
 use crate::geometry::DVec3;
-use crate::points::{ColorDepth, Place};
+use crate::points::{ColorDepth, Place, ReadError};
 
 /// Takes what is read of a mesh, in the order of its file. Faces may come before their vertices.
 pub(super) trait Sink {
     fn vertex(&mut self, position: DVec3, color: Option<[f32; 3]>);
     fn triangle(&mut self, corners: [u32; 3]);
+    /// Whether reading is to end. Asked at every vertex and every face.
+    fn is_cancelled(&self) -> bool;
+
+    /// An error if reading is to end.
+    fn check(&self) -> Result<(), ReadError> {
+        if self.is_cancelled() { Err(ReadError::Cancelled) } else { Ok(()) }
+    }
 }
 
 /// What a file says of its mesh besides the mesh.
@@ -53,6 +61,10 @@ impl Sink for Survey {
     fn triangle(&mut self, _: [u32; 3]) {
         self.triangles += 1;
     }
+
+    fn is_cancelled(&self) -> bool {
+        false
+    }
 }
 
 /// A mesh in memory.
@@ -63,11 +75,12 @@ pub(super) struct Mesh {
     pub(super) colors: Vec<[f32; 3]>,
     pub(super) triangles: Vec<[u32; 3]>,
     has_colors: bool,
+    cancel: CancelToken,
 }
 
 impl Mesh {
     /// Room for what was counted when the file was read to its end, which bounds it by what the file holds.
-    pub(super) fn with_room(survey: &Survey) -> Self {
+    pub(super) fn with_room(survey: &Survey, cancel: &CancelToken) -> Self {
         let (vertices, triangles) = (survey.vertices as usize, survey.triangles as usize);
         let has_colors = survey.has_colors();
         Self {
@@ -75,6 +88,7 @@ impl Mesh {
             colors: Vec::with_capacity(if has_colors { vertices } else { 0 }),
             triangles: Vec::with_capacity(triangles),
             has_colors,
+            cancel: cancel.clone(),
         }
     }
 }
@@ -89,6 +103,10 @@ impl Sink for Mesh {
 
     fn triangle(&mut self, corners: [u32; 3]) {
         self.triangles.push(corners);
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancel.is_cancelled()
     }
 }
 

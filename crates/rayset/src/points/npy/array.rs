@@ -1,20 +1,33 @@
-//! An array of a file, and the streams that deliver its rows.
+//! An array of a file as points see it, and the streams that deliver its rows.
 
 use std::io::{self, Read};
 use std::path::Path;
 
-use super::header::{Field, Header, MOST_HEADER_BYTES, text_place};
-use super::zip::Member;
-use crate::points::{Place, ReadError};
+use crate::array_file::{self, Header, Member, Scalar};
+use crate::points::ColumnType;
 
 /// Largest number of numbers in a row of an array that is not structured.
 pub(super) const MOST_WIDTH: u64 = 64;
+
+/// A number, or several in a row, of each element.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Field {
+    /// Empty if the array is not structured.
+    pub(super) name: String,
+    /// Its byte in the element.
+    pub(super) offset: usize,
+    pub(super) kind: ColumnType,
+    pub(super) big_endian: bool,
+    pub(super) components: usize,
+}
 
 /// An array with its header.
 #[derive(Clone, Debug)]
 pub(super) struct Array {
     pub(super) member: Member,
     pub(super) header: Header,
+    /// Of the elements, those that are numbers of a type that columns have.
+    pub(super) fields: Vec<Field>,
 }
 
 /// How the rows of an array lie in it.
@@ -27,43 +40,36 @@ pub(super) struct Rows {
     pub(super) apart: bool,
 }
 
+/// The type of a column for a number; `None` if no column holds it.
+fn column_type(scalar: Scalar) -> Option<ColumnType> {
+    Some(match (scalar.letter, scalar.bytes) {
+        ('f', 4) => ColumnType::F32,
+        ('f', 8) => ColumnType::F64,
+        ('u' | 'b', 1) => ColumnType::U8,
+        ('i', 1) => ColumnType::I8,
+        ('u', 2) => ColumnType::U16,
+        ('i', 2) => ColumnType::I16,
+        ('u', 4) => ColumnType::U32,
+        ('i', 4) => ColumnType::I32,
+        ('u', 8) => ColumnType::U64,
+        ('i', 8) => ColumnType::I64,
+        _ => return None,
+    })
+}
+
 impl Array {
-    pub(super) fn open(path: &Path, member: Member) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let fail = |at: u64, what: &str| {
-            let name =
-                if member.name.is_empty() { String::new() } else { format!("the array {}: ", member.name) };
-            ReadError::malformed(path, Place::Byte(member.start + at), format!("{name}{what}"))
-        };
-        let early = "the header of the array is cut off";
-        let mut data = member.open(path, 0).map_err(io)?;
-        let mut head = vec![0; member.bytes.min(12) as usize];
-        data.read_exact(&mut head).map_err(|_| fail(0, early))?;
-        let (start, length) = text_place(&head)
-            .ok_or_else(|| fail(0, "expected the header of NumPy's format, version 1 to 3"))?;
-        if length > MOST_HEADER_BYTES || start as u64 + length > member.bytes {
-            return Err(fail(8, &format!("a header of {length} bytes is too long, or cut off")));
-        }
-        // Of the first version two bytes of the text have been read.
-        let mut text = head[start..].to_vec();
-        data.take(length - text.len().min(length as usize) as u64).read_to_end(&mut text).map_err(io)?;
-        text.truncate(length as usize);
-        if (text.len() as u64) < length {
-            return Err(fail(8, early));
-        }
-        let header = Header::parse(&text, start).map_err(|(at, what)| fail(at, &what))?;
-        let needed =
-            header.count().checked_mul(header.element_bytes as u64).and_then(|n| n.checked_add(header.bytes));
-        if needed.is_none_or(|needed| needed > member.bytes) {
-            let what = format!(
-                "an array of {} elements of {} bytes, and {} bytes follow its header; it is cut off",
-                header.shape_text(),
-                header.element_bytes,
-                member.bytes - header.bytes
-            );
-            return Err(fail(header.bytes, &what));
-        }
-        Ok(Self { member, header })
+    pub(super) fn new(array: array_file::Array) -> Self {
+        let array_file::Array { member, header } = array;
+        let fields = header.fields.iter().filter_map(|field| {
+            Some(Field {
+                name: field.name.clone(),
+                offset: field.offset,
+                kind: column_type(field.scalar)?,
+                big_endian: field.scalar.big_endian,
+                components: field.components,
+            })
+        });
+        Self { fields: fields.collect(), member, header }
     }
 
     /// The rows of an array of one or two dimensions. With two, three rows of more than 64 numbers are three axes. `None`
@@ -80,7 +86,7 @@ impl Array {
 
     /// The number of an array that is not structured. `None` if its elements are none.
     pub(super) fn number(&self) -> Option<&Field> {
-        self.header.fields.first().filter(|_| !self.header.is_structured)
+        self.fields.first().filter(|_| !self.header.is_structured)
     }
 }
 

@@ -1,7 +1,6 @@
 //! Which numbers of the arrays of a file are positions, and which are columns.
 
-use super::array::{Array, MOST_WIDTH, Rows, Strand};
-use super::header::Field;
+use super::array::{Array, Field, MOST_WIDTH, Rows, Strand};
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, Schema, roles};
 
 /// A number of each row.
@@ -53,7 +52,7 @@ impl Named {
     fn add_fields(&mut self, array: &Array) {
         let strand = self.strands.len();
         self.strands.push(Strand::new(array, 0, array.header.element_bytes));
-        for field in &array.header.fields {
+        for field in &array.fields {
             if field.components > MOST_WIDTH as usize {
                 continue;
             }
@@ -106,11 +105,10 @@ fn plain_names(width: usize) -> Vec<String> {
 fn wrong(array: &Array) -> String {
     let shape = array.header.shape_text();
     let found = match array.number() {
-        None if !array.header.is_structured => format!("its elements are of the type {}", array.header.other),
+        None if !array.header.is_structured => format!("its elements are of the type {}", array.header.descr),
         _ if array.header.shape.len() > 2 => format!("it has {shape} elements: a volume, or several clouds"),
         _ if array.header.is_structured => {
-            let names: Vec<String> =
-                array.header.fields.iter().take(12).map(|f| roles::excerpt(&f.name)).collect();
+            let names: Vec<String> = array.fields.iter().take(12).map(|f| roles::excerpt(&f.name)).collect();
             format!("it has {shape} elements with the fields {}", names.join(", "))
         }
         _ => format!("it has {shape} numbers"),

@@ -10,33 +10,28 @@
 //! Numbers are integers and floating-point numbers of up to 64 bits but `float16`, in both byte orders.
 
 mod array;
-mod header;
 mod layout;
-mod literal;
-mod zip;
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use self::array::{Array, Strand};
-use self::header::{Header, MAGIC};
 use self::layout::{Layout, Source};
-use self::zip::Member;
 use super::{ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values};
+use crate::array_file::{self, Fault, Header, MAGIC, Member, begins_with_array, text_place};
 
 /// Bytes that are read at once, of all strands together; one row of each where that is more.
 const STEP_BYTES: usize = 512 << 10;
 /// What a strand may need besides: the buffer of its file, and the window of the decompressor.
 const STRAND_BYTES: u64 = 64 << 10;
-/// Largest number of arrays in an archive.
-const MOST_ARRAYS: usize = 256;
 
 /// Whether a file is an array of NumPy that can be points, or an archive of arrays. Arrays of three and more dimensions are
 /// volumes.
 pub(super) fn begins(head: &[u8]) -> bool {
     if !head.starts_with(MAGIC) {
-        return zip::begins(head);
+        return begins_with_array(head);
     }
-    let Some((start, length)) = header::text_place(head) else { return false };
+    let Some((start, length)) = text_place(head) else { return false };
     // A header that is too long for the head has many fields.
     let Some(text) = head.get(start..start.saturating_add(length as usize)) else { return true };
     Header::parse(text, start).is_ok_and(|header| header.shape.len() < 3)
@@ -58,19 +53,20 @@ impl NpySource {
     /// Opens a file. `names` are those of all columns of a plain array.
     pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut magic = [0; 6];
+        let of_fault = |fault: Fault| match fault {
+            Fault::Io(source) => io(source),
+            Fault::Wrong { at, what } => ReadError::malformed(path, Place::Byte(at), what),
+        };
         let mut file = crate::regular_file::open(path).map_err(io)?;
         let bytes = file.metadata().map_err(io)?.len();
-        let is_array = std::io::Read::read_exact(&mut file, &mut magic).is_ok() && magic == *MAGIC;
-        let layout = if is_array {
-            let array = Array::open(path, Member::whole(bytes))?;
-            Layout::of_array(&array, names)
+        let mut magic = Vec::new();
+        (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
+        let layout = if magic == *MAGIC {
+            let array = array_file::Array::open(path, Member::whole(bytes)).map_err(of_fault)?;
+            Layout::of_array(&Array::new(array), names)
         } else {
-            let mut members = zip::members(path)?;
-            members.truncate(MOST_ARRAYS);
-            let arrays: Result<Vec<Array>, ReadError> =
-                members.into_iter().map(|member| Array::open(path, member)).collect();
-            Layout::of_archive(&arrays?)
+            let arrays = array_file::Array::all(path).map_err(of_fault)?;
+            Layout::of_archive(&arrays.into_iter().map(Array::new).collect::<Vec<_>>())
         };
         let layout = layout.map_err(|what| ReadError::malformed(path, Place::Byte(0), what))?;
         let Layout { strands, axes, columns, schema, rows } = layout;

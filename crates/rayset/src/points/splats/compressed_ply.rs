@@ -199,6 +199,9 @@ impl PointSource for CompressedPlySource {
             self.vertices.advance()?;
             self.columns.append(&self.gaussian(), batch);
         }
+        if self.vertices.next == self.vertices.element.count {
+            self.vertices.body.check_rest()?;
+        }
         Ok(())
     }
 }

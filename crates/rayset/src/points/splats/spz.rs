@@ -9,7 +9,9 @@ use flate2::read::GzDecoder;
 use super::gaussian::{Gaussian, GaussianColumns, color_of_harmonic};
 use super::half;
 use super::spz_header::{HEADER_BYTES, MAGIC, SpzHeader, StreamPlace};
-use super::spz_plane::{Packing, Plane, READER_BYTES, zstd_window};
+use super::spz_plane::{Packing, Plane, READER_BYTES};
+use crate::cancel::CancelToken;
+use crate::points::packed::{WINDOW_LIMIT, zstd_window};
 use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 use crate::regular_file;
 
@@ -28,7 +30,8 @@ const COLOR_SCALE: f64 = 0.15;
 enum Layout {
     /// One behind the other.
     Planar(Packing),
-    Streams([Option<StreamPlace>; ATTRIBUTES]),
+    /// Each a stream of its own, with its window in bytes.
+    Streams([Option<(StreamPlace, u64)>; ATTRIBUTES]),
 }
 
 /// The Gaussians of an SPZ file.
@@ -36,12 +39,13 @@ pub(in crate::points) struct SpzSource {
     path: PathBuf,
     header: SpzHeader,
     layout: Layout,
-    windows: u64,
     /// Readers of the attributes, from the first read on.
     planes: Vec<Plane>,
     next: u64,
     columns: GaussianColumns,
     buffers: [Vec<u8>; ATTRIBUTES],
+    /// Stops the unpacking of what lies before the attributes, and behind.
+    cancel: CancelToken,
 }
 
 impl SpzSource {
@@ -66,20 +70,19 @@ impl SpzSource {
         (&mut file).take(2).read_to_end(&mut start).map_err(io)?;
         let packing = if start == [0x1f, 0x8b] { Packing::Gzip } else { Packing::Plain };
         let mut bytes = [0; HEADER_BYTES];
-        if Plane::open(path, packing, 0)?.read(&mut bytes)? < HEADER_BYTES {
+        if Plane::open(path, packing, 0, &CancelToken::new())?.read(&mut bytes)? < HEADER_BYTES {
             return Err(fail(0, "not an SPZ file: its header of 16 bytes is not there".into()));
         }
         let header = SpzHeader::parse(&bytes).map_err(|what| fail(0, what))?;
-        let (layout, windows) = if header.has_streams() {
+        let layout = if header.has_streams() {
             if matches!(packing, Packing::Gzip) {
                 return Err(fail(0, "an SPZ file of version 4 in gzip; expected it as it is".into()));
             }
             let bytes = file.metadata().map_err(io)?.len();
             let [positions, alphas, colors, scales, _, _] = header.streams(path, &mut file, bytes)?;
-            let streams = [positions, alphas, colors, scales];
-            (Layout::Streams(streams), windows(path, &mut file, &streams)?)
+            Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales])?)
         } else {
-            (Layout::Planar(packing), 0)
+            Layout::Planar(packing)
         };
         let what = format!("SPZ {}", header.version);
         let columns = GaussianColumns::new(&what, ColorDepth::Unit, header.is_view_dependent(), UP);
@@ -88,11 +91,11 @@ impl SpzSource {
             path: path.to_owned(),
             header,
             layout,
-            windows,
             planes: Vec::new(),
             next: 0,
             columns,
             buffers,
+            cancel: CancelToken::new(),
         })
     }
 
@@ -101,11 +104,11 @@ impl SpzSource {
         let mut skip = HEADER_BYTES as u64;
         for (attribute, width) in self.header.widths().into_iter().take(ATTRIBUTES).enumerate() {
             self.planes.push(match self.layout {
-                Layout::Planar(packing) => Plane::open(&self.path, packing, skip)?,
+                Layout::Planar(packing) => Plane::open(&self.path, packing, skip, &self.cancel)?,
                 Layout::Streams(streams) => {
                     // Without Gaussians, nothing is read.
-                    let Some(place) = streams[attribute] else { continue };
-                    Plane::open(&self.path, Packing::Zstd(place), 0)?
+                    let Some((place, window)) = streams[attribute] else { continue };
+                    Plane::open(&self.path, Packing::Zstd(place, window), 0, &self.cancel)?
                 }
             });
             skip += width * self.header.count;
@@ -156,24 +159,26 @@ impl SpzSource {
     }
 }
 
-/// Memory that unpacking the streams needs.
-fn windows(
+/// The streams with the windows in bytes that unpacking them needs.
+fn with_windows(
     path: &Path,
     file: &mut (impl Read + Seek),
-    streams: &[Option<StreamPlace>; ATTRIBUTES],
-) -> Result<u64, ReadError> {
-    let mut sum = 0;
-    for place in streams.iter().flatten() {
+    streams: [Option<StreamPlace>; ATTRIBUTES],
+) -> Result<[Option<(StreamPlace, u64)>; ATTRIBUTES], ReadError> {
+    let mut all = [None; ATTRIBUTES];
+    for (found, place) in all.iter_mut().zip(streams) {
+        let Some(place) = place else { continue };
         let mut frame = Vec::new();
         let read = file.seek(SeekFrom::Start(place.offset));
         read.and_then(|_| file.take(place.bytes.min(18)).read_to_end(&mut frame))
             .map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
-        sum += zstd_window(&frame).ok_or_else(|| {
+        let window = zstd_window(&frame).filter(|window| *window <= WINDOW_LIMIT).ok_or_else(|| {
             let what = "not the beginning of a zstd stream that can be unpacked in 128 MiB";
             ReadError::malformed(path, Place::Byte(place.offset), what)
         })?;
+        *found = Some((place, window));
     }
-    Ok(sum)
+    Ok(all)
 }
 
 impl PointSource for SpzSource {
@@ -190,12 +195,20 @@ impl PointSource for SpzSource {
     }
 
     fn memory_needed(&self) -> u64 {
+        let windows = match self.layout {
+            Layout::Planar(_) => 0,
+            Layout::Streams(streams) => streams.iter().flatten().map(|(_, window)| window).sum::<u64>(),
+        };
         // The ring of a zstd stream grows to a power of two.
-        ATTRIBUTES as u64 * READER_BYTES + 2 * self.windows
+        ATTRIBUTES as u64 * READER_BYTES + 2 * windows
     }
 
     fn select(&mut self, columns: &[usize]) {
         self.columns.selected = columns.to_vec();
+    }
+
+    fn watch(&mut self, cancel: &CancelToken) {
+        self.cancel = cancel.clone();
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {

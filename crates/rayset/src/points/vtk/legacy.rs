@@ -4,7 +4,7 @@
 //! where a section is, so all before it are passed.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::part::{Part, Stored, VtkArray};
@@ -16,8 +16,9 @@ use crate::regular_file;
 pub(super) const MAGIC: &[u8] = b"# vtk DataFile";
 /// Longest line with a keyword.
 const MOST_LINE_BYTES: u64 = 64 << 10;
-/// Largest number of arrays.
+/// Largest number of arrays of points, and of all arrays, each of which takes some time.
 const MOST_ARRAYS: usize = 4096;
+const MOST_SEEN: usize = 1 << 16;
 
 /// Whose data the arrays that follow are.
 #[derive(Clone, Copy, PartialEq)]
@@ -38,6 +39,8 @@ struct Scanner<'a> {
     points: Option<VtkArray>,
     rows: u64,
     arrays: Vec<VtkArray>,
+    /// All arrays so far, of points or not.
+    seen: usize,
 }
 
 /// Finds the points of a file and their arrays.
@@ -56,6 +59,7 @@ pub(super) fn scan(path: &Path) -> Result<(Part, String), ReadError> {
         points: None,
         rows: 0,
         arrays: Vec::new(),
+        seen: 0,
     };
     let title = scanner.head()?;
     while let Some(line) = scanner.line()? {
@@ -157,12 +161,15 @@ impl Scanner<'_> {
                 Ok(())
             }
             "FIELD" => self.field(words),
-            "METADATA" => {
-                while self.line()?.is_some_and(|line| !line.trim().is_empty()) {}
-                Ok(())
-            }
+            "METADATA" => self.metadata(),
             _ => self.attribute(keyword, words),
         }
+    }
+
+    /// Passes what is told of the array before, up to an empty line.
+    fn metadata(&mut self) -> Result<(), ReadError> {
+        while self.line()?.is_some_and(|line| !line.trim().is_empty()) {}
+        Ok(())
     }
 
     fn dataset(&self, words: &[&str]) -> Result<(), ReadError> {
@@ -185,7 +192,6 @@ impl Scanner<'_> {
         let [first, second] =
             [0, 1].map(|place| self.number(words, place, "a number of cells or of their points"));
         let (first, second) = (first?, second?);
-        let (before, held) = (self.at, self.is_text);
         if let Some(line) = self.peek_offsets()? {
             for (count, line) in [(first, Some(line)), (second, None)] {
                 let line = line.map_or_else(|| self.next_line(), Ok)?;
@@ -194,26 +200,27 @@ impl Scanner<'_> {
             }
             return Ok(());
         }
-        debug_assert!(before == self.at && held == self.is_text);
         self.array("", "int", 1, second).map(|_| ())
     }
 
     /// The next line if it begins with OFFSETS; otherwise nothing is read.
     fn peek_offsets(&mut self) -> Result<Option<String>, ReadError> {
-        let held =
-            self.input.fill_buf().map_err(|source| ReadError::Io { path: self.path.to_owned(), source })?;
-        let is_offsets = held.starts_with(b"OFFSETS");
-        if is_offsets { self.line() } else { Ok(None) }
+        const WORD: &[u8] = b"OFFSETS";
+        let (start, mut word) = (self.at, Vec::new());
+        let read = (&mut self.input).take(WORD.len() as u64).read_to_end(&mut word);
+        self.at += read.map_err(|source| self.io(source))? as u64;
+        self.go_to(start)?;
+        if word == WORD { self.line() } else { Ok(None) }
     }
 
     /// Arrays with names: `FIELD name count`, then `name components rows type` for each.
     fn field(&mut self, words: &[&str]) -> Result<(), ReadError> {
         let count = self.number(words, 1, "the number of arrays")?;
         for _ in 0..count {
-            let line = self.next_line()?;
-            if line.starts_with("METADATA") {
-                while self.line()?.is_some_and(|line| !line.trim().is_empty()) {}
-                continue;
+            let mut line = self.next_line()?;
+            while line.starts_with("METADATA") {
+                self.metadata()?;
+                line = self.next_line()?;
             }
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
             let (width, rows) = (
@@ -274,16 +281,15 @@ impl Scanner<'_> {
     }
 
     fn keep(&mut self, array: Option<VtkArray>) {
-        let array = array.filter(|array| !self.arrays.iter().any(|known| known.name == array.name));
         if self.arrays.len() < MOST_ARRAYS {
+            let array = array.filter(|array| !self.arrays.iter().any(|known| known.name == array.name));
             self.arrays.extend(array);
         }
     }
 
+    /// Goes to a byte of the file. What is in the buffer already is not read again.
     fn go_to(&mut self, at: u64) -> Result<(), ReadError> {
-        self.input
-            .seek(SeekFrom::Start(at))
-            .map_err(|source| ReadError::Io { path: self.path.to_owned(), source })?;
+        self.input.seek_relative(at as i64 - self.at as i64).map_err(|source| self.io(source))?;
         self.at = at;
         Ok(())
     }
@@ -296,6 +302,10 @@ impl Scanner<'_> {
         width: u64,
         rows: u64,
     ) -> Result<Option<VtkArray>, ReadError> {
+        self.seen += 1;
+        if self.seen > MOST_SEEN {
+            return Err(self.wrong(format!("more than {MOST_SEEN} arrays")));
+        }
         let start = self.at;
         let count = width.saturating_mul(rows);
         if kind.eq_ignore_ascii_case("string") {
@@ -325,9 +335,7 @@ impl Scanner<'_> {
     fn pass_numbers(&mut self, count: u64) -> Result<(), ReadError> {
         let (mut left, mut in_number, mut used) = (count, false, 0_u64);
         while left > 0 {
-            let held = self
-                .input
-                .fill_buf()
+            let held = regular_file::held(&mut self.input)
                 .map_err(|source| ReadError::Io { path: self.path.to_owned(), source })?;
             if held.is_empty() {
                 self.at += used;
@@ -366,29 +374,25 @@ impl Scanner<'_> {
                 continue;
             }
             let mut bytes = [0; 8];
-            let mut read = |scanner: &mut Self, range: std::ops::Range<usize>| {
-                scanner.at += range.len() as u64;
-                scanner
-                    .input
-                    .read_exact(&mut bytes[range])
-                    .map_err(|_| scanner.wrong("the file ends within an array of texts"))
-            };
-            read(self, 0..1)?;
+            self.fill(&mut bytes[..1])?;
             let more = [7, 3, 1, 0][usize::from(bytes[0] >> 6)];
-            let mut read = |scanner: &mut Self, range: std::ops::Range<usize>| {
-                scanner.at += range.len() as u64;
-                scanner
-                    .input
-                    .read_exact(&mut bytes[range])
-                    .map_err(|_| scanner.wrong("the file ends within an array of texts"))
-            };
-            read(self, 1..1 + more)?;
+            self.fill(&mut bytes[1..1 + more])?;
             bytes[0] &= 0x3f;
             let length = bytes[..1 + more].iter().fold(0_u64, |n, &byte| n << 8 | u64::from(byte));
             let end = self.at.checked_add(length).filter(|end| *end <= self.bytes);
             let end = end.ok_or_else(|| self.wrong("a text that goes on beyond the end of the file"))?;
             self.go_to(end)?;
         }
+        Ok(())
+    }
+
+    /// Reads bytes of an array of texts.
+    fn fill(&mut self, bytes: &mut [u8]) -> Result<(), ReadError> {
+        self.input.read_exact(bytes).map_err(|source| match source.kind() {
+            io::ErrorKind::UnexpectedEof => self.wrong("the file ends within an array of texts"),
+            _ => self.io(source),
+        })?;
+        self.at += bytes.len() as u64;
         Ok(())
     }
 }

@@ -14,11 +14,11 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use self::part::{Part, Stored, VtkArray};
-use self::words::Numbers;
 use super::{
     ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values, roles,
 };
 use crate::regular_file;
+use crate::text_numbers::{Behind, TextNumbers};
 use crate::vtk_xml::Document;
 
 /// Bytes that are read at once, of all arrays together; one row of each where that is more.
@@ -63,7 +63,11 @@ impl VtkSource {
         let mut magic = [0; legacy::MAGIC.len()];
         let mut file =
             regular_file::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
-        let is_legacy = file.read_exact(&mut magic).is_ok() && magic == *legacy::MAGIC;
+        let is_legacy = match file.read_exact(&mut magic) {
+            Ok(()) => magic == *legacy::MAGIC,
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => false,
+            Err(source) => return Err(ReadError::Io { path: path.to_owned(), source }),
+        };
         let (document, mut parts, description) = if is_legacy {
             let (part, title) = legacy::scan(path)?;
             (None, vec![part], title)
@@ -92,6 +96,17 @@ impl VtkSource {
         ReadError::Io { path: self.path.clone(), source }
     }
 
+    /// An error in the numbers of an array of the current part, or in its positions. What the system says, it says of the
+    /// file.
+    fn unreadable(&self, array: Option<usize>, source: io::Error) -> ReadError {
+        if source.raw_os_error().is_some() {
+            return self.io(source);
+        }
+        let named = array.and_then(|index| self.parts.get(self.part)?.arrays.get(index));
+        let of = named.map_or_else(|| "positions".to_owned(), |array| format!("array `{}`", array.name));
+        self.io(io::Error::new(source.kind(), format!("{of}: {source}")))
+    }
+
     /// Opens an array of the current part, or its positions.
     fn stream(&self, part: &Part, array: Option<usize>) -> Result<Stream, ReadError> {
         let found = array.map_or(&part.positions, |index| &part.arrays[index]);
@@ -103,8 +118,8 @@ impl VtkSource {
         let (data, big_endian): (Box<dyn Read + Send>, bool) = match (&found.stored, &self.document) {
             (Stored::Plain { start, big_endian }, _) => (Box::new(at(*start)?), *big_endian),
             (Stored::Text(start), _) => {
-                let numbers = Numbers { text: at(*start)?, kind: found.kind, ready: Vec::new(), done: 0 };
-                (Box::new(BufReader::with_capacity(1 << 16, numbers)), false)
+                let count = part.rows.saturating_mul(found.width as u64);
+                (Box::new(TextNumbers::new(at(*start)?, found.kind, count, Behind::Anything)), false)
             }
             (Stored::Xml { .. }, Some(document)) => xml::open(&self.path, document, found, part.rows)?,
             (Stored::Xml { .. }, None) => {
@@ -250,9 +265,9 @@ impl PointSource for VtkSource {
             let left = self.parts[self.part].rows - self.row;
             let step = (STEP_BYTES / together.max(1)).max(1);
             let rows = left.min(step as u64).min((limit - batch.len()) as u64) as usize;
-            for stream in &mut self.streams {
-                let read = stream.load(rows);
-                read.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+            for index in 0..self.streams.len() {
+                let read = self.streams[index].load(rows);
+                read.map_err(|source| self.unreadable(self.streams[index].array, source))?;
             }
             let first = batch.len();
             batch.position.resize(first + rows, [0.0; 3]);

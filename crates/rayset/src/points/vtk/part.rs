@@ -36,24 +36,3 @@ pub(super) struct Part {
     pub(super) positions: VtkArray,
     pub(super) arrays: Vec<VtkArray>,
 }
-
-/// The little-endian bytes of a number in text. `None` if it is none of this type, or out of its range.
-pub(super) fn parse(kind: ColumnType, text: &str) -> Option<Vec<u8>> {
-    macro_rules! number {
-        ($t:ty) => {
-            text.parse::<$t>().ok()?.to_le_bytes().to_vec()
-        };
-    }
-    Some(match kind {
-        ColumnType::U8 => number!(u8),
-        ColumnType::I8 => number!(i8),
-        ColumnType::U16 => number!(u16),
-        ColumnType::I16 => number!(i16),
-        ColumnType::U32 => number!(u32),
-        ColumnType::I32 => number!(i32),
-        ColumnType::U64 => number!(u64),
-        ColumnType::I64 => number!(i64),
-        ColumnType::F32 => number!(f32),
-        ColumnType::F64 => number!(f64),
-    })
-}

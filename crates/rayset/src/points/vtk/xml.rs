@@ -3,11 +3,11 @@
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use super::part::{self, Part, Stored, VtkArray};
+use super::part::{Part, Stored, VtkArray};
 use crate::points::roles::excerpt;
 use crate::points::{ColumnType, Place, ReadError};
 use crate::regular_file;
-use crate::vtk_xml::{self, DataArray, Document, Fault, Number, Opened, Piece, Tag, Words};
+use crate::vtk_xml::{self, DataArray, Document, Fault, Opened, Piece, Tag, Words};
 
 /// Whether a file begins as those of VTK in XML do.
 pub(super) fn begins(head: &[u8]) -> bool {
@@ -27,22 +27,6 @@ fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
         Fault::Io(source) => ReadError::Io { path: path.to_owned(), source },
         Fault::Header { place, what } => malformed(path, &place, &what),
         Fault::Data(what) => malformed(path, "", &what),
-    }
-}
-
-/// A type of columns, for numbers in text.
-struct Kind(ColumnType);
-
-impl Number for Kind {
-    fn parse(&self, text: &str) -> Option<([u8; 8], usize)> {
-        let number = part::parse(self.0, text)?;
-        let mut bytes = [0; 8];
-        bytes[..number.len()].copy_from_slice(&number);
-        Some((bytes, number.len()))
-    }
-
-    fn name(&self) -> String {
-        self.0.name().to_owned()
     }
 }
 
@@ -138,7 +122,7 @@ pub(super) fn open(
         bytes: count.saturating_mul(array.kind.bytes() as u64),
         file_bytes: std::fs::metadata(path).map_err(io)?.len(),
     };
-    match data.open(Kind(array.kind)).map_err(&fail)? {
+    match data.open(array.kind).map_err(&fail)? {
         Opened::Plain(start) => {
             let mut file = regular_file::open(path).map_err(io)?;
             file.seek(SeekFrom::Start(start)).map_err(io)?;

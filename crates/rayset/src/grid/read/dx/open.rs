@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use super::super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::super::error::ReadError;
-use super::super::numbers::Numbers;
 use super::super::source::{Described, VolumeSource};
 use super::super::stored::Stored;
 use super::objects::{Array, Location, Object, Objects, Positions};
 use super::words::Words;
 use crate::geometry::{DAffine3, DMat3};
+use crate::text_numbers::{Behind, TextNumbers};
 
 /// Whether a file begins with an object, behind comments.
 pub(in super::super) fn is_dx(head: &[u8]) -> bool {
@@ -134,6 +134,6 @@ fn voxels(
             format!("the file ends before all voxels are there: {left} bytes for {} numbers", array.items);
         return Err(ReadError::Data { path, offset: 0, what });
     }
-    let data = Numbers::new(data_at(&path, start)?, stored, array.items, false);
+    let data = TextNumbers::new(data_at(&path, start)?, stored, array.items, Behind::Space);
     Ok(Voxels { path, data: Box::new(data), rest: None })
 }

@@ -1,11 +1,12 @@
 //! The words of a header, between which numbers may stand.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Seek, SeekFrom};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use super::super::data::{data_at, io_error, regular_file_bytes};
 use super::super::error::ReadError;
+use crate::regular_file::held;
 
 /// Longest header in bytes, without the numbers in it.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -50,7 +51,7 @@ impl<'a> Words<'a> {
     }
 
     fn byte(&mut self) -> Result<Option<u8>, ReadError> {
-        let held = self.file.fill_buf().map_err(io_error(self.path))?;
+        let held = held(&mut self.file).map_err(io_error(self.path))?;
         let Some(&byte) = held.first() else { return Ok(None) };
         if self.room == 0 {
             return Err(
@@ -156,7 +157,8 @@ impl<'a> Words<'a> {
         if end > regular_file_bytes(self.path)? {
             return Err(self.wrong("the file ends before all the numbers of an array are there"));
         }
-        self.file.seek(SeekFrom::Start(end)).map_err(io_error(self.path))?;
+        // What is in the buffer already is not read again, however many arrays there are.
+        self.file.seek_relative((end - self.at) as i64).map_err(io_error(self.path))?;
         self.at = end;
         Ok(())
     }
@@ -165,8 +167,7 @@ impl<'a> Words<'a> {
     pub(super) fn skip_numbers(&mut self, count: u64) -> Result<(), ReadError> {
         let (mut left, mut within) = (count, false);
         while left > 0 {
-            let held: io::Result<&[u8]> = self.file.fill_buf();
-            let held = held.map_err(io_error(self.path))?;
+            let held = held(&mut self.file).map_err(io_error(self.path))?;
             if held.is_empty() && left == 1 && within {
                 return Ok(());
             }

@@ -104,11 +104,18 @@ pub(super) struct Tree {
     pub(super) coding: Coding,
     /// The box of all active voxels.
     pub(super) active: Bounds,
+    /// All of these are sorted by their places along x, so that those in a slab are found without looking at others.
     tiles: Vec<Tile>,
     upper: Vec<Block>,
     lower: Vec<Block>,
-    /// Sorted by their origins.
     leaves: Vec<Block>,
+}
+
+/// Those of `sorted` cubes, whose lowest voxels along x are given by `low`, that may meet a region.
+fn along_x<T>(sorted: &[T], low: impl Fn(&T) -> i64, edge: i64, region: Bounds) -> &[T] {
+    let first = sorted.partition_point(|one| low(one) + edge - 1 < region.low[0]);
+    let end = sorted.partition_point(|one| low(one) <= region.high[0]);
+    &sorted[first..end.max(first)]
 }
 
 impl Tree {
@@ -131,6 +138,10 @@ impl Tree {
             let active: [u8; LEAF_MASK_BYTES] = stream.array()?;
             skip(stream, &tree.coding, &active)?;
         }
+        // In the order of the file where they have one place: what comes last counts.
+        tree.tiles.sort_by_key(|tile| tile.bounds.low[0]);
+        tree.upper.sort_by_key(|node| node.origin[0]);
+        tree.lower.sort_by_key(|node| node.origin[0]);
         tree.leaves.sort_unstable_by_key(|leaf| leaf.origin);
         Ok(tree)
     }
@@ -201,12 +212,12 @@ impl Tree {
         mut tile: impl FnMut(Bounds, &[u8]),
     ) -> Result<(), Wrong> {
         let width = self.coding.width;
-        for one in &self.tiles {
+        for one in along_x(&self.tiles, |tile| tile.bounds.low[0], UPPER, region) {
             tile(one.bounds, &one.value[..width]);
         }
         for (level, nodes) in [(Level::Upper, &self.upper), (Level::Lower, &self.lower)] {
             let edge = level.tile() << level.log2();
-            for node in nodes {
+            for node in along_x(nodes, |node| i64::from(node.origin[0]), edge, region) {
                 if Bounds::cube(node.low(), edge).and(region).is_empty() {
                     continue;
                 }
@@ -275,4 +286,21 @@ fn bounds_of_leaf(low: [i64; 3], active: &[u8; LEAF_MASK_BYTES]) -> Bounds {
         });
     }
     bounds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cubes_that_meet_a_slab_are_found_and_no_others_along_x() {
+        let lows = [-16_i64, -8, -8, 0, 8, 8, 24];
+        for (low, high) in [(-20, -17), (-16, -16), (-9, -8), (0, 7), (7, 8), (16, 23), (-100, 100), (31, 40)]
+        {
+            let region = Bounds { low: [low, 0, 0], high: [high, 0, 0] };
+            let meets = |cube: &i64| *cube <= high && cube + 7 >= low;
+            let expected: Vec<i64> = lows.iter().copied().filter(meets).collect();
+            assert_eq!(along_x(&lows, |low| *low, 8, region), expected, "{low} to {high}");
+        }
+    }
 }

@@ -1,4 +1,5 @@
-//! The arrays in a NPZ file, which is a ZIP archive: stored as they are, or deflated, with the extensions for large files.
+//! The arrays in a NPZ file, which is a ZIP archive (PKWARE's APPNOTE): stored as they are, or deflated, with the extensions
+//! for large files.
 //!
 //! Only the directory at the end is trusted for where members are; the checksum of each is verified when it is read to its
 //! end.
@@ -9,7 +10,7 @@ use std::path::Path;
 
 use flate2::bufread::DeflateDecoder;
 
-use crate::points::{Place, ReadError};
+use super::fault::Fault;
 use crate::regular_file;
 
 /// Upper bound on the compression ratio of Deflate.
@@ -21,25 +22,25 @@ const END_BYTES: u64 = 22 + 65535;
 
 /// A stretch of a file that holds an array with its header.
 #[derive(Clone, Debug)]
-pub(super) struct Member {
+pub(crate) struct Member {
     /// Without `.npy`; empty if it is the whole file.
-    pub(super) name: String,
-    pub(super) start: u64,
+    pub(crate) name: String,
+    pub(crate) start: u64,
     /// Bytes in the file, and of the array with its header.
     stored: u64,
-    pub(super) bytes: u64,
+    pub(crate) bytes: u64,
     is_deflated: bool,
     checksum: Option<u32>,
 }
 
 impl Member {
     /// A file that is one array.
-    pub(super) fn whole(bytes: u64) -> Self {
+    pub(crate) fn whole(bytes: u64) -> Self {
         Self { name: String::new(), start: 0, stored: bytes, bytes, is_deflated: false, checksum: None }
     }
 
     /// A stream of the bytes from `skip` on.
-    pub(super) fn open(&self, path: &Path, skip: u64) -> io::Result<Box<dyn Read + Send>> {
+    pub(crate) fn open(&self, path: &Path, skip: u64) -> io::Result<Box<dyn Read + Send>> {
         let mut file = regular_file::open(path)?;
         let Some(checksum) = self.checksum else {
             file.seek(SeekFrom::Start(self.start.saturating_add(skip)))?;
@@ -79,14 +80,18 @@ impl Read for Checked {
     }
 }
 
+/// Whether a file begins as ZIP archives do.
+pub(crate) fn is_archive(head: &[u8]) -> bool {
+    head.starts_with(b"PK\x03\x04")
+}
+
 /// Whether a file begins as a ZIP archive does whose first member is an array.
-pub(super) fn begins(head: &[u8]) -> bool {
+pub(crate) fn begins_with_array(head: &[u8]) -> bool {
     let name_bytes = match head.get(26..28) {
         Some(length) => usize::from(u16::from_le_bytes([length[0], length[1]])),
         None => return false,
     };
-    head.starts_with(b"PK\x03\x04")
-        && head.get(30..30 + name_bytes).is_some_and(|name| name.ends_with(b".npy"))
+    is_archive(head) && head.get(30..30 + name_bytes).is_some_and(|name| name.ends_with(b".npy"))
 }
 
 fn number(bytes: &[u8], at: usize, length: usize) -> Option<u64> {
@@ -102,12 +107,11 @@ fn bytes_at(file: &mut File, at: u64, length: u64) -> io::Result<Vec<u8>> {
 }
 
 /// All arrays of an archive.
-pub(super) fn members(path: &Path) -> Result<Vec<Member>, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let mut file = regular_file::open(path).map_err(io)?;
-    let length = file.metadata().map_err(io)?.len();
-    let fail = |at: u64, what: &str| ReadError::malformed(path, Place::Byte(at), what);
-    let (at, entries, bytes) = directory(&mut file, length).map_err(io)?.ok_or_else(|| {
+pub(crate) fn members(path: &Path) -> Result<Vec<Member>, Fault> {
+    let mut file = regular_file::open(path)?;
+    let length = file.metadata()?.len();
+    let fail = |at: u64, what: &str| Fault::Wrong { at, what: what.to_owned() };
+    let (at, entries, bytes) = directory(&mut file, length)?.ok_or_else(|| {
         fail(
             length,
             "the directory at the end of this ZIP archive is missing or damaged; the file may be cut off",
@@ -116,7 +120,7 @@ pub(super) fn members(path: &Path) -> Result<Vec<Member>, ReadError> {
     if bytes > MOST_DIRECTORY_BYTES {
         return Err(fail(at, "the directory of this ZIP archive is too long"));
     }
-    let directory = bytes_at(&mut file, at, bytes).map_err(io)?;
+    let directory = bytes_at(&mut file, at, bytes)?;
     let (mut members, mut place) = (Vec::new(), 0_usize);
     for _ in 0..entries {
         let damaged = || fail(at + place as u64, "the directory of this ZIP archive is damaged");
@@ -130,7 +134,7 @@ pub(super) fn members(path: &Path) -> Result<Vec<Member>, ReadError> {
             .checked_add(30)
             .filter(|end| *end <= length)
             .ok_or_else(|| fail(at, "a member beyond the end of the file"))?;
-        let head = bytes_at(&mut file, at, 30).map_err(io)?;
+        let head = bytes_at(&mut file, at, 30)?;
         let names = number(&head, 26, 2).unwrap_or(0) + number(&head, 28, 2).unwrap_or(0);
         member.start = local + names;
         let end = member.start.checked_add(member.stored);
@@ -166,10 +170,8 @@ fn directory(file: &mut File, length: u64) -> io::Result<Option<(u64, u64, u64)>
     let Some(end) = tail.windows(4).rposition(|window| window == b"PK\x05\x06") else { return Ok(None) };
     let record = &tail[end..];
     let field = |at, length| number(record, at, length);
-    let (Some(mut entries), Some(mut bytes), Some(mut at)) = (field(10, 2), field(12, 4), field(16, 4))
-    else {
-        return Ok(None);
-    };
+    let numbers = (field(10, 2), field(12, 4), field(16, 4), field(20, 2));
+    let (Some(mut entries), Some(mut bytes), Some(mut at), Some(_)) = numbers else { return Ok(None) };
     if entries == 0xffff || bytes == 0xffff_ffff || at == 0xffff_ffff {
         // The record for large files is found by its locator, which stands before this one.
         let Some(locator) = end.checked_sub(20).map(|start| &tail[start..end]) else { return Ok(None) };

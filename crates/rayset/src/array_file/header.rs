@@ -1,45 +1,53 @@
-//! The header of a NPY file: the shape of the array, and what its elements are.
+//! The header of an array: its shape, and what its elements are.
+//!
+//! The layout is that of `numpy.lib.format`, versions 1 to 3.
 
 use super::literal::{self, Literal};
-use crate::points::ColumnType;
-use crate::points::roles::excerpt;
 
-pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
+pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header in bytes, and largest element.
-pub(super) const MOST_HEADER_BYTES: u64 = 1 << 20;
+pub(crate) const MOST_HEADER_BYTES: u64 = 1 << 20;
 const MOST_ELEMENT_BYTES: u64 = 1 << 16;
 /// Largest number of numbers of an element.
 const MOST_FIELDS: usize = 4096;
 
+/// The type of a number: `f` and 4 of `<f4`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Scalar {
+    /// `f`, `i`, `u`, or `b` for a truth.
+    pub(crate) letter: char,
+    pub(crate) bytes: usize,
+    pub(crate) big_endian: bool,
+}
+
 /// A number, or several in a row, of each element.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Field {
+pub(crate) struct Field {
     /// Empty if the array is not structured.
-    pub(super) name: String,
+    pub(crate) name: String,
     /// Its byte in the element.
-    pub(super) offset: usize,
-    pub(super) kind: ColumnType,
-    pub(super) big_endian: bool,
-    pub(super) components: usize,
+    pub(crate) offset: usize,
+    pub(crate) scalar: Scalar,
+    pub(crate) components: usize,
 }
 
 /// What an array consists of.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Header {
+pub(crate) struct Header {
     /// Bytes before the array.
-    pub(super) bytes: u64,
-    pub(super) shape: Vec<u64>,
-    pub(super) fortran: bool,
-    pub(super) element_bytes: usize,
-    pub(super) is_structured: bool,
+    pub(crate) bytes: u64,
+    pub(crate) shape: Vec<u64>,
+    pub(crate) fortran: bool,
+    pub(crate) element_bytes: usize,
+    pub(crate) is_structured: bool,
     /// Of the elements, those that are numbers.
-    pub(super) fields: Vec<Field>,
-    /// What an element is if it is no number: `'<U5'`.
-    pub(super) other: String,
+    pub(crate) fields: Vec<Field>,
+    /// What an element is as it is written, `<U5`; empty if the array is structured.
+    pub(crate) descr: String,
 }
 
 /// Where the text of a header begins and how long it is: from the magic number on. `None` if it is none.
-pub(super) fn text_place(head: &[u8]) -> Option<(usize, u64)> {
+pub(crate) fn text_place(head: &[u8]) -> Option<(usize, u64)> {
     let rest = head.strip_prefix(MAGIC)?;
     match *rest {
         [1, _, a, b, ..] => Some((10, u64::from(u16::from_le_bytes([a, b])))),
@@ -50,7 +58,7 @@ pub(super) fn text_place(head: &[u8]) -> Option<(usize, u64)> {
 
 impl Header {
     /// Parses the text of a header that begins at byte `start` of the array's file.
-    pub(super) fn parse(text: &[u8], start: usize) -> Result<Self, (u64, String)> {
+    pub(crate) fn parse(text: &[u8], start: usize) -> Result<Self, (u64, String)> {
         let bytes = (start + text.len()) as u64;
         let text = String::from_utf8_lossy(text);
         let literal = literal::parse(&text)
@@ -66,8 +74,6 @@ impl Header {
         let descr = literal.get("descr").ok_or_else(|| fail("expected `descr`, the type of the elements"))?;
         let mut fields = Vec::new();
         let element_bytes = element(descr, "", 0, 1, &mut fields).map_err(|what| fail(&what))?;
-        let other =
-            if fields.is_empty() { descr.text().map(excerpt).unwrap_or_default() } else { String::new() };
         Ok(Self {
             bytes,
             shape,
@@ -75,17 +81,17 @@ impl Header {
             element_bytes: element_bytes as usize,
             is_structured: descr.list().is_some(),
             fields,
-            other,
+            descr: descr.text().map(excerpt).unwrap_or_default(),
         })
     }
 
     /// Number of elements.
-    pub(super) fn count(&self) -> u64 {
+    pub(crate) fn count(&self) -> u64 {
         self.shape.iter().fold(1, |all, &n| all.saturating_mul(n))
     }
 
     /// `1065` or `32314 × 3`.
-    pub(super) fn shape_text(&self) -> String {
+    pub(crate) fn shape_text(&self) -> String {
         self.shape.iter().map(u64::to_string).collect::<Vec<_>>().join(" × ")
     }
 }
@@ -100,16 +106,15 @@ fn element(
 ) -> Result<u64, String> {
     let size = match descr {
         Literal::Text(code) => {
-            let (size, kind) = scalar(code)?;
-            if let Some(kind) = kind {
+            let (size, scalar) = scalar(code)?;
+            if let Some(scalar) = scalar {
                 if fields.len() == MOST_FIELDS {
                     return Err(format!("more than {MOST_FIELDS} numbers an element"));
                 }
                 fields.push(Field {
                     name: name.to_owned(),
                     offset: offset.min(MOST_ELEMENT_BYTES) as usize,
-                    kind,
-                    big_endian: code.starts_with('>'),
+                    scalar,
                     components: count.min(MOST_ELEMENT_BYTES) as usize,
                 });
             }
@@ -142,30 +147,31 @@ fn element(
     Ok(bytes)
 }
 
-/// The bytes of a value of a type such as `<f8`, and the type of a column for it; `None` if it is no number, or one that
-/// no column holds.
-fn scalar(code: &str) -> Result<(u64, Option<ColumnType>), String> {
+/// The bytes of a value of a type such as `<f8`, and what number it is; `None` if it is none.
+fn scalar(code: &str) -> Result<(u64, Option<Scalar>), String> {
     let fail = || format!("`{}` is no type of elements", excerpt(code));
     let kind = code.trim_start_matches(['<', '>', '|', '=']);
     let letter = kind.chars().next().ok_or_else(fail)?;
     // Of dates the unit follows: `<M8[ns]`.
     let digits = kind[letter.len_utf8()..].split('[').next().unwrap_or_default();
     let size = if digits.is_empty() { None } else { Some(digits.parse::<u64>().map_err(|_| fail())?) };
-    let number = |kind| Ok((size.unwrap_or(0), Some(kind)));
+    let number = |bytes: u64| {
+        let scalar = Scalar { letter, bytes: bytes as usize, big_endian: code.starts_with('>') };
+        Ok((bytes, Some(scalar)))
+    };
     match (letter, size) {
-        ('f', Some(4)) => number(ColumnType::F32),
-        ('f', Some(8)) => number(ColumnType::F64),
-        ('u' | 'b', Some(1)) => number(ColumnType::U8),
-        ('i', Some(1)) => number(ColumnType::I8),
-        ('u', Some(2)) => number(ColumnType::U16),
-        ('i', Some(2)) => number(ColumnType::I16),
-        ('u', Some(4)) => number(ColumnType::U32),
-        ('i', Some(4)) => number(ColumnType::I32),
-        ('u', Some(8)) => number(ColumnType::U64),
-        ('i', Some(8)) => number(ColumnType::I64),
+        ('f', Some(size @ (2 | 4 | 8))) => number(size),
+        ('u' | 'i', Some(size @ (1 | 2 | 4 | 8))) => number(size),
+        ('b', Some(1)) => number(1),
         ('O', _) => Err("its elements are objects of Python, which are not read; save numbers".into()),
         ('U', Some(size)) => Ok((size.saturating_mul(4), None)),
         ('S' | 'a' | 'V' | 'f' | 'c' | 'M' | 'm', Some(size)) => Ok((size, None)),
         _ => Err(fail()),
     }
+}
+
+/// The start of a text from a file, shortened for a message and without control characters.
+fn excerpt(text: &str) -> String {
+    let short: String = text.trim().chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect();
+    if short.len() < text.trim().len() { short + "…" } else { short }
 }
