@@ -8,6 +8,7 @@ use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::scene::RenderSettings;
 use rayset::{BandSink, Region, SinkError};
 
+use crate::annotate::Overlay;
 use crate::progress::Meter;
 
 /// Picture formats, by file extension.
@@ -38,6 +39,9 @@ pub(super) struct PictureSink {
     encoder: Encoder,
     file: OutputFile,
     meter: Meter,
+    /// What is laid over the picture, and the picture's first column of the whole.
+    overlay: Option<Overlay>,
+    left: u32,
 }
 
 enum Encoder {
@@ -68,7 +72,13 @@ impl PictureSink {
                 Encoder::Exr(ExrBands::new(output, (width, height), corner, whole).with_context(doing)?)
             }
         };
-        Ok(Self { encoder, file, meter: Meter::new("pixels", false) })
+        let meter = Meter::new("pixels", false);
+        Ok(Self { encoder, file, meter, overlay: None, left: region.columns.start })
+    }
+
+    /// With something laid over the picture, if anything.
+    pub(super) fn under(self, overlay: Option<Overlay>) -> Self {
+        Self { overlay, ..self }
     }
 
     pub(super) fn finish(self) -> Result<()> {
@@ -85,7 +95,14 @@ impl PictureSink {
 impl BandSink for PictureSink {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
         let written = match &mut self.encoder {
-            Encoder::Png(png) => png.write(band).map_err(|e| e.to_string()),
+            Encoder::Png(png) => {
+                let retouch = |row: u32, rgba: &mut [u8]| {
+                    if let Some(overlay) = &self.overlay {
+                        overlay.over(row, self.left, rgba);
+                    }
+                };
+                png.write_with(band, retouch).map_err(|e| e.to_string())
+            }
             Encoder::Exr(exr) => exr.write(band).map_err(|e| e.to_string()),
         };
         written.map_err(|e| format!("{}: {e}", self.file.destination().path().display()).into())
