@@ -150,10 +150,7 @@ fn histograms(cloud: &Cloud) -> Result<BTreeMap<String, Histogram>> {
 /// Prints a histogram, if there is any, after a label.
 fn draw(label: &str, histogram: Option<&Histogram>) {
     if let Some(histogram) = histogram {
-        let line = histogram.line(terminal_is_unicode());
-        let ends = [histogram.low, histogram.high].map(|v| format!("{v:.4}"));
-        let ends = ends.map(|text| text.trim_end_matches('0').trim_end_matches('.').to_owned());
-        report::say(format_args!("{label:<12}{} |{line}| {}", ends[0], ends[1]));
+        report::say(format_args!("{label:<12}{}", histogram.with_ends(terminal_is_unicode())));
     }
 }
 

@@ -92,7 +92,7 @@ impl Shown {
         let left = (layout.width() - margin - widest).max(margin).round();
         let height = row * (rows.len() + 1) as f32;
         let top = (0.5 * (layout.height() - height)).max(margin).round();
-        let mut piece = layout.piece((left, top), (left + widest, top + height));
+        let mut piece = layout.panel((left, top), (left + widest, top + height));
         let mut text = Vec::new();
         layout.font.write(&title, em, (left, top + em), &mut text);
         for (i, (color, name)) in rows.iter().enumerate() {
@@ -210,9 +210,9 @@ impl<'m> Bar<'m> {
 
     fn piece(&self, layout: &Layout) -> Piece {
         let em = layout.em;
-        let mut piece = layout.piece(
-            (self.title_left.min(self.left), self.top - 2.0 * em),
-            (self.right, self.top + self.height + em),
+        let mut piece = layout.panel(
+            (self.title_left.min(self.left), self.top - 1.7 * em),
+            (self.right, self.top + self.height + 0.2 * em),
         );
         let frame = layout.line;
         let around = rectangle(

@@ -2,7 +2,7 @@
 
 use zeno::Command;
 
-use super::canvas::{Color, Piece, Shape};
+use super::canvas::{Color, Piece, Shape, rectangle};
 use super::text::Font;
 
 /// Heights of a picture in an em.
@@ -58,6 +58,18 @@ impl Layout {
     /// The halo around a path.
     pub(super) fn halo(&self, path: &[Command]) -> Shape {
         Shape::Halo { path: path.to_vec(), width: self.halo_width(), color: self.halo, opacity: 0.72 }
+    }
+
+    /// A piece on a panel that dims what lies behind: for what is larger than a line.
+    pub(super) fn panel(&self, (left, top): (f32, f32), (right, bottom): (f32, f32)) -> Piece {
+        let padding = 0.55 * self.em;
+        let corner = 0.35 * self.em;
+        let inset = padding - corner;
+        let mut piece = self.piece((left - padding, top - padding), (right + padding, bottom + padding));
+        let path =
+            rectangle(left - inset, top - inset, right - left + 2.0 * inset, bottom - top + 2.0 * inset);
+        piece.shapes.push(Shape::Halo { path, width: corner, color: self.halo, opacity: 0.5 });
+        piece
     }
 
     /// Draws text with its halo.

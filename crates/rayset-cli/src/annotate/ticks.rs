@@ -30,7 +30,7 @@ pub(super) fn linear(low: f64, high: f64, wanted: f64) -> Ticks {
     let step = match round_below((high - low) / wanted.max(1.0)) {
         // The next round number: as many as wanted, at most.
         step if step * 2.1 * wanted < high - low => step * 5.0,
-        step if (high - low) / step > wanted * 1.5 => step * 2.0,
+        step if (high - low) / step > wanted * 1.3 => step * 2.0,
         step => step,
     };
     let largest = low.abs().max(high.abs());

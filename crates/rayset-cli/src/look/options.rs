@@ -111,6 +111,22 @@ pub(super) struct Input<'a> {
     pub(super) logarithmic: bool,
 }
 
+impl Input<'_> {
+    /// The values of an attribute, or of the density, in ascending order; for a logarithm those above 0.
+    fn values(&self, name: &str, logarithmic: bool) -> Result<Vec<f64>> {
+        let Some(mut values) = (self.sorted)(name) else {
+            bail!("the values of {name} are not known before it is rendered; say --value-range LOW:HIGH")
+        };
+        values.retain(|value| !logarithmic || *value > 0.0);
+        Ok(values)
+    }
+}
+
+/// Whether a colour, as a scene file writes it, is a map.
+fn is_map(color: &Value) -> bool {
+    color.is_array() || color.as_str().is_some_and(|name| name.parse::<Colormap>().is_ok())
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum ShadingArg {
     None,
@@ -176,8 +192,11 @@ impl LookArgs {
         }
         if self.colormap.is_some() || self.color_by.is_some() {
             let map = self.colormap.map_or_else(|| "viridis".to_owned(), |map| map.to_string());
+            // Other colours for what the look shows already, if it shows anything in colours of a map.
+            if self.color_by.is_some() || !is_map(&transfer["color"]) {
+                remove(transfer, &["input", "valueRange"]);
+            }
             transfer["color"] = json!(map);
-            remove(transfer, &["input", "valueRange"]);
             if let Some(name) = self.color_by.as_deref().filter(|name| *name != "density") {
                 if !(input.has)(name) {
                     bail!("--color-by {name}: there is no such attribute; {}", input.stored);
@@ -221,17 +240,12 @@ impl LookArgs {
         if self.value_range.is_none() && !logarithmic {
             return Ok(());
         }
-        let mut sorted = Vec::new();
-        if self.value_range.is_none_or(|range| range.is_relative()) {
-            let Some(values) = (input.sorted)(&shown) else {
-                bail!("the values of {shown} are not known before it is rendered; say --value-range LOW:HIGH")
-            };
-            sorted = values;
-            sorted.retain(|value| !logarithmic || *value > 0.0);
-        }
+        let chosen = [0, 1].map(|end| transfer["valueRange"][end].as_f64().unwrap_or(0.0));
         let (low, high) = match self.value_range {
-            Some(range) => range.of(&sorted)?,
-            None => ValueRange::customary(&sorted)?,
+            Some(range) if range.is_relative() => range.of(&input.values(&shown, logarithmic)?)?,
+            Some(range) => range.of(&[])?,
+            None if chosen.iter().all(|value| *value > 0.0) => (chosen[0], chosen[1]),
+            None => ValueRange::customary(&input.values(&shown, logarithmic)?)?,
         };
         if logarithmic {
             transfer["color"] = over_logarithm(&transfer["color"], (low, high))?;

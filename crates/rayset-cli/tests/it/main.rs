@@ -8,6 +8,7 @@ mod columns;
 mod common;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod faults;
+mod info;
 mod interrupted;
 mod las_files;
 mod las_times;

@@ -120,3 +120,16 @@ fn percentiles_of_voxels_are_of_what_is_shown() {
     assert!((105.0..115.0).contains(&low) && (185.0..195.0).contains(&high), "{low} {high}");
     assert!(transfer(f, "g.rset", &["--log"])["color"].is_array());
 }
+
+#[test]
+fn another_map_shows_what_the_look_shows() {
+    let folder = folder();
+    let f = folder.path();
+    cloud(f);
+    let height = transfer(f, "c.rset", &["--look", "height"]);
+    let other = transfer(f, "c.rset", &["--look", "height", "--colormap", "terrain"]);
+    assert_eq!(other["color"], "terrain");
+    assert_eq!((&other["input"], &other["valueRange"]), (&height["input"], &height["valueRange"]));
+    // Where nothing is shown in colours of a map, it is the density.
+    assert!(transfer(f, "c.rset", &["--look", "surface", "--colormap", "terrain"])["input"].is_null());
+}
