@@ -62,8 +62,8 @@ pub(super) fn logarithmic(low: f64, high: f64, wanted: f64) -> Ticks {
         .flat_map(|power| factors.iter().map(move |factor| factor * 10_f64.powi(power)))
         .filter(|v| (low * (1.0 - 1e-9)..=high * (1.0 + 1e-9)).contains(v))
         .collect();
-    if values.len() < 2 {
-        // Less than a decade: ordinary round numbers will do.
+    if values.len() < 4 && decades < 1.5 {
+        // About a decade: ordinary round numbers are closer.
         return linear(low, high, wanted);
     }
     let simple = (1e-3..1e5).contains(&low) && high < 1e5;
@@ -151,6 +151,7 @@ mod tests {
         assert_eq!(labels(&logarithmic(1.0, 100.0, 7.0)), ["1", "2", "5", "10", "20", "50", "100"]);
         assert_eq!(labels(&logarithmic(1e-12, 1e12, 5.0)), ["10⁻¹⁰", "10⁻⁵", "10⁰", "10⁵", "10¹⁰"]);
         assert_eq!(labels(&logarithmic(3.0, 4.0, 4.0))[0], "3.0");
+        assert_eq!(labels(&logarithmic(0.1057, 0.93, 7.0)).len(), 8);
     }
 
     #[test]

@@ -373,7 +373,9 @@ fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -
     } else if let Some(up) = header.up {
         Orientation::with_up(up, "by the kind of file")
     } else if surveyed {
-        Orientation::with_up(DVec3::Z, "survey coordinates")
+        let reason =
+            if header.crs.is_empty() { "the kind of file" } else { "the coordinate reference system" };
+        Orientation::with_up(DVec3::Z, reason)
     } else if lies_on(thin) && !said("PLY") {
         Orientation::with_up(axis(thin), "the thinnest extent")
     } else if sides[long] > 1.3 * others(long).fold(0.0, f64::max) && long > 0 {
