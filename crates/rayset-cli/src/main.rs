@@ -8,6 +8,8 @@ mod budget;
 mod build;
 mod check;
 mod demo;
+#[cfg(test)]
+mod documents;
 mod figure;
 mod generate;
 mod histogram;

@@ -208,6 +208,9 @@ impl CloudLook {
                 scene["lights"] = self.lamps();
                 // A surface hides what is behind it within a fraction of a radius.
                 scene["rendering"]["unitDistance"] = json!(0.25 * radius);
+                // Colours of points show the form of what was photographed already.
+                let occlusion = if self.paint == Paint::Points { 0.5 } else { 1.0 };
+                scene["rendering"]["ambientOcclusion"] = json!(occlusion);
             }
         }
         if self.exposure > 0.0 {

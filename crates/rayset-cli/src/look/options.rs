@@ -46,6 +46,9 @@ pub(crate) struct LookArgs {
     /// Light: from the eye, or none
     #[arg(long, value_enum)]
     pub(super) shading: Option<ShadingArg>,
+    /// How much darker creases and what lies close behind edges become, 0 to 4
+    #[arg(long, value_parser = occlusion)]
+    pub(super) ambient_occlusion: Option<f64>,
     /// Background colour, or `none`: transparent
     #[arg(long, value_parser = background)]
     pub(super) background: Option<String>,
@@ -152,6 +155,10 @@ fn step_fraction(text: &str) -> Result<f64, String> {
     values::number_within(text, 1e-3, 4.0)
 }
 
+fn occlusion(text: &str) -> Result<f64, String> {
+    values::number_within(text, 0.0, 4.0)
+}
+
 fn stop(text: &str) -> Result<f64, String> {
     values::number_within(text, 0.0, 0.999)
 }
@@ -171,6 +178,7 @@ impl LookArgs {
             ("--value-range", self.value_range.is_some()),
             ("--log", self.log),
             ("--shading", self.shading.is_some()),
+            ("--ambient-occlusion", self.ambient_occlusion.is_some()),
             ("--background", self.background.is_some()),
             ("--step", self.step.is_some()),
             ("--step-fraction", self.step_fraction.is_some()),
@@ -270,6 +278,9 @@ impl LookArgs {
         }
         if let Some(phase) = self.phase {
             rendering["phase"] = json!(if matches!(phase, PhaseArg::Half) { "half" } else { "hashed" });
+        }
+        if let Some(occlusion) = self.ambient_occlusion {
+            rendering["ambientOcclusion"] = json!(occlusion);
         }
         if let Some(stop) = self.stop {
             rendering["stopTransmittance"] = json!(stop);

@@ -3,6 +3,7 @@
 mod args;
 mod picture;
 mod report;
+mod sanity;
 mod shot;
 mod sink;
 mod warnings;
@@ -20,6 +21,7 @@ use rayset::{PreparedScene, Region};
 
 pub(crate) use self::args::{RenderArgs, defaults};
 use self::report::RenderReport;
+use self::sanity::Circumstances;
 use self::shot::Shot;
 use self::sink::{Format, PictureSink};
 pub(crate) use self::work::PredictorArg;
@@ -52,9 +54,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
     let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
     for (picture, camera) in &pictures {
-        let sink = PictureSink::create(picture, &region, &shot.settings, shot.display_transform)?
+        let sink = PictureSink::create(picture, &region, &shot)?
             .under(annotations.as_ref().map(|annotations| annotations.overlay(camera)));
-        render(&prepared, camera, &region, sink, picture, stats.as_ref(), &work, &plan)?;
+        render(&shot, &prepared, camera, &region, sink, picture, stats.as_ref(), &work, &plan)?;
     }
     Ok(())
 }
@@ -79,6 +81,7 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
 /// Renders one picture.
 #[expect(clippy::too_many_arguments, reason = "what is seen, from where, by what means, and where it goes")]
 fn render(
+    shot: &Shot,
     prepared: &PreparedScene,
     camera: &Camera,
     region: &Region,
@@ -92,12 +95,22 @@ fn render(
     work.session.reset_statistics();
     let view = prepared.view(camera)?;
     let counts = view.render_bands(region, plan.band_rows, &CancelToken::new(), &mut sink)?;
-    sink.finish()?;
+    let census = sink.finish()?;
     let report = RenderReport::new(work, plan, counts, started.elapsed());
     if let Some(stats) = stats {
         outputs::write(stats, serde_json::to_string_pretty(&report)?.as_bytes())?;
     }
     report.describe(output.path());
+    let settings = &shot.settings;
+    census.remark(
+        &counts,
+        &Circumstances {
+            points: shot.points,
+            chosen: shot.chosen.is_some(),
+            rays_per_pixel: u64::from(settings.samples) * u64::from(settings.samples),
+            cropped: region.pixels() < u64::from(settings.width) * u64::from(settings.height),
+        },
+    );
     if report.memory_bytes < plan.comfortable_bytes && report.pages.reads_per_page > 2.0 {
         remark(format_args!(
             "pages were read {:.1} times each; --memory {} would do better",

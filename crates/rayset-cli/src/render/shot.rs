@@ -32,6 +32,8 @@ pub(super) struct Shot {
     pub(super) chosen: Option<String>,
     /// The name of the look that was chosen.
     look: Option<&'static str>,
+    /// Number of points of a cloud; `None` of anything else.
+    pub(super) points: Option<u64>,
     /// Keeps what was built of the input.
     _input: Opened,
 }
@@ -71,6 +73,7 @@ impl Shot {
             loading_bytes: file.loading_bytes,
             chosen,
             look,
+            points: if let Input::Cloud(cloud) = &opened.input { Some(cloud.header().points) } else { None },
             _input: opened,
         })
     }

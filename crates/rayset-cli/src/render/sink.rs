@@ -3,11 +3,12 @@
 use std::io::BufWriter;
 
 use anyhow::{Context, Result, bail};
-use rayset::image::{Band, DisplayTransform, ExrBands, PngBands};
+use rayset::image::{Band, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
-use rayset::scene::RenderSettings;
 use rayset::{BandSink, Region, SinkError};
 
+use super::sanity::Census;
+use super::shot::Shot;
 use crate::annotate::Overlay;
 use crate::progress::Meter;
 
@@ -39,6 +40,7 @@ pub(super) struct PictureSink {
     encoder: Encoder,
     file: OutputFile,
     meter: Meter,
+    census: Census,
     /// What is laid over the picture, and the picture's first column of the whole.
     overlay: Option<Overlay>,
     left: u32,
@@ -50,12 +52,8 @@ enum Encoder {
 }
 
 impl PictureSink {
-    pub(super) fn create(
-        to: &Destination,
-        region: &Region,
-        settings: &RenderSettings,
-        display_transform: DisplayTransform,
-    ) -> Result<Self> {
+    pub(super) fn create(to: &Destination, region: &Region, shot: &Shot) -> Result<Self> {
+        let (settings, display_transform) = (&shot.settings, shot.display_transform);
         let doing = || format!("cannot write {}", to.path().display());
         let format = Format::of(to)?;
         let file = OutputFile::create(to)?;
@@ -72,8 +70,9 @@ impl PictureSink {
                 Encoder::Exr(ExrBands::new(output, (width, height), corner, whole).with_context(doing)?)
             }
         };
+        let census = Census::new(shot.scene.background, display_transform);
         let meter = Meter::new("pixels", false);
-        Ok(Self { encoder, file, meter, overlay: None, left: region.columns.start })
+        Ok(Self { encoder, file, meter, census, overlay: None, left: region.columns.start })
     }
 
     /// With something laid over the picture, if anything.
@@ -81,19 +80,22 @@ impl PictureSink {
         Self { overlay, ..self }
     }
 
-    pub(super) fn finish(self) -> Result<()> {
+    /// Completes the file. Returns what its pixels were like.
+    pub(super) fn finish(self) -> Result<Census> {
         self.meter.finish();
         let doing = || format!("cannot write {}", self.file.destination().path().display());
         match self.encoder {
             Encoder::Png(png) => png.finish().with_context(doing)?,
             Encoder::Exr(exr) => exr.finish().with_context(doing)?,
         }
-        Ok(self.file.publish()?)
+        self.file.publish()?;
+        Ok(self.census)
     }
 }
 
 impl BandSink for PictureSink {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
+        self.census.add(band);
         let written = match &mut self.encoder {
             Encoder::Png(png) => {
                 let retouch = |row: u32, rgba: &mut [u8]| {

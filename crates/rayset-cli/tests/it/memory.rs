@@ -108,6 +108,25 @@ fn a_picture_larger_than_the_budget_goes_out_in_bands_and_is_the_same() {
 }
 
 #[test]
+fn the_budget_holds_where_pages_and_shadows_of_different_sizes_replace_each_other() {
+    let folder = folder();
+    rayset(folder.path(), &["generate", "knot-300k", "-o", "p.ply"]);
+    rayset(folder.path(), &["build", "p.ply", "-o", "c.rset", "--page-size", "32768", "--threads", "2"]);
+    let scene = r#"{"rayset": 1, "rendering": {"shadowResolution": 2048},
+        "camera": {"position": [5.4, 3.4, 9.4], "direction": [-0.46, -0.29, -0.84], "fovy": 35},
+        "image": {"size": [100, 75], "samples": 2},
+        "lights": [{"type": "ambient"}, {"type": "directional", "direction": [0.4, -0.8, -0.44]}],
+        "root": {"type": "cloud", "file": "c.rset",
+            "transferFunction": {"opacity": [[0.25, 0], [0.55, 1]], "color": "points"}}}"#;
+    std::fs::write(folder.path().join("s.json"), scene).expect("the scene is written");
+    let output = ["-o", "c.png", "--stats", "stats.json", "--threads", "2", "--memory", "15MiB"];
+    rayset(folder.path(), &[&["render", "s.json"], &output[..]].concat());
+    let text = std::fs::read_to_string(folder.path().join("stats.json")).expect("statistics are written");
+    let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
+    assert!(number(&stats, "peak_rss_bytes") <= 15.0 * MIB, "{stats}");
+}
+
+#[test]
 fn the_budget_holds_where_every_ray_meets_every_point() {
     let folder = folder();
     rayset(folder.path(), &["generate", "cube-2m", "-o", "p.ply"]);

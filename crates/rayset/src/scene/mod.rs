@@ -234,6 +234,9 @@ pub struct RenderSettings {
     pub max_depth: u32,
     /// Whether depth, shading vectors and other layers are computed besides colours.
     pub layers: bool,
+    /// How much darker surfaces become in creases and close behind edges, 0 (not at all, the default) to 4. Of whole
+    /// pictures and regions alone: tiles that are handed out one by one are as they were traced.
+    pub ambient_occlusion: f32,
 }
 
 impl Default for RenderSettings {
@@ -249,6 +252,7 @@ impl Default for RenderSettings {
             shadows: Shadows::Exact,
             max_depth: 4,
             layers: false,
+            ambient_occlusion: 0.0,
         }
     }
 }
@@ -262,9 +266,15 @@ setters!(RenderSettings {
     with_shadows => shadows: Shadows,
     with_max_depth => max_depth: u32,
     with_layers => layers: bool,
+    with_ambient_occlusion => ambient_occlusion: f32,
 });
 
 impl RenderSettings {
+    /// Whether layers are computed, for the caller or for ambient occlusion.
+    pub(crate) fn records_layers(&self) -> bool {
+        self.layers || self.ambient_occlusion > 0.0
+    }
+
     /// Sets the size of the picture in pixels.
     #[must_use]
     pub fn with_size(self, width: u32, height: u32) -> Self {

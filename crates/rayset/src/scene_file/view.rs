@@ -44,6 +44,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
             "shadows",
             "shadowResolution",
             "maxDepth",
+            "ambientOcclusion",
         ];
         let rendering = at.object(&known)?;
         settings.step = step(&rendering)?;
@@ -53,6 +54,8 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
         let stop = rendering.read_or("stopTransmittance", 0.01, |at| at.number(0.0, 0.999))?;
         settings.stop_transmittance = stop as f32;
         settings.max_depth = rendering.read_or("maxDepth", settings.max_depth, |at| at.whole(0, 16))?;
+        let occlusion = rendering.read_or("ambientOcclusion", 0.0, |at| at.number(0.0, 4.0))?;
+        settings.ambient_occlusion = occlusion as f32;
         let resolution = rendering.read_or("shadowResolution", 512, |at| at.whole(16, 16384))?;
         let kinds = [("exact", Shadows::Exact), ("cached", Shadows::Cached { resolution })];
         settings.shadows =

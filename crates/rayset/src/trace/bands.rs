@@ -1,5 +1,6 @@
 //! Rendering a view into memory, or band by band as file encoders need it.
 
+use super::ambient_occlusion::{AmbientOcclusion, Surroundings};
 use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 use super::view::View;
 use super::work::{Region, Tile, Work};
@@ -36,6 +37,32 @@ impl View {
             let what = "empty, or not within the picture".into();
             return Err(RenderError::Setting { setting: "region", what });
         }
+        if self.settings.ambient_occlusion <= 0.0 {
+            return self.bands(region, band_rows, cancel, sink);
+        }
+        let mut shading = AmbientOcclusion::new(&self.surroundings(), region, sink);
+        let rendered = shading.rendered().clone();
+        self.bands(&rendered, band_rows, cancel, &mut shading)
+    }
+
+    fn surroundings(&self) -> Surroundings<'_> {
+        Surroundings {
+            rays: &self.rays,
+            size: (self.settings.width, self.settings.height),
+            strength: self.settings.ambient_occlusion,
+            background: self.prepared.world.background,
+            layers: self.settings.layers,
+        }
+    }
+
+    /// The bands of a region that lies in the picture, as tiles make them.
+    fn bands(
+        &self,
+        region: &Region,
+        band_rows: u32,
+        cancel: &CancelToken,
+        sink: &mut (impl BandSink + ?Sized),
+    ) -> Result<RenderCounts, RenderError> {
         let (mut counts, mut done) = (RenderCounts::default(), 0);
         let mut row = region.rows.start;
         while row < region.rows.end {
@@ -46,7 +73,7 @@ impl View {
                     row,
                     of_band.columns.len() as u32,
                     of_band.rows.len() as u32,
-                    self.settings.layers,
+                    self.settings.records_layers(),
                 ),
                 left: region.columns.start,
                 done,

@@ -3,10 +3,11 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
+use super::ambient_occlusion::apron;
 use super::node_samples::{NodeSamples, RequiredOutputs};
 use super::packet_tracer::tree_bytes;
 use super::program::PLACE_BYTES;
-use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES};
+use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, TILE_MAKER_BYTES};
 use super::transfer::ColorTable;
 use crate::field::{LANES, SampleRow};
 use crate::geometry::DAffine3;
@@ -26,10 +27,8 @@ const THREAD_BYTES: u64 = 640 << 10;
 const CLOUD_BYTES: u64 = 48 << 10;
 /// What look-ahead stores per page of the files, though it never has most of them in view at a time.
 const LOOKAHEAD_BYTES: u64 = 24;
-/// One part in this many of the pages' memory is lost to gaps between them.
+/// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for everything else.
 const ALLOCATOR_PART: u64 = 32;
-/// The same if pages and tiles of shadow tables, of different sizes, replace each other: more is lost.
-const MIXED_ALLOCATOR_PART: u64 = 14;
 /// What a march through the graph keeps for every place: its range of samples, its cloud's state, its shared block.
 const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<NodeSamples>>()) as u64;
 /// Bytes per column for the blocks of 16 rows of layers that are being written to an OpenEXR file: six blocks,
@@ -53,6 +52,7 @@ pub struct SceneNeeds {
     /// Number of tiles of shadow tables.
     shadow_tiles: u64,
     layers: bool,
+    ambient_occlusion: bool,
 }
 
 impl SceneNeeds {
@@ -100,12 +100,21 @@ impl SceneNeeds {
             + tree
             + sums
             + marches * census.places * MARCH_BYTES
-            + (in_shadow * LANES * size_of::<SampleRow>()) as u64;
+            + (in_shadow * LANES * size_of::<SampleRow>()) as u64
+            + if shadow > 0 { TILE_MAKER_BYTES as u64 } else { 0 };
         let scene_bytes = census.given_bytes
             + passes * (census.places * PLACE_BYTES + census.table_bytes)
             + 4 * size_of_val(lights) as u64;
         let shadow_tiles = DeepShadowMap::tiles_of(scene, settings.shadows);
-        Self { clouds, grids, scene_bytes, thread_bytes, shadow_tiles, layers: settings.layers }
+        Self {
+            clouds,
+            grids,
+            scene_bytes,
+            thread_bytes,
+            shadow_tiles,
+            layers: settings.records_layers(),
+            ambient_occlusion: settings.ambient_occlusion > 0.0,
+        }
     }
 
     /// Adds the memory that loading the scene took: little of it becomes available to pages, because what remains
@@ -280,12 +289,13 @@ pub fn plan(
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
     let demand = Demand::of(&[needs], threads);
-    // Tiles are listed, 24 bytes each.
+    // Tiles are listed, 16 bytes each.
     let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
     let row = u64::from(width) * pixel + u64::from(width) / 2;
     let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
     // The picture's rows also pass through the encoder.
-    let fixed = process_bytes + demand.fixed + 8 * row + encoder;
+    let kept_rows = if needs.ambient_occlusion { 2 * u64::from(apron(height)) + 1 } else { 0 };
+    let fixed = process_bytes + demand.fixed + (8 + kept_rows) * row + encoder;
     let least_page_bytes = demand.least_page_bytes();
     let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
     if budget_bytes < least_bytes {
@@ -326,10 +336,10 @@ fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -
     let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
     RequiredOutputs {
         color: true,
-        normal: lit || settings.layers,
+        normal: lit || settings.records_layers(),
         boundary: lit && (turns_rays || scene.lighting.throws_shadows() || cuts()),
         outside: false,
-        material: settings.layers || (lit && has(scene, |node| node.material.is_some())),
+        material: settings.records_layers() || (lit && has(scene, |node| node.material.is_some())),
         attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
     }
 }
@@ -354,8 +364,6 @@ struct Demand {
     /// Bytes of the largest and of the smallest page, including tiles of shadow tables.
     largest: u64,
     smallest: u64,
-    /// One part in this many is lost to gaps between pages.
-    allocator_part: u64,
     /// Bytes of all pages of the files.
     file_bytes: u64,
 }
@@ -373,7 +381,6 @@ impl Demand {
         let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
         // Each thread works on one scene at a time.
         let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
-        let mixed = shadow_tiles > 0 && files().any(|(_, bytes)| bytes != tile);
         Self {
             threads,
             fixed: of_scenes
@@ -384,20 +391,19 @@ impl Demand {
             page,
             largest,
             smallest,
-            allocator_part: if mixed { MIXED_ALLOCATOR_PART } else { ALLOCATOR_PART },
             file_bytes: files().map(|(pages, bytes)| pages * bytes).sum(),
         }
     }
 
     /// The least memory that pages need.
     fn least_page_bytes(&self) -> u64 {
-        least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / MIXED_ALLOCATOR_PART)
+        least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / ALLOCATOR_PART)
     }
 
     /// Bytes of pages that fit in `room` bytes of memory, and how many of these shadow tables may take.
     fn divide(&self, room: u64) -> (u64, u64) {
-        // The allocator's overhead per page weighs most for small pages.
-        let each = self.smallest + OVERHEAD_BYTES + self.smallest / self.allocator_part;
+        // The overhead per page weighs most for small pages.
+        let each = self.smallest + OVERHEAD_BYTES + self.smallest / ALLOCATOR_PART;
         let page_bytes = (room / each * self.smallest).max(least_pages(self.threads) * self.largest);
         let shadow_bytes = page_bytes
             .saturating_sub(self.file_bytes)

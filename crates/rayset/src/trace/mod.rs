@@ -6,6 +6,7 @@
 //! the [`ExecSettings`], only fused multiply–add changes its last bits.
 
 mod access;
+mod ambient_occlusion;
 mod bands;
 mod bounce;
 mod brick;

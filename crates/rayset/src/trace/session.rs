@@ -250,6 +250,9 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
             format!("{} is not between 1 and 64 along a side of a pixel", settings.samples),
         );
     }
+    if !(0.0..=4.0).contains(&settings.ambient_occlusion) {
+        return wrong("ambient occlusion", format!("{} is not between 0 and 4", settings.ambient_occlusion));
+    }
     Ok(())
 }
 

@@ -16,8 +16,8 @@ use crate::scene::{Camera, RayMaker, RenderSettings};
 /// Cheap to make: nothing of the scene is compiled or copied for it.
 #[derive(Clone)]
 pub struct View {
-    prepared: Arc<Prepared>,
-    rays: RayMaker,
+    pub(super) prepared: Arc<Prepared>,
+    pub(super) rays: RayMaker,
     pub(super) settings: RenderSettings,
 }
 

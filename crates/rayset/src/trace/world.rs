@@ -34,7 +34,7 @@ impl World {
         simd: SimdLevel,
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
-        let purpose = if settings.layers { Purpose::Layers } else { Purpose::Picture };
+        let purpose = if settings.records_layers() { Purpose::Layers } else { Purpose::Picture };
         let program = Program::compile(scene, purpose, simd, paged)?;
         let shader = Shader::new(&scene.lighting, program.constants);
         let absorption = Absorption {
@@ -56,7 +56,7 @@ impl World {
             program,
             shader,
             absorption,
-            layers: settings.layers,
+            layers: settings.records_layers(),
             background: scene.background,
         })
     }

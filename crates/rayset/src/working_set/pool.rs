@@ -19,9 +19,6 @@ use crate::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
 use crate::sync::thread::{self, ThreadId};
 use crate::sync::{Condvar, Mutex, MutexGuard, lock, wait_timeout};
 
-/// Page buffers taken from the allocator at a time, besides the one that is requested.
-const BUFFERS_AT_A_TIME: u64 = 31;
-
 /// A waiting thread checks its condition again after this, whether it was notified or not.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
@@ -36,8 +33,6 @@ struct State {
     halted: Vec<ThreadId>,
     /// Memory of evicted pages, to be reused by the reservation that caused the eviction.
     recycled: Vec<PageBuffer>,
-    /// Buffers that were allocated together with others that are in use.
-    preallocated: Vec<PageBuffer>,
     last_serial: u32,
 }
 
@@ -84,7 +79,6 @@ impl PagePool {
             computing: Vec::new(),
             halted: Vec::new(),
             recycled: Vec::new(),
-            preallocated: Vec::new(),
             last_serial: 0,
         };
         Self {
@@ -111,7 +105,7 @@ impl PagePool {
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut state = lock(&self.state);
         state.budget.limits = limits;
-        state.drop_unused_memory();
+        state.recycled.clear();
         let evicted = state.evict_excess(self.tick());
         drop(state);
         // There may be room now for a waiting thread.
@@ -126,7 +120,7 @@ impl PagePool {
         while let Some(page) = state.evict(Obstacle::Total, self.tick()) {
             evicted.push(page);
         }
-        state.drop_unused_memory();
+        state.recycled.clear();
         evicted
     }
 
@@ -137,7 +131,7 @@ impl PagePool {
         for page in &evicted {
             state.budget.give_back(page.kind, page.object.bytes());
         }
-        state.drop_unused_memory();
+        state.recycled.clear();
         drop(state);
         self.notify_waiting();
         evicted
@@ -268,7 +262,7 @@ impl PagePool {
         state.loading -= 1;
         *object.slot(page) = slot;
         state.budget.give_back(object.kind(page), object.bytes());
-        // Kept for the next reservation: freeing and allocating pages again would fragment the heap.
+        // Kept for the next reservation.
         state.recycled.push(buffer);
         drop(state);
         self.notify_waiting();
@@ -353,14 +347,9 @@ impl State {
             evicted.push(page);
         }
         if !evicted.is_empty() {
-            self.drop_unused_memory();
+            self.recycled.clear();
         }
         evicted
-    }
-
-    fn drop_unused_memory(&mut self) {
-        self.recycled.clear();
-        self.preallocated.clear();
     }
 
     /// Takes room for a page, if evictions can make enough; evicted pages are added to `evicted`, without their memory.
@@ -381,26 +370,10 @@ impl State {
         let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
         let buffer = match self.recycled.iter().position(fits) {
             Some(at) => self.recycled.swap_remove(at),
-            None => self.take_preallocated(bytes),
+            None => PageBuffer::new(bytes as usize),
         };
         // Memory of other sizes goes back to the system; otherwise the process would exceed its budget.
         self.recycled.clear();
-        let unused: u64 = self.preallocated.iter().map(|b| b.bytes().len() as u64).sum();
-        if unused > self.budget.free() {
-            self.preallocated.clear();
-        }
         Some(buffer)
-    }
-
-    /// Memory for a page, allocated many pages at a time: allocated one by one, in between other allocations, pages
-    /// would fragment the heap, and the process would exceed its budget.
-    fn take_preallocated(&mut self, bytes: u64) -> PageBuffer {
-        let fits = |b: &PageBuffer| b.bytes().len() as u64 == bytes;
-        if let Some(at) = self.preallocated.iter().position(fits) {
-            return self.preallocated.swap_remove(at);
-        }
-        let together = (self.budget.free() / bytes.max(1)).min(BUFFERS_AT_A_TIME);
-        self.preallocated.extend((0..together).map(|_| PageBuffer::new(bytes as usize)));
-        PageBuffer::new(bytes as usize)
     }
 }

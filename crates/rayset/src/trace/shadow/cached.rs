@@ -9,7 +9,7 @@
 use super::map::{TILE_CELLS, Texel};
 use super::place::{lit_place, toward};
 use super::table::DeepShadowMap;
-use super::transmittance::{self, TransmittanceBuilder};
+use super::transmittance::{self, TransmittanceCurves};
 use super::world::ShadowWorld;
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::geometry::{DVec3, Ray};
@@ -21,6 +21,8 @@ use crate::trace::march::March;
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY, each_lane};
 use crate::working_set::PageGuard;
 
+/// Memory of a thread that makes tiles, besides that of its march.
+pub(in crate::trace) const TILE_MAKER_BYTES: usize = TransmittanceCurves::BYTES;
 /// Rays along an edge of a tile.
 const CORNERS: u32 = TILE_CELLS + 1;
 
@@ -36,6 +38,7 @@ impl<'a> DeepShadowLookups<'a> {
             march: March::new(&world.program, slab_samples),
             states: [RayState::START; LANES],
             shares: Shares::new(),
+            curves: TransmittanceCurves::new(),
         };
         Self { maker }
     }
@@ -165,6 +168,8 @@ struct TileMaker<'a> {
     march: March<'a>,
     states: [RayState; LANES],
     shares: Shares,
+    /// One for each ray of the tile.
+    curves: TransmittanceCurves,
 }
 
 impl TileMaker<'_> {
@@ -178,7 +183,7 @@ impl TileMaker<'_> {
         counts: &mut RenderCounts,
     ) -> Result<(), Halt> {
         let rays: Vec<(Ray, f64)> = table.map.rays(tile).into_iter().map(|ray| (ray, 0.5)).collect();
-        let mut curves: Vec<TransmittanceBuilder> = vec![TransmittanceBuilder::new(); rays.len()];
+        self.curves.begin(rays.len());
         for group in self.world.steps.groups(access, &self.world.program, &rays)? {
             let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
             let packet = Packet::new(&members, group.step);
@@ -186,11 +191,11 @@ impl TileMaker<'_> {
             self.states.fill(RayState::START);
             self.march.begin(&packet);
             let mut scratch = self.march.node_samples();
-            let outcome = self.pass(access, &packet, &group.members, &mut scratch, &mut curves, counts);
+            let outcome = self.pass(access, &packet, &group.members, &mut scratch, counts);
             self.march.give_back(scratch);
             outcome?;
         }
-        transmittance::encode(curves.into_iter().map(TransmittanceBuilder::finish).collect(), bytes);
+        self.curves.encode(bytes);
         Ok(())
     }
 
@@ -200,7 +205,6 @@ impl TileMaker<'_> {
         packet: &Packet,
         members: &[usize],
         node: &mut NodeSamples,
-        curves: &mut [TransmittanceBuilder],
         counts: &mut RenderCounts,
     ) -> Result<(), Halt> {
         let mut going = packet.all();
@@ -215,7 +219,7 @@ impl TileMaker<'_> {
             let absorption = &self.world.absorption;
             going = absorption.absorb(packet, slab, node, lanes, &mut self.states, &mut self.shares);
             each_lane(self.shares.lanes(), |lane| {
-                self.extend(packet, slab, lane, before[lane], &mut curves[members[lane]]);
+                self.extend(packet, slab, lane, before[lane], members[lane]);
             });
         }
         Ok(())
@@ -223,14 +227,7 @@ impl TileMaker<'_> {
 
     /// Appends the samples of a slab to the curve of a ray. Each sample absorbs its light over one step, centred at the
     /// sample.
-    fn extend(
-        &self,
-        packet: &Packet,
-        slab: Slab,
-        lane: usize,
-        before: f32,
-        curve: &mut TransmittanceBuilder,
-    ) {
+    fn extend(&mut self, packet: &Packet, slab: Slab, lane: usize, before: f32, curve: usize) {
         let (mut left, step) = (before, packet.step_world());
         let mut samples = self.shares.samples[lane];
         while samples != 0 {
@@ -239,11 +236,11 @@ impl TileMaker<'_> {
             let t = packet.sample_t_world(lane, slab.first + j as u64);
             let (near, far) = ((t - 0.5 * step) as f32, (t + 0.5 * step) as f32);
             // If the ray has crossed empty space, the transmittance has not changed since the last knot.
-            if curve.last().is_none_or(|x| x < near) {
-                curve.push((near, left));
+            if self.curves.last(curve).is_none_or(|x| x < near) {
+                self.curves.push(curve, (near, left));
             }
             left = self.shares.behind[lane].0[j];
-            curve.push((far, left));
+            self.curves.push(curve, (far, left));
         }
     }
 }

@@ -1,0 +1,234 @@
+//! Ambient occlusion from the depths of a picture: creases, and surfaces close behind an edge, become darker. It gives
+//! form to what has one colour, at a small fraction of the cost of shadows.
+//!
+//! From each pixel four lines are followed in the picture, both ways. On either side the horizon is the steepest rise
+//! toward the eye (as in Bavoil & Sainz, *Multi-layer dual-resolution screen-space ambient occlusion*, 2009). The sines
+//! of both horizons are added before anything is said about the line: a plane, however it is tilted, rises on one side as
+//! it falls on the other, and remains bright.
+//!
+//! A pixel depends on depths up to [`AmbientOcclusion::apron`] pixels away. They are rendered too where they lie outside
+//! the region that is asked for, so pixels do not depend on regions or bands.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+
+use super::sink::{BandSink, SinkError};
+use super::work::Region;
+use crate::image::{Band, LayerPixel};
+use crate::scene::RayMaker;
+
+/// Distances at which horizons are looked for, as fractions of the picture's height; at least one pixel.
+const RINGS: [f32; 3] = [1.0 / 400.0, 1.0 / 130.0, 1.0 / 50.0];
+/// Directions of the lines, in pixels.
+const LINES: [(i64, i64); 4] = [(1, 0), (0, 1), (1, 1), (1, -1)];
+/// Mean sines of two horizons up to this are grain, not form.
+const GRAIN: f32 = 0.08;
+/// How much light a strength of 1 takes: what is left is `exp(-TAKEN × occlusion)`.
+const TAKEN: f32 = 2.5;
+
+/// Darkens the bands of a picture on their way to a sink.
+pub(super) struct AmbientOcclusion<'s, S: BandSink + ?Sized> {
+    strength: f32,
+    rings: [i64; 3],
+    footprint: Footprint,
+    background: [f32; 3],
+    /// What the sink receives, and the rows that are rendered for it.
+    region: Region,
+    rendered: Region,
+    /// Whether the sink receives layers.
+    layers: bool,
+    /// The latest rows, from number `first` on.
+    rows: VecDeque<Row>,
+    first: u32,
+    /// The next row of the sink's.
+    next: u32,
+    sink: &'s mut S,
+}
+
+struct Row {
+    pixels: Vec<[f32; 4]>,
+    layers: Vec<LayerPixel>,
+}
+
+/// The distance between the centres of two pixels in the world: a length, and a part of the distance from the eye.
+#[derive(Clone, Copy)]
+struct Footprint {
+    length: f32,
+    of_depth: f32,
+}
+
+impl Footprint {
+    fn of(rays: &RayMaker, width: u32, height: u32) -> Self {
+        let (x, y) = (0.5 * f64::from(width), 0.5 * f64::from(height));
+        let (ray, next) = (rays.ray(x, y), rays.ray(x, y + 1.0));
+        Self {
+            length: (next.origin - ray.origin).length() as f32,
+            of_depth: (next.direction - ray.direction).length() as f32,
+        }
+    }
+
+    fn at(self, depth: f32) -> f32 {
+        self.length + self.of_depth * depth
+    }
+}
+
+/// What a picture with ambient occlusion is made of.
+pub(super) struct Surroundings<'a> {
+    pub(super) rays: &'a RayMaker,
+    /// Width and height of the whole picture in pixels.
+    pub(super) size: (u32, u32),
+    pub(super) strength: f32,
+    pub(super) background: Option<[f32; 3]>,
+    pub(super) layers: bool,
+}
+
+/// How many pixels away a pixel of a picture of `height` pixels sees what makes it darker.
+pub(super) fn apron(height: u32) -> u32 {
+    rings(height)[2] as u32
+}
+
+fn rings(height: u32) -> [i64; 3] {
+    let [near, middle, far] = RINGS.map(|part| (part * height as f32).round() as i64);
+    let near = near.max(1);
+    let middle = middle.max(near + 1);
+    [near, middle, far.max(middle + 1)]
+}
+
+fn widened(range: &Range<u32>, by: u32, end: u32) -> Range<u32> {
+    range.start.saturating_sub(by)..range.end.saturating_add(by).min(end)
+}
+
+impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
+    pub(super) fn new(of: &Surroundings<'_>, region: &Region, sink: &'s mut S) -> Self {
+        let (width, height) = of.size;
+        let apron = apron(height);
+        let rendered = Region {
+            columns: widened(&region.columns, apron, width),
+            rows: widened(&region.rows, apron, height),
+        };
+        Self {
+            strength: of.strength,
+            rings: rings(height),
+            footprint: Footprint::of(of.rays, width, height),
+            background: of.background.unwrap_or_default(),
+            region: region.clone(),
+            first: rendered.rows.start,
+            rendered,
+            layers: of.layers,
+            rows: VecDeque::new(),
+            next: region.rows.start,
+            sink,
+        }
+    }
+
+    /// What has to be rendered.
+    pub(super) fn rendered(&self) -> &Region {
+        &self.rendered
+    }
+
+    /// Sends the rows that have all their neighbours.
+    fn send(&mut self) -> Result<(), SinkError> {
+        let known = self.first + self.rows.len() as u32;
+        let apron = self.rings[2] as u32;
+        let ready = if known == self.rendered.rows.end { known } else { known.saturating_sub(apron) };
+        let ready = ready.min(self.region.rows.end);
+        if ready > self.next {
+            let columns = self.region.columns.clone();
+            let mut band = Band::new(self.next, columns.len() as u32, ready - self.next, false);
+            let rows = band.pixels.chunks_exact_mut(columns.len());
+            for (y, shaded) in (self.next..ready).zip(rows) {
+                for (x, pixel) in columns.clone().zip(shaded) {
+                    *pixel = self.shaded(x, y);
+                }
+                if self.layers {
+                    let left = (columns.start - self.rendered.columns.start) as usize;
+                    let row = &self.rows[(y - self.first) as usize].layers;
+                    band.layers.extend_from_slice(&row[left..left + columns.len()]);
+                }
+            }
+            self.next = ready;
+            self.sink.band(&band)?;
+        }
+        while self.first + apron < self.next && self.rows.pop_front().is_some() {
+            self.first += 1;
+        }
+        Ok(())
+    }
+
+    /// Depth of a pixel; infinite if nothing is there, `None` outside the picture.
+    fn depth(&self, x: i64, y: i64) -> Option<f32> {
+        let (left, columns) = (self.rendered.columns.start, self.rendered.columns.len());
+        let x = usize::try_from(x - i64::from(left)).ok().filter(|&x| x < columns)?;
+        let row = self.rows.get(usize::try_from(y - i64::from(self.first)).ok()?)?;
+        Some(row.layers[x].depth)
+    }
+
+    fn shaded(&self, x: u32, y: u32) -> [f32; 4] {
+        let row = &self.rows[(y - self.first) as usize];
+        let at = (x - self.rendered.columns.start) as usize;
+        let (pixel, LayerPixel { depth, opacity, .. }) = (row.pixels[at], row.layers[at]);
+        if !depth.is_finite() {
+            return pixel;
+        }
+        let left = (-TAKEN * self.strength * self.occlusion(i64::from(x), i64::from(y), depth)).exp();
+        let [red, green, blue] = self.background;
+        // The background shines through undimmed.
+        let behind = (1.0 - opacity) * (1.0 - left);
+        [
+            pixel[0] * left + red * behind,
+            pixel[1] * left + green * behind,
+            pixel[2] * left + blue * behind,
+            pixel[3],
+        ]
+    }
+
+    /// What fraction of the surroundings hides the sky from a pixel, 0 to 1.
+    fn occlusion(&self, x: i64, y: i64, depth: f32) -> f32 {
+        let pixel = self.footprint.at(depth);
+        let lines = LINES.map(|(i, j)| {
+            let forth = self.horizon(x, y, (i, j), depth, pixel);
+            let back = self.horizon(x, y, (-i, -j), depth, pixel);
+            match (forth, back) {
+                (Some(forth), Some(back)) => (0.5 * (forth + back) - GRAIN).max(0.0),
+                // At the edge of the picture one side is unknown.
+                _ => 0.0,
+            }
+        });
+        lines.iter().sum::<f32>() * 0.25
+    }
+
+    /// Sine of the elevation of the horizon in one direction, above the plane of the picture through the pixel; -1 if
+    /// nothing is there, `None` if all of it is outside the picture.
+    fn horizon(&self, x: i64, y: i64, (i, j): (i64, i64), depth: f32, pixel: f32) -> Option<f32> {
+        let length = ((i * i + j * j) as f32).sqrt();
+        let farthest = self.rings[2] as f32 * pixel;
+        let mut horizon: Option<f32> = None;
+        for (number, ring) in self.rings.into_iter().enumerate() {
+            // Rings are circles.
+            let steps = ((ring as f32 / length).round() as i64).max(1);
+            let Some(there) = self.depth(x + i * steps, y + j * steps) else { continue };
+            let (run, rise) = (steps as f32 * length * pixel, depth - there);
+            let mut sine = if there.is_finite() { rise / (run * run + rise * rise).sqrt() } else { -1.0 };
+            if number > 0 && sine > 0.0 {
+                // What is far in front throws a thin line, not a wide halo.
+                sine *= 1.0 / (1.0 + (rise / farthest) * (rise / farthest));
+            }
+            horizon = Some(horizon.map_or(sine, |known| known.max(sine)));
+        }
+        horizon
+    }
+}
+
+impl<S: BandSink + ?Sized> BandSink for AmbientOcclusion<'_, S> {
+    fn band(&mut self, band: &Band) -> Result<(), SinkError> {
+        let width = band.width as usize;
+        for (pixels, layers) in band.pixels.chunks_exact(width).zip(band.layers.chunks_exact(width)) {
+            self.rows.push_back(Row { pixels: pixels.to_vec(), layers: layers.to_vec() });
+        }
+        self.send()
+    }
+
+    fn progress(&mut self, done: u64, total: u64) {
+        self.sink.progress(done, total);
+    }
+}
