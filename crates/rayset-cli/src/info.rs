@@ -1,16 +1,20 @@
 //! `rayset info`
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use rayset::Grid;
 use rayset::file::{AttributeInfo, Column};
 use rayset::geometry::{Aabb, DVec3};
 use rayset::memory::{self, SceneNeeds};
 use rayset::scene::{CloudObject, RenderSettings, Scene};
+use rayset::{Cloud, Grid};
 
+use crate::annotate::of_reference_system;
+use crate::histogram::{Histogram, terminal_is_unicode};
 use crate::input::{self, CacheArgs, Input, Resources};
+use crate::look::{self, CameraArgs, Chosen, LookArgs};
 use crate::memory::PROCESS_BYTES;
 use crate::report;
 
@@ -46,6 +50,12 @@ struct Info {
     color: bool,
     attributes: Vec<Attribute>,
     crs: String,
+    /// The unit of lengths, as the reference system has it.
+    length_unit: Option<&'static str>,
+    /// Of a sample: of every column whose values vary.
+    histograms: BTreeMap<String, Histogram>,
+    #[serde(flatten)]
+    guess: Option<Guess>,
     sources: Vec<String>,
     identity: String,
     file_bytes: u64,
@@ -84,6 +94,66 @@ impl Attribute {
     }
 }
 
+/// What is rendered if nothing is said, and why.
+#[derive(serde::Serialize)]
+struct Guess {
+    look: &'static str,
+    look_reason: String,
+    up: String,
+    up_reason: String,
+}
+
+impl Guess {
+    fn of(chosen: &Chosen) -> Self {
+        // `z up (survey coordinates)`, `look: surface (points with colours), …`
+        let within = |text: &str| {
+            let (before, rest) = text.split_once(" (").unwrap_or((text, ""));
+            (before.to_owned(), rest.split(')').next().unwrap_or_default().to_owned())
+        };
+        let (up, up_reason) = within(&chosen.up);
+        let up = up.trim_end_matches(" up").to_owned();
+        Self { look: chosen.look, look_reason: within(&chosen.line).1, up, up_reason }
+    }
+
+    fn describe(&self) {
+        report::say(format_args!("up          {}: {}", self.up, self.up_reason));
+        report::say(format_args!("look        {}: {}", self.look, self.look_reason));
+    }
+}
+
+/// Values of a sample: enough for percentiles to a hundredth, few enough for the smallest machines.
+const SAMPLE: usize = 1 << 15;
+/// Size of the picture of which the guess is made; it has no influence on what is told of it.
+const GUESSED: (u32, u32) = (512, 512);
+
+/// What a sample of the points or voxels says; if they cannot be read, that is remarked, and the header alone is told of.
+fn told<T>(found: Result<T>) -> Option<T> {
+    found.inspect_err(|error| report::remark(format_args!("left out what needs a sample: {error:#}"))).ok()
+}
+
+/// The histograms of a cloud's columns, and of its coordinates.
+fn histograms(cloud: &Cloud) -> Result<BTreeMap<String, Histogram>> {
+    let (sample, schema) = (cloud.sample(SAMPLE)?, cloud.sample_schema());
+    let axes = ["x", "y", "z"].iter().enumerate();
+    let coordinates = axes.map(|(axis, name)| {
+        let values = sample.position.iter().map(move |p| p[axis]);
+        ((*name).to_owned(), Histogram::of(values))
+    });
+    let columns = schema.columns.iter().zip(&sample.columns).map(|(column, values)| {
+        (column.name.clone(), Histogram::of((0..sample.len()).map(|i| values.get(i))))
+    });
+    // A stored column of the name of a coordinate is the one that is meant by it.
+    let found = coordinates.chain(columns);
+    Ok(found.filter_map(|(name, histogram)| Some((name, histogram?))).collect())
+}
+
+/// Prints a histogram, if there is any, after a label.
+fn draw(label: &str, histogram: Option<&Histogram>) {
+    if let Some(histogram) = histogram {
+        report::say(format_args!("{label:<12}{}", histogram.with_ends(terminal_is_unicode())));
+    }
+}
+
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let resources = Resources { memory: BUILD_MEMORY, threads: None };
     let opened = input::open(&args.inputs, &args.cache, resources)?;
@@ -119,6 +189,10 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         color: h.has_color,
         attributes: h.attributes.iter().map(Attribute::of).collect(),
         crs: h.crs.clone(),
+        length_unit: of_reference_system(&h.crs).and_then(|space| space.unit),
+        histograms: told(histograms(cloud)).unwrap_or_default(),
+        guess: told(look::of_cloud(cloud, &LookArgs::default(), &CameraArgs::default(), GUESSED))
+            .map(|chosen| Guess::of(&chosen)),
         sources: h.sources.clone(),
         identity: h.identity.to_string(),
         file_bytes: h.file_bytes,
@@ -146,12 +220,21 @@ struct GridInfo {
     file_bytes: u64,
     bricks: u64,
     pages: u64,
+    /// Of a sample of the values.
+    histogram: Option<Histogram>,
+    #[serde(flatten)]
+    guess: Option<Guess>,
 }
 
 fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
     let h = grid.header();
     let (value_min, value_max) = h.value_range();
     let bounds = Aabb::new(DVec3::ZERO, h.last_voxel()).transformed(&h.space_from_voxel);
+    let sample = told(grid.sample(SAMPLE).map_err(Into::into)).unwrap_or_default();
+    let values = sample.columns.first().into_iter();
+    let histogram = Histogram::of(values.flat_map(|values| (0..sample.len()).map(|i| values.get(i))));
+    let guess = told(look::of_grid(grid, &LookArgs::default(), &CameraArgs::default(), GUESSED))
+        .map(|chosen| Guess::of(&chosen));
     if as_json {
         return report::json(&GridInfo {
             size: h.size,
@@ -163,13 +246,17 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
             file_bytes: h.file_bytes,
             bricks: h.brick_pages(),
             pages: h.pages(),
+            histogram,
+            guess,
         });
     }
     let [x, y, z] = h.size;
     report::say(format_args!("voxels      {x} x {y} x {z} of {}", h.kind.name()));
     let vector = |v: DVec3| v.to_array().map(report::number).join(" ");
     report::say(format_args!("values      {} to {}", report::number(value_min), report::number(value_max)));
+    draw("", histogram.as_ref());
     report::say(format_args!("bounds      {}  to  {}", vector(bounds.min), vector(bounds.max)));
+    guess.iter().for_each(Guess::describe);
     report::say(format_args!(
         "file        {}, {} bricks, {} pages",
         report::bytes(h.file_bytes),
@@ -191,8 +278,16 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         info.skipped
     ));
     report::say(format_args!("bounds      {}  to  {}", vector(info.bounds_min), vector(info.bounds_max)));
+    let histogram = |name: &str| draw("", info.histograms.get(name));
+    // A stored column of such a name is told of below.
+    let is_column = |axis: &&str| info.attributes.iter().any(|attribute| attribute.name == *axis);
+    for axis in ["x", "y", "z"].iter().filter(|axis| !is_column(axis)) {
+        draw(axis, info.histograms.get(*axis));
+    }
     report::say(format_args!("radius      {}, mean {}", column(radius), report::number(info.radius_mean)));
+    histogram("radius");
     report::say(format_args!("weight      {}", column(weight)));
+    histogram("weight");
     report::say(format_args!(
         "positions   within {:.3e} of those read, {:.3e} of a radius",
         info.position_error, info.position_error_radii
@@ -208,10 +303,13 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
             report::number(a.max),
             a.kind
         ));
+        histogram(&a.name);
     }
     if !info.crs.is_empty() {
-        report::say(format_args!("reference   {}", info.crs));
+        let unit = info.length_unit.map_or_else(String::new, |unit| format!(", lengths in {unit}"));
+        report::say(format_args!("reference   {}{unit}", name_of(&info.crs)));
     }
+    info.guess.iter().for_each(Guess::describe);
     for source in &info.sources {
         report::say(format_args!("source      {source}"));
     }
@@ -236,4 +334,16 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         report::bytes(info.render_memory_comfortable)
     ));
     Ok(())
+}
+
+/// The name of a reference system: of a long text the first words in quotes.
+fn name_of(crs: &str) -> String {
+    /// Longer texts are no names.
+    const LONGEST: usize = 64;
+    match crs.split('"').nth(1) {
+        Some(name) if crs.chars().count() > LONGEST => {
+            format!("{name} ({} characters; --json has them all)", crs.chars().count())
+        }
+        _ => crs.to_owned(),
+    }
 }

@@ -1,5 +1,6 @@
 //! `rayset`: ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 
+mod annotate;
 mod bench;
 mod bench_cloud;
 mod bench_features;
@@ -11,10 +12,12 @@ mod demo;
 mod documents;
 mod figure;
 mod generate;
+mod histogram;
 mod info;
 mod input;
 mod interrupts;
 mod look;
+mod manual;
 mod memory;
 mod outputs;
 mod progress;
@@ -26,7 +29,7 @@ mod verify;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 ///
@@ -60,6 +63,10 @@ enum Command {
     Figure(figure::FigureArgs),
     /// Build and render the standard workloads, and say how long it took
     Bench(bench::BenchArgs),
+    /// Write a completion script for a shell to standard output
+    Completions(manual::CompletionsArgs),
+    /// Write the manual pages
+    Man(manual::ManArgs),
 }
 
 fn main() -> ExitCode {
@@ -90,6 +97,8 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Render(args) => render::run(&args),
         Command::Figure(args) => figure::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Completions(args) => manual::completions(&args, Cli::command()),
+        Command::Man(args) => manual::man(&args, Cli::command()),
     }
 }
 

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
 use super::grid;
-use super::options::{LookArgs, LookName};
+use super::options::{Input, LookArgs, LookName};
 use super::view::CameraArgs;
 
 /// A scene chosen for an input.
@@ -17,6 +17,10 @@ pub(crate) struct Chosen {
     pub(crate) scene: Value,
     /// What was chosen, and why.
     pub(crate) line: String,
+    /// The name of the look.
+    pub(crate) look: &'static str,
+    /// What is up, and why.
+    pub(crate) up: String,
 }
 
 /// Rays along each side of a pixel if nothing is said: edges are smooth.
@@ -44,8 +48,19 @@ pub(crate) fn of_cloud(
     } else {
         format!("the cloud stores {}, and x, y and z", stored.join(", "))
     };
-    look.apply(&mut scene, |name| header.attribute_number(name).is_some(), &stored)?;
-    Ok(Chosen { scene, line: chosen.line() })
+    let input = Input {
+        has: &|name| header.attribute_number(name).is_some(),
+        stored: &stored,
+        sorted: &|name| chosen.sorted(name),
+        logarithmic: chosen.name == LookName::Gas,
+    };
+    look.apply(&mut scene, &input)?;
+    Ok(Chosen {
+        scene,
+        line: chosen.line(),
+        look: chosen.name.name(),
+        up: chosen.orientation.reason_and_up(),
+    })
 }
 
 /// The scene of a grid, for a picture of `size`.
@@ -57,8 +72,19 @@ pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (
     let mut scene = around(chosen.root(&path_text(grid.path())?), &chosen.orientation.reason_and_up(), size);
     chosen.dress(&mut scene);
     scene["camera"] = camera.scene(&chosen.orientation, &chosen.points, aspect(size))?;
-    look.apply(&mut scene, |_| false, "a grid has nothing but its values")?;
-    Ok(Chosen { scene, line: chosen.line() })
+    let input = Input {
+        has: &|_| false,
+        stored: "a grid has nothing but its values",
+        sorted: &|_| Some(chosen.shown.clone()),
+        logarithmic: false,
+    };
+    look.apply(&mut scene, &input)?;
+    Ok(Chosen {
+        scene,
+        line: chosen.line(),
+        look: LookName::Volume.name(),
+        up: chosen.orientation.reason_and_up(),
+    })
 }
 
 /// A scene of one object, without camera and lights.

@@ -40,7 +40,7 @@ enum Paint {
 
 /// How points are to be seen.
 pub(super) struct CloudLook {
-    name: LookName,
+    pub(super) name: LookName,
     paint: Paint,
     pub(super) orientation: Orientation,
     statistics: Statistics,
@@ -131,10 +131,18 @@ impl CloudLook {
         }
     }
 
-    /// Colours and opacity by the logarithm of the density of mass, or of numbers where points have no weights.
-    fn gas(&self) -> Value {
-        /// Points of the curves, evenly spaced in the logarithm.
-        const KNOTS: usize = 64;
+    /// The values of a column, of a coordinate, or of the density of gas, ascending; `None` if they are not known.
+    pub(super) fn sorted(&self, name: &str) -> Option<Vec<f64>> {
+        match name {
+            "density" => (self.name == LookName::Gas).then(|| self.densities()),
+            // By custom another name of the vertical.
+            "height" if self.statistics.sorted(name).is_empty() => Some(self.statistics.sorted("z")),
+            _ => Some(self.statistics.sorted(name)),
+        }
+    }
+
+    /// The density of mass at points, or of numbers where points have no weights, ascending: estimates.
+    fn densities(&self) -> Vec<f64> {
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
         // Of the points within reach, each counts by its kernel, whose mean over its ball is about a fifth.
         let density_of = |(weight, radius): (&f64, &f64)| {
@@ -151,6 +159,14 @@ impl CloudLook {
             .filter(|density| density.is_finite() && *density > 0.0)
             .collect();
         densities.sort_by(f64::total_cmp);
+        densities
+    }
+
+    /// Colours and opacity by the logarithm of the density of mass, or of numbers where points have no weights.
+    fn gas(&self) -> Value {
+        /// Points of the curves, evenly spaced in the logarithm.
+        const KNOTS: usize = 64;
+        let densities = self.densities();
         let (low, high) = (percentile(&densities, 0.02).max(1e-17), percentile(&densities, 0.995).min(1e17));
         let (low, high) = if high > 1.2 * low { (low, high) } else { (0.3 * low, 3.0 * low) };
         let density = |t: f64| low * (high / low).powf(t);
@@ -369,7 +385,9 @@ fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -
     } else if let Some(up) = header.up {
         Orientation::with_up(up, "by the kind of file")
     } else if surveyed {
-        Orientation::with_up(DVec3::Z, "survey coordinates")
+        let reason =
+            if header.crs.is_empty() { "the kind of file" } else { "the coordinate reference system" };
+        Orientation::with_up(DVec3::Z, reason)
     } else if said("PCD") && is_camera_frame(statistics) {
         Orientation::with_up(DVec3::NEG_Y, "a camera's own axes").toward_front(Some(DVec3::Z))
     } else if lies_on(thin) && !said("PLY") {

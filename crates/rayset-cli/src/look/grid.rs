@@ -32,7 +32,7 @@ enum Content {
 pub(super) struct GridLook {
     content: Content,
     /// The values of a sample without the background, ascending.
-    shown: Vec<f64>,
+    pub(super) shown: Vec<f64>,
     /// What is at or below this, or at or above it if the background is high, is background.
     threshold: f64,
     background_is_low: bool,

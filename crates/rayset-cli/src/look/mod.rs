@@ -10,6 +10,7 @@ mod framing;
 mod grid;
 mod options;
 mod palettes;
+mod ranges;
 mod statistics;
 mod view;
 

@@ -5,6 +5,7 @@ use clap::{Args, ValueEnum};
 use rayset::scene::{Colormap, Kernel};
 use serde_json::{Value, json};
 
+use super::ranges::{ValueRange, over_logarithm};
 use crate::values;
 
 /// What a cloud or grid is to look like; a scene says all of this itself.
@@ -29,15 +30,19 @@ pub(crate) struct LookArgs {
     /// One colour for all, as #c8b090
     #[arg(long, value_parser = color, conflicts_with_all = ["colormap", "color_by"])]
     pub(super) color: Option<String>,
-    /// Colour map: viridis, inferno, magma, plasma, turbo, grey, coolwarm; with _r reversed
+    /// Colour map: viridis, inferno, magma, plasma, turbo, grey, coolwarm, cividis, thermal, haline, deep, dense, ice,
+    /// balance, RdBu, terrain; with _r reversed
     #[arg(long)]
     pub(super) colormap: Option<Colormap>,
     /// What the colour map shows: density, a stored attribute, or a coordinate: x, y, z, height
     #[arg(long)]
     pub(super) color_by: Option<String>,
-    /// Values at the ends of the colour map, as 0:10
-    #[arg(long, value_parser = values::range, allow_hyphen_values = true)]
-    pub(super) value_range: Option<(f64, f64)>,
+    /// Values at the ends of the colour map: numbers, as 0:10, or percentiles of what it shows, as 1%:99%
+    #[arg(long, value_parser = ValueRange::parse, allow_hyphen_values = true)]
+    pub(super) value_range: Option<ValueRange>,
+    /// The colour map is over the logarithm; from 1 % to 99 % of the positive values, if --value-range says nothing
+    #[arg(long)]
+    pub(super) log: bool,
     /// Light: from the eye, or none
     #[arg(long, value_enum)]
     pub(super) shading: Option<ShadingArg>,
@@ -97,6 +102,34 @@ impl LookName {
     }
 }
 
+/// What options of a look need to know of a cloud or grid.
+pub(super) struct Input<'a> {
+    /// Whether there is an attribute of a name.
+    pub(super) has: &'a dyn Fn(&str) -> bool,
+    /// Which attributes there are, in words.
+    pub(super) stored: &'a str,
+    /// The values of an attribute in ascending order, or of `density`; `None` if they are not known.
+    pub(super) sorted: &'a dyn Fn(&str) -> Option<Vec<f64>>,
+    /// Whether the density is shown over its logarithm by default.
+    pub(super) logarithmic: bool,
+}
+
+impl Input<'_> {
+    /// The values of an attribute, or of the density, in ascending order; for a logarithm those above 0.
+    fn values(&self, name: &str, logarithmic: bool) -> Result<Vec<f64>> {
+        let Some(mut values) = (self.sorted)(name) else {
+            bail!("the values of {name} are not known before it is rendered; say --value-range LOW:HIGH")
+        };
+        values.retain(|value| !logarithmic || *value > 0.0);
+        Ok(values)
+    }
+}
+
+/// Whether a colour, as a scene file writes it, is a map.
+fn is_map(color: &Value) -> bool {
+    color.is_array() || color.as_str().is_some_and(|name| name.parse::<Colormap>().is_ok())
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 pub(super) enum ShadingArg {
     None,
@@ -143,6 +176,7 @@ impl LookArgs {
             ("--colormap", self.colormap.is_some()),
             ("--color-by", self.color_by.is_some()),
             ("--value-range", self.value_range.is_some()),
+            ("--log", self.log),
             ("--shading", self.shading.is_some()),
             ("--ambient-occlusion", self.ambient_occlusion.is_some()),
             ("--background", self.background.is_some()),
@@ -154,9 +188,8 @@ impl LookArgs {
         options.into_iter().find(|(_, given)| *given).map(|(name, _)| name)
     }
 
-    /// Puts the options that were given in the place of what a scene of one cloud or grid says. `number_of` finds whether
-    /// there is an attribute of a name.
-    pub(super) fn apply(&self, scene: &mut Value, has: impl Fn(&str) -> bool, stored: &str) -> Result<()> {
+    /// Puts the options that were given in the place of what a scene of one cloud or grid says.
+    pub(super) fn apply(&self, scene: &mut Value, input: &Input<'_>) -> Result<()> {
         let transfer = &mut scene["root"]["transferFunction"];
         if let Some(opacity) = &self.opacity {
             transfer["opacity"] = opacity_value(opacity)?;
@@ -167,18 +200,19 @@ impl LookArgs {
         }
         if self.colormap.is_some() || self.color_by.is_some() {
             let map = self.colormap.map_or_else(|| "viridis".to_owned(), |map| map.to_string());
+            // Other colours for what the look shows already, if it shows anything in colours of a map.
+            if self.color_by.is_some() || !is_map(&transfer["color"]) {
+                remove(transfer, &["input", "valueRange"]);
+            }
             transfer["color"] = json!(map);
-            remove(transfer, &["input", "valueRange"]);
             if let Some(name) = self.color_by.as_deref().filter(|name| *name != "density") {
-                if !has(name) {
-                    bail!("--color-by {name}: there is no such attribute; {stored}");
+                if !(input.has)(name) {
+                    bail!("--color-by {name}: there is no such attribute; {}", input.stored);
                 }
                 transfer["input"] = json!(name);
             }
         }
-        if let Some((low, high)) = self.value_range {
-            transfer["valueRange"] = json!([low, high]);
-        }
+        self.apply_range(transfer, input)?;
         let root = &mut scene["root"];
         if let Some(kernel) = self.kernel {
             root["kernel"] = json!(kernel.to_string());
@@ -197,6 +231,35 @@ impl LookArgs {
             None => {}
         }
         self.apply_rendering(&mut scene["rendering"])
+    }
+
+    /// The range of the colour map, and its logarithm.
+    fn apply_range(&self, transfer: &mut Value, input: &Input<'_>) -> Result<()> {
+        let shown = transfer["input"].as_str().unwrap_or("density").to_owned();
+        // The map of gas is over the logarithm already: it is made anew for other colours, or another range.
+        let of_gas = input.logarithmic && shown == "density" && self.color.is_none();
+        if of_gas && self.colormap.is_none() {
+            if self.value_range.is_none() {
+                return Ok(());
+            }
+            transfer["color"] = json!("inferno");
+        }
+        let logarithmic = self.log || of_gas && (self.colormap.is_some() || self.value_range.is_some());
+        if self.value_range.is_none() && !logarithmic {
+            return Ok(());
+        }
+        let chosen = [0, 1].map(|end| transfer["valueRange"][end].as_f64().unwrap_or(0.0));
+        let (low, high) = match self.value_range {
+            Some(range) if range.is_relative() => range.of(&input.values(&shown, logarithmic)?)?,
+            Some(range) => range.of(&[])?,
+            None if chosen.iter().all(|value| *value > 0.0) => (chosen[0], chosen[1]),
+            None => ValueRange::customary(&input.values(&shown, logarithmic)?)?,
+        };
+        if logarithmic {
+            transfer["color"] = over_logarithm(&transfer["color"], (low, high))?;
+        }
+        transfer["valueRange"] = json!([low, high]);
+        Ok(())
     }
 
     fn apply_rendering(&self, rendering: &mut Value) -> Result<()> {

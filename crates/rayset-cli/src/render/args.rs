@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::picture::PictureArgs;
 use super::work::WorkArgs;
+use crate::annotate::AnnotateArgs;
 use crate::input::CacheArgs;
 use crate::look::{CameraArgs, LookArgs};
 use crate::values::{self, Frames};
@@ -37,6 +38,8 @@ pub(crate) struct RenderArgs {
     pub(super) cache: CacheArgs,
     #[command(flatten)]
     pub(super) picture: PictureArgs,
+    #[command(flatten)]
+    pub(super) annotate: AnnotateArgs,
     #[command(flatten)]
     pub(super) look: LookArgs,
     #[command(flatten)]

@@ -12,7 +12,7 @@ mod work;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use rayset::CancelToken;
 use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::output::Destination;
@@ -32,6 +32,10 @@ use crate::report::{bytes, remark};
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     // Reading the scene may take long: what can be refused before that is refused first.
     let format = Format::of(&Destination::new(&args.output)?)?;
+    ensure!(
+        !args.annotate.annotate || format == Format::Png,
+        "--annotate draws on pictures for display; an OpenEXR file holds the light as computed: write a .png"
+    );
     let mut shot = Shot::new(args)?;
     shot.settings.layers = format == Format::Exr;
     let region = args.picture.region(shot.settings)?;
@@ -44,11 +48,15 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     if let Some(path) = &args.write_scene {
         shot.write_scene(&outputs.add(path, None)?)?;
     }
-    let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(shot.loading_bytes);
+    let annotations = shot.annotations(args)?;
+    let drawing_bytes = annotations.as_ref().map_or(0, |annotations| annotations.bytes(&shot.camera));
+    let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(shot.loading_bytes + drawing_bytes);
     let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
     let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
     for (picture, camera) in &pictures {
-        render(&shot, &prepared, camera, &region, picture, stats.as_ref(), &work, &plan)?;
+        let sink = PictureSink::create(picture, &region, &shot)?
+            .under(annotations.as_ref().map(|annotations| annotations.overlay(camera)));
+        render(&shot, &prepared, camera, &region, sink, picture, stats.as_ref(), &work, &plan)?;
     }
     Ok(())
 }
@@ -77,13 +85,13 @@ fn render(
     prepared: &PreparedScene,
     camera: &Camera,
     region: &Region,
+    mut sink: PictureSink,
     output: &Destination,
     stats: Option<&Destination>,
     work: &Work,
     plan: &MemoryPlan,
 ) -> Result<()> {
     let started = Instant::now();
-    let mut sink = PictureSink::create(output, region, shot)?;
     work.session.reset_statistics();
     let view = prepared.view(camera)?;
     let counts = view.render_bands(region, plan.band_rows, &CancelToken::new(), &mut sink)?;

@@ -138,8 +138,7 @@ mod tests {
     const BACKDROP: [f32; 3] = [0.02, 0.02, 0.03];
 
     fn census(light: [f32; 3], exposure: f64) -> Census {
-        let mut display = DisplayTransform::default();
-        display.exposure = exposure;
+        let display = DisplayTransform { exposure, ..DisplayTransform::default() };
         let mut census = Census::new(Some(BACKDROP), display);
         let [r, g, b] = light;
         let mut band = Band::new(0, 4, 4, false);

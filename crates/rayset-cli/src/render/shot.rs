@@ -12,6 +12,7 @@ use rayset::scene_file::SceneFile;
 use super::args::RenderArgs;
 use super::warnings;
 use super::work::DEFAULT_MEMORY;
+use crate::annotate::Annotations;
 use crate::input::{self, Input, Opened, Resources};
 use crate::look::{self, Chosen};
 use crate::{outputs, report};
@@ -29,6 +30,8 @@ pub(super) struct Shot {
     pub(super) loading_bytes: u64,
     /// The scene that was chosen for a cloud or grid.
     pub(super) chosen: Option<String>,
+    /// The name of the look that was chosen.
+    look: Option<&'static str>,
     /// Number of points of a cloud; `None` of anything else.
     pub(super) points: Option<u64>,
     /// Keeps what was built of the input.
@@ -41,18 +44,18 @@ impl Shot {
             Resources { memory: args.work.memory.unwrap_or(DEFAULT_MEMORY), threads: args.work.threads };
         let opened = input::open(&args.inputs, &args.cache, resources)?;
         let size = args.picture.size();
-        let (mut file, chosen) = match &opened.input {
-            Input::Scene(path) => (scene_file(args, path)?, None),
+        let (mut file, chosen, look) = match &opened.input {
+            Input::Scene(path) => (scene_file(args, path)?, None, None),
             Input::Cloud(cloud) => {
                 let chosen = look::of_cloud(cloud, &args.look, &args.camera, size)?;
                 let (file, text) = parsed(cloud.path(), &chosen)?;
                 warnings::of_small_radii(cloud.header(), &file.camera, file.settings);
-                (file, Some(text))
+                (file, Some(text), Some(chosen.look))
             }
             Input::Grid(grid) => {
-                let (file, text) =
-                    parsed(grid.path(), &look::of_grid(grid, &args.look, &args.camera, size)?)?;
-                (file, Some(text))
+                let chosen = look::of_grid(grid, &args.look, &args.camera, size)?;
+                let (file, text) = parsed(grid.path(), &chosen)?;
+                (file, Some(text), Some(chosen.look))
             }
         };
         args.picture.apply(&mut file.settings, &mut file.display_transform);
@@ -69,9 +72,25 @@ impl Shot {
             files: file.files,
             loading_bytes: file.loading_bytes,
             chosen,
+            look,
             points: if let Input::Cloud(cloud) = &opened.input { Some(cloud.header().points) } else { None },
             _input: opened,
         })
+    }
+
+    /// What is to be drawn over pictures of this scene, if anything.
+    pub(super) fn annotations(&self, args: &RenderArgs) -> Result<Option<Annotations>> {
+        if !args.annotate.annotate {
+            return Ok(None);
+        }
+        let name = args.inputs[0].file_name().unwrap_or(args.inputs[0].as_os_str()).to_string_lossy();
+        let name = match args.inputs.len() {
+            1 => name.into_owned(),
+            several => format!("{name} and {} more", several - 1),
+        };
+        let size = (self.settings.width, self.settings.height);
+        Annotations::new(&args.annotate, &self.scene, size, self.display_transform, &name, self.look)
+            .map(Some)
     }
 
     /// Writes the scene that was chosen.

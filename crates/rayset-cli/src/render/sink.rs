@@ -9,6 +9,7 @@ use rayset::{BandSink, Region, SinkError};
 
 use super::sanity::Census;
 use super::shot::Shot;
+use crate::annotate::Overlay;
 use crate::progress::Meter;
 
 /// Picture formats, by file extension.
@@ -40,6 +41,9 @@ pub(super) struct PictureSink {
     file: OutputFile,
     meter: Meter,
     census: Census,
+    /// What is laid over the picture, and the picture's first column of the whole.
+    overlay: Option<Overlay>,
+    left: u32,
 }
 
 enum Encoder {
@@ -67,7 +71,13 @@ impl PictureSink {
             }
         };
         let census = Census::new(shot.scene.background, display_transform);
-        Ok(Self { encoder, file, meter: Meter::new("pixels", false), census })
+        let meter = Meter::new("pixels", false);
+        Ok(Self { encoder, file, meter, census, overlay: None, left: region.columns.start })
+    }
+
+    /// With something laid over the picture, if anything.
+    pub(super) fn under(self, overlay: Option<Overlay>) -> Self {
+        Self { overlay, ..self }
     }
 
     /// Completes the file. Returns what its pixels were like.
@@ -87,7 +97,14 @@ impl BandSink for PictureSink {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
         self.census.add(band);
         let written = match &mut self.encoder {
-            Encoder::Png(png) => png.write(band).map_err(|e| e.to_string()),
+            Encoder::Png(png) => {
+                let retouch = |row: u32, rgba: &mut [u8]| {
+                    if let Some(overlay) = &self.overlay {
+                        overlay.over(row, self.left, rgba);
+                    }
+                };
+                png.write_with(band, retouch).map_err(|e| e.to_string())
+            }
             Encoder::Exr(exr) => exr.write(band).map_err(|e| e.to_string()),
         };
         written.map_err(|e| format!("{}: {e}", self.file.destination().path().display()).into())

@@ -3,15 +3,18 @@
 #![allow(clippy::print_stderr, reason = "a test that is skipped says so")]
 #![allow(clippy::type_complexity, reason = "tables of cases are clearest written out")]
 
+mod annotations;
 mod columns;
 mod common;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod faults;
+mod info;
 mod interrupted;
 mod las_files;
 mod las_times;
 mod limits;
 mod looks;
+mod manual;
 mod memory;
 mod outputs;
 mod pictures;
@@ -20,6 +23,7 @@ mod settings;
 mod splats_and_meshes;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
+mod value_ranges;
 mod volume_builds;
 mod words;
 

@@ -65,7 +65,20 @@ impl<W: Write + 'static> PngBands<W> {
     /// # Errors
     /// [`PngError`] if the pixels cannot be written.
     pub fn write(&mut self, band: &Band) -> Result<(), PngError> {
-        for pixels in band.pixels.chunks(band.width.max(1) as usize) {
+        self.write_with(band, |_, _| {})
+    }
+
+    /// Appends a band whose rows `retouch` may change once they are encoded: it is given the number of each row, counted
+    /// from the top of the whole picture, and its pixels, 8-bit RGBA with straight alpha.
+    ///
+    /// # Errors
+    /// [`PngError`] if the pixels cannot be written.
+    pub fn write_with(
+        &mut self,
+        band: &Band,
+        mut retouch: impl FnMut(u32, &mut [u8]),
+    ) -> Result<(), PngError> {
+        for (number, pixels) in (band.first_row..).zip(band.pixels.chunks(band.width.max(1) as usize)) {
             self.row.clear();
             for &[r, g, b, opacity] in pixels {
                 let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
@@ -77,6 +90,7 @@ impl<W: Write + 'static> PngBands<W> {
                 let alpha = (opacity.clamp(0.0, 1.0) * 255.0).round() as u8;
                 self.row.extend_from_slice(&[byte(r), byte(g), byte(b), alpha]);
             }
+            retouch(number, &mut self.row);
             self.writer.write_all(&self.row)?;
         }
         Ok(())

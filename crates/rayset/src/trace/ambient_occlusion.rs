@@ -31,6 +31,8 @@ pub(super) struct AmbientOcclusion<'s, S: BandSink + ?Sized> {
     strength: f32,
     rings: [i64; 3],
     footprint: Footprint,
+    /// How far behind a surface its depth may be: one step; world space.
+    step: f32,
     background: [f32; 3],
     /// What the sink receives, and the rows that are rendered for it.
     region: Region,
@@ -78,6 +80,8 @@ pub(super) struct Surroundings<'a> {
     /// Width and height of the whole picture in pixels.
     pub(super) size: (u32, u32),
     pub(super) strength: f32,
+    /// The longest step of a ray; world space.
+    pub(super) step: f64,
     pub(super) background: Option<[f32; 3]>,
     pub(super) layers: bool,
 }
@@ -110,6 +114,7 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
             strength: of.strength,
             rings: rings(height),
             footprint: Footprint::of(of.rays, width, height),
+            step: of.step as f32,
             background: of.background.unwrap_or_default(),
             region: region.clone(),
             first: rendered.rows.start,
@@ -170,7 +175,10 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
         if !depth.is_finite() {
             return pixel;
         }
-        let left = (-TAKEN * self.strength * self.occlusion(i64::from(x), i64::from(y), depth)).exp();
+        // Depths are of samples, and differ by up to a step even on a plane. Were it not for this, hard surfaces would have
+        // grain.
+        let nearest = depth - self.step;
+        let left = (-TAKEN * self.strength * self.occlusion(i64::from(x), i64::from(y), nearest)).exp();
         let [red, green, blue] = self.background;
         // The background shines through undimmed.
         let behind = (1.0 - opacity) * (1.0 - left);

@@ -50,6 +50,7 @@ impl View {
             rays: &self.rays,
             size: (self.settings.width, self.settings.height),
             strength: self.settings.ambient_occlusion,
+            step: self.prepared.world.steps.coarsest_world(),
             background: self.prepared.world.background,
             layers: self.settings.layers,
         }

@@ -70,6 +70,11 @@ struct Floors {
 }
 
 impl StepRule {
+    /// The longest step that a ray may have; world space.
+    pub(super) fn coarsest_world(&self) -> f64 {
+        self.coarsest
+    }
+
     pub(super) fn new(program: &Program, settings: &RenderSettings) -> Result<Self, RenderError> {
         let within = program.instructions[program.root()].bounds;
         let diagonal = |bounds: Aabb| if bounds.is_empty() { 0.0 } else { bounds.size().length() };

@@ -246,7 +246,7 @@ mod tests {
 
     #[test]
     fn maps_with_names_are_as_they_are_defined() {
-        for name in ["viridis", "inferno_r", "grey", "turbo", "coolwarm"] {
+        for name in ["viridis", "inferno_r", "grey", "turbo", "coolwarm", "cividis", "RdBu_r"] {
             let map = ColorMap::named(name.parse().expect("a map"), (-3.0, 5.0));
             let error = worst(&map, (0..100_000).map(|i| -4.0 + i as f32 * 1e-4));
             assert!(error < 3e-5, "{name}: {error}");

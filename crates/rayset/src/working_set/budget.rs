@@ -94,11 +94,6 @@ impl Budget {
         self.used_by_kind[kind.index()] -= bytes;
     }
 
-    /// Bytes that are still free under the limit for all pages.
-    pub(super) fn free(&self) -> u64 {
-        self.limits.total.saturating_sub(self.used)
-    }
-
     pub(super) fn peaks(&self) -> (u64, [u64; KINDS]) {
         (self.peak, self.peak_by_kind)
     }

@@ -1,14 +1,12 @@
 //! Ambient occlusion: what it darkens, what it leaves alone, and that regions and bands join without a seam.
 
 use rayset::geometry::{DAffine3, DVec3};
-use rayset::scene::{
-    Camera, Form, Light, LightKind, Node, Operator, Projection, RenderSettings, Scene, Step,
-};
+use rayset::scene::{Camera, Form, LightKind, Node, Operator, Projection, RenderSettings, Scene, Step};
 use rayset::trace::{ExecSettings, Picture};
 use rayset::{BandSink, CancelToken, Region, Session, SinkError};
 
 use crate::common::{paged, settings};
-use crate::graph::{scene, solid};
+use crate::graph::{light, scene, solid};
 
 const WIDTH: u32 = 80;
 const HEIGHT: u32 = 60;
@@ -21,7 +19,7 @@ fn corner() -> Scene {
     let wall = block(DVec3::new(8.0, 4.0, 0.2), DVec3::new(0.0, 2.0, -1.0));
     let ball = solid(Form::Sphere { radius: 0.3 }, [0.6; 3])
         .moved(DAffine3::from_translation(DVec3::new(0.6, 0.3, -0.2)));
-    let lights = vec![Light { kind: LightKind::Ambient, ..Light::headlight() }];
+    let lights = vec![light(LightKind::Ambient, [1.0; 3], false)];
     scene(Node::operator(Operator::Union, [floor, wall, ball]), lights)
 }
 

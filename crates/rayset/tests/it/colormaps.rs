@@ -235,3 +235,36 @@ fn coordinates_are_shown_by_name_with_no_column_stored() {
     let (wrong, shown) = wrong_pixels(&scene, &settings, step);
     assert!(shown > 200 && wrong * 100 <= shown, "{wrong} of {shown} pixels are wrong");
 }
+
+#[test]
+fn named_maps_are_as_near_to_the_published_tables_as_is_said() {
+    let golden = include_str!("golden/colormaps.txt");
+    let mut compared = 0;
+    for line in golden.lines().filter(|line| !line.starts_with('#')) {
+        let (name, digits) = line.split_once(' ').expect("a name");
+        let map: rayset::scene::Colormap = name.parse().expect("a map");
+        let reversed: rayset::scene::Colormap = format!("{name}_r").parse().expect("a map");
+        let coarse = ["viridis", "inferno", "magma", "plasma", "turbo", "coolwarm"].contains(&name);
+        let allowed = if coarse { 5.0 } else { 1.0 };
+        for i in 0..256 {
+            let published = u32::from_str_radix(&digits[6 * i..6 * i + 6], 16).expect("a colour");
+            let x = i as f64 / 255.0;
+            let found = map.display_color(x);
+            for (shift, v) in [16, 8, 0].into_iter().zip(found) {
+                let error = ((v * 255.0).round() - f64::from(published >> shift & 255)).abs();
+                assert!(error <= allowed, "{name} at {i}: {error} of 255");
+            }
+            let other = reversed.display_color(1.0 - x);
+            assert!((0..3).all(|c| (found[c] - other[c]).abs() < 1e-12), "{name}_r at {i}");
+        }
+        compared += 1;
+    }
+    assert_eq!(compared, 15);
+    let schema = include_str!("../../../../docs/scene.schema.json");
+    let documented = include_str!("../../../../docs/scene.md");
+    for line in golden.lines().filter(|line| !line.starts_with('#')) {
+        let name = line.split(' ').next().expect("a name");
+        assert!(schema.contains(&format!("\"{name}_r\"")), "{name} is not in the schema");
+        assert!(documented.contains(&format!("`{name}`")), "{name} is not documented");
+    }
+}

@@ -123,7 +123,7 @@ pub(super) fn run(
 }
 
 /// The definition of automatic radii, which `spacing` measures: clouds of another one have another identity.
-const AUTO_RADII: &str = ", 0.65 of the eighth neighbour";
+const AUTO_RADII: &str = ", 0.85 of the eighth neighbour";
 
 /// Everything besides the records on which pages depend, so that files that differ in it have different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {

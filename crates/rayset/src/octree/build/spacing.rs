@@ -1,6 +1,6 @@
 //! Out-of-core estimation of radii from the local spacing, for points that have none.
 //!
-//! The radius of a point is 0.65 times the distance to its eighth nearest neighbour. Stray points, which are much farther from
+//! The radius of a point is 0.85 times the distance to its eighth nearest neighbour. Stray points, which are much farther from
 //! others than is usual in the cloud, and those of which nine or more coincide, get the median radius: see [`Typical`].
 //!
 //! Records are first sorted along the Hilbert curve, with a box around every few hundred. Then they are loaded again a block
@@ -21,7 +21,7 @@ use crate::spill::{Spill, SpillWriter};
 
 /// Chosen by measurement (docs/benchmarks.md, "Automatic radii"): the largest with which the surface lies, in the mean, within
 /// half of the spacing.
-const RADII_PER_DISTANCE: f64 = 0.65;
+const RADII_PER_DISTANCE: f64 = 0.85;
 /// Number of records that share a box, if there is memory for so many boxes.
 const GRAIN: u64 = 256;
 /// Largest number of records in a block.

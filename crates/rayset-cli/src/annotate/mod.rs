@@ -1,0 +1,161 @@
+//! `--annotate`: a colour bar, a scale bar, the axes and a caption over a picture.
+//!
+//! All that is drawn is laid out in pixels of the whole picture, becomes pixels of its own once, and is laid over the
+//! encoded rows as they come: bands, crops and budgets change nothing, and no picture is read again.
+
+mod canvas;
+mod classes;
+mod color_bar;
+mod layout;
+mod scale_bar;
+mod space;
+mod text;
+mod ticks;
+mod triad;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use rayset::geometry::DVec3;
+use rayset::image::DisplayTransform;
+use rayset::memory::SceneNeeds;
+use rayset::scene::{Camera, Scene};
+
+use self::canvas::{Piece, Raster};
+use self::color_bar::Shown;
+use self::layout::Layout;
+use self::scale_bar::Scale;
+pub(crate) use self::space::{Space, of_reference_system};
+use self::text::Font;
+use crate::report;
+
+#[derive(Args, Clone, Default)]
+#[command(next_help_heading = "Annotations (of PNG)")]
+pub(crate) struct AnnotateArgs {
+    /// Draw the colour map with its values, a scale, the axes and a caption over the picture
+    #[arg(long)]
+    pub(crate) annotate: bool,
+    /// The caption; by default the name of the input, its size and its look. A line break is written \n
+    #[arg(long, requires = "annotate")]
+    pub(crate) caption: Option<String>,
+}
+
+/// What the program needs for drawing besides pixels: outlines, and pages of the typeface and of code that are read in.
+const DRAWING_BYTES: u64 = 1536 << 10;
+
+/// What is drawn over every picture of a scene.
+pub(crate) struct Annotations {
+    layout: Layout,
+    space: Space,
+    shown: Option<Shown>,
+    caption: Vec<String>,
+    center: DVec3,
+    size: (u32, u32),
+}
+
+impl Annotations {
+    /// For pictures of `size` of a scene. `name` is that of the input, `look` the one that was chosen for it.
+    pub(crate) fn new(
+        args: &AnnotateArgs,
+        scene: &Scene,
+        size: (u32, u32),
+        display: DisplayTransform,
+        name: &str,
+        look: Option<&str>,
+    ) -> Result<Self> {
+        let font = Font::carried().context("--annotate: the program's typeface is damaged")?;
+        let brightness = scene.background.map(|[red, green, blue]| {
+            let light = display.apply(0.2126 * red + 0.7152 * green + 0.0722 * blue);
+            // Roughly as displayed.
+            light.clamp(0.0, 1.0).powf(1.0 / 2.2)
+        });
+        let space = Space::of(scene);
+        let mut maps = Shown::all_of(scene, space);
+        if maps.len() > 1 {
+            report::remark(format_args!(
+                "--annotate: the scene has {} colour maps; the bar shows the first",
+                maps.len()
+            ));
+        }
+        maps.truncate(1);
+        let caption = match &args.caption {
+            Some(text) => text.split("\\n").map(str::to_owned).collect(),
+            None => vec![name.to_owned(), contents(scene, look)],
+        };
+        let bounds = scene.root.bounds();
+        let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
+        let layout = Layout::new(font, size, brightness);
+        Ok(Self { layout, space, shown: maps.pop(), caption, center, size })
+    }
+
+    /// An upper bound of the memory that drawing takes, and keeps until the picture is written.
+    pub(crate) fn bytes(&self, camera: &Camera) -> u64 {
+        DRAWING_BYTES + self.pieces(camera).iter().map(Piece::bytes).sum::<u64>()
+    }
+
+    /// What is drawn over the picture that a camera sees.
+    pub(crate) fn overlay(&self, camera: &Camera) -> Overlay {
+        Overlay { rasters: self.pieces(camera).iter().map(Piece::drawn).collect() }
+    }
+
+    fn pieces(&self, camera: &Camera) -> Vec<Piece> {
+        let layout = &self.layout;
+        let scale = Scale::new(camera, self.center, self.size);
+        let mut pieces = vec![self.heading()];
+        pieces.extend(self.shown.as_ref().map(|shown| shown.piece(layout)));
+        pieces.push(triad::piece(camera, self.space, layout));
+        pieces.push(Scale::piece(scale.as_ref(), self.space, layout));
+        pieces
+    }
+
+    /// The caption, at the left above; its first line is larger.
+    fn heading(&self) -> Piece {
+        let layout = &self.layout;
+        let room = (layout.width() - 2.0 * layout.margin).max(layout.em);
+        let mut text = Vec::new();
+        let (mut y, mut widest) = (layout.margin, 0.0_f32);
+        for (i, line) in self.caption.iter().enumerate() {
+            let em = if i == 0 { 1.2 * layout.em } else { layout.em };
+            let line = layout.font.shortened(line, em, room);
+            y += em;
+            layout.font.write(&line, em, (layout.margin, y), &mut text);
+            y += 0.35 * em;
+            widest = widest.max(layout.font.width(&line, em));
+        }
+        let mut piece =
+            layout.piece((layout.margin, layout.margin), (layout.margin + widest, y + 0.3 * layout.em));
+        layout.write(&mut piece, text);
+        piece
+    }
+}
+
+/// `1 065 points, look classes`
+fn contents(scene: &Scene, look: Option<&str>) -> String {
+    let needs = SceneNeeds::of(scene, &rayset::scene::RenderSettings::default());
+    let points: u64 = needs.clouds().iter().map(|cloud| cloud.header().points).sum();
+    let mut parts = Vec::new();
+    if points > 0 {
+        parts.push(format!("{} points", report::count(points)));
+    }
+    match needs.grids() {
+        [] => {}
+        [grid] => parts.push(format!("{} voxels", grid.header().size.map(|n| n.to_string()).join(" × "))),
+        grids => {
+            let voxels = grids.iter().map(|grid| grid.header().size.iter().product::<u64>()).sum();
+            parts.push(format!("{} voxels", report::count(voxels)));
+        }
+    }
+    parts.extend(look.map(|look| format!("look {look}")));
+    parts.join(", ")
+}
+
+/// Pixels to be laid over a picture.
+pub(crate) struct Overlay {
+    rasters: Vec<Raster>,
+}
+
+impl Overlay {
+    /// Lays row `y` of the picture over encoded pixels (RGBA, straight alpha) that begin at column `left`.
+    pub(crate) fn over(&self, y: u32, left: u32, rgba: &mut [u8]) {
+        self.rasters.iter().for_each(|raster| raster.over(y, left, rgba));
+    }
+}
