@@ -210,7 +210,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
 
 /// The JSON report of `--json` about a grid.
 #[derive(serde::Serialize)]
-struct GridInfo {
+struct GridInfo<'a> {
     size: [u64; 3],
     voxels: &'static str,
     value_min: f64,
@@ -220,6 +220,7 @@ struct GridInfo {
     file_bytes: u64,
     bricks: u64,
     pages: u64,
+    sources: &'a [String],
     /// Of a sample of the values.
     histogram: Option<Histogram>,
     #[serde(flatten)]
@@ -246,12 +247,16 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
             file_bytes: h.file_bytes,
             bricks: h.brick_pages(),
             pages: h.pages(),
+            sources: &h.sources,
             histogram,
             guess,
         });
     }
     let [x, y, z] = h.size;
     report::say(format_args!("voxels      {x} x {y} x {z} of {}", h.kind.name()));
+    for source in &h.sources {
+        report::say(format_args!("source      {source}"));
+    }
     let vector = |v: DVec3| v.to_array().map(report::number).join(" ");
     report::say(format_args!("values      {} to {}", report::number(value_min), report::number(value_max)));
     draw("", histogram.as_ref());

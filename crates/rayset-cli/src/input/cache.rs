@@ -125,9 +125,12 @@ fn entries(folder: &Path) -> Vec<Entry> {
     found.filter_map(|found| entry(found.ok()?.path())).collect()
 }
 
+/// Raised when what is built of the same input changes within a version of the program: entries of before are not used.
+const GENERATION: u32 = 2;
+
 /// `site-0123456789abcdef.rset`: the name of the first input, and a hash of all that the entry depends on.
 fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {
-    let mut text = format!("{} {options}\n", env!("CARGO_PKG_VERSION"));
+    let mut text = format!("{} {GENERATION} {options}\n", env!("CARGO_PKG_VERSION"));
     for input in inputs {
         let doing = || format!("cannot read {}", input.display());
         let metadata = std::fs::metadata(input).with_context(doing)?;

@@ -218,7 +218,7 @@ fn thinned_scans_have_a_surface_nearer_than_a_spacing_and_few_holes() {
             let density = Density::new(measured(&points));
             let found = fit(&scan, &density, spacing, LEVELS[1], 400);
             let what = format!("{name}, {part} of the points: {found:?}");
-            assert!(found.holes <= 0.08 && found.rms <= 0.8 && found.rms > 0.1, "{what}");
+            assert!(found.holes <= 0.12 && found.rms <= 0.82 && found.rms > 0.1, "{what}");
         }
     }
 }
