@@ -25,8 +25,9 @@ const DARK: f64 = 0.6;
 const LEAST_CLASS: f64 = 0.002;
 /// Scans of less than this along every side are of things on a turntable, whose files have y up by custom.
 const OBJECT: f64 = 1.0;
-/// Neighbours within a particle's radius of influence, on which simulations and the automatic radius agree roughly.
-const NEIGHBOURS: f64 = 32.0;
+
+/// Points that fill more than this dimension are no surface; halos of simulations have 2.3, scans of statues and trees 2.0.
+const FILLING: f64 = 2.2;
 
 /// What a surface is coloured by.
 #[derive(Clone, PartialEq)]
@@ -46,6 +47,8 @@ pub(super) struct CloudLook {
     statistics: Statistics,
     /// Whether points have weights of their own.
     has_weights: bool,
+    /// Of the whole cloud.
+    number_of_points: u64,
     /// Stops by which dark colours are made brighter.
     exposure: f64,
     /// What made it so.
@@ -79,7 +82,8 @@ impl CloudLook {
         // In linear light, roughly the square of displayed values.
         let exposure = dark.map_or(0.0, |b| (2.2 * (0.85 / b).log2()).clamp(0.0, 4.0));
         let has_weights = header.weight.is_stored();
-        Ok(Self { name, paint, orientation, statistics, has_weights, exposure, reason })
+        let number_of_points = header.points;
+        Ok(Self { name, paint, orientation, statistics, has_weights, number_of_points, exposure, reason })
     }
 
     /// The points that the camera frames, each with its radius.
@@ -143,21 +147,24 @@ impl CloudLook {
 
     /// The density of mass at points, or of numbers where points have no weights, ascending: estimates.
     fn densities(&self) -> Vec<f64> {
+        const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
-        // Of the points within reach, each counts by its kernel, whose mean over its ball is about a fifth.
-        let density_of = |(weight, radius): (&f64, &f64)| {
-            if self.has_weights {
-                0.2 * NEIGHBOURS * weight
-            } else {
-                NEIGHBOURS / (4.0 / 3.0 * std::f64::consts::PI) * weight / radius.powi(3)
-            }
+        let around = self.statistics.number_densities(self.number_of_points);
+        // Points within a radius: few where radii were measured, dozens in simulations, none where points are alone.
+        let mut reached: Vec<f64> =
+            around.iter().map(|&(i, density)| density * BALL * radii[i].powi(3)).collect();
+        reached.sort_by(f64::total_cmp);
+        let reached = percentile(&reached, 0.5);
+        let alike = range(&self.statistics.sorted("radius"), 0.01);
+        let mut densities: Vec<f64> = if self.has_weights {
+            // Each counts by its kernel, whose mean over its ball is about a fifth; at its middle it is 1.
+            weights.iter().map(|weight| (0.2 * reached).max(1.0) * weight).collect()
+        } else if alike.1 < 1.2 * alike.0 {
+            around.iter().map(|&(i, density)| density * weights[i]).collect()
+        } else {
+            weights.iter().zip(&radii).map(|(w, r)| w * reached.max(5.0) / (BALL * r.powi(3))).collect()
         };
-        let mut densities: Vec<f64> = weights
-            .iter()
-            .zip(&radii)
-            .map(density_of)
-            .filter(|density| density.is_finite() && *density > 0.0)
-            .collect();
+        densities.retain(|density| density.is_finite() && *density > 0.0);
         densities.sort_by(f64::total_cmp);
         densities
     }
@@ -181,6 +188,9 @@ impl CloudLook {
                 json!([((density(t) - low) / (high - low)).clamp(0.0, 1.0), inferno[i]])
             })
             .collect();
+        if self.paint == Paint::Points {
+            return json!({"opacity": opacity, "color": "points"});
+        }
         json!({"opacity": opacity, "color": color, "input": "density", "valueRange": [low, high]})
     }
 
@@ -279,6 +289,9 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
         return (LookName::Gas, "particles of a simulation".into());
     }
     if statistics.brightest_color(header).is_some() {
+        if dimension(statistics) > FILLING {
+            return (LookName::Gas, "points with colours that fill a volume".into());
+        }
         return (LookName::Surface, "points with colours".into());
     }
     if let Some(column) = class_column(header) {
@@ -294,7 +307,7 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
     if orientation.lies {
         return (LookName::Height, "terrain without colours".into());
     }
-    if fills_space(statistics) {
+    if dimension(statistics) > FILLING {
         return (LookName::Gas, "points that fill a volume".into());
     }
     // Other files have columns of this name that are no measure of light.
@@ -330,11 +343,9 @@ fn vertical(orientation: &Orientation) -> &'static str {
     ["x", "y", "z"][axis]
 }
 
-/// Whether points fill a volume rather than lie on surfaces: halving the cells of a lattice multiplies the number of those
-/// with points in them by nearly eight for a volume, by four for surfaces.
-fn fills_space(statistics: &Statistics) -> bool {
-    /// Between the two, as a power of two: clusters of simulations have about 2.5.
-    const DIMENSION: f64 = 2.35;
+/// The dimension of what points fill: halving the cells of a lattice multiplies the number of those with points in them by
+/// nearly eight for a volume, by four for surfaces.
+fn dimension(statistics: &Statistics) -> f64 {
     let bounds = ["x", "y", "z"].map(|axis| range(&statistics.sorted(axis), 0.005));
     let side = bounds.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
     let occupied = |cells: f64| {
@@ -352,7 +363,7 @@ fn fills_space(statistics: &Statistics) -> bool {
     while occupied(2.0 * cells) * 6.0 < points && cells < 256.0 {
         cells *= 2.0;
     }
-    (occupied(cells) / occupied(0.5 * cells)).log2() > DIMENSION
+    (occupied(cells) / occupied(0.5 * cells)).log2()
 }
 
 /// Whether points are where a depth camera sees them from the origin, which has x to the right, y down and z ahead: all within

@@ -6,6 +6,8 @@ use rayset::geometry::DVec3;
 const FILLED: f64 = 0.9;
 /// Points left out of each side of the frame: strays would make everything else small.
 const STRAYS: f64 = 0.001;
+/// How far from a point by itself it is seen, as a part of its radius.
+const SEEN: f64 = 0.65;
 /// Steps until the frame no longer changes.
 const ROUNDS: usize = 24;
 
@@ -28,7 +30,7 @@ pub(super) fn frame(
     aspect: f64,
 ) -> Frame {
     let right = direction.cross(up);
-    let extent = |axis: DVec3| spread(points.iter().map(|&(p, r)| (p.dot(axis), r)));
+    let extent = |axis: DVec3| spread(points.iter().map(|&(p, r)| (p.dot(axis), SEEN * r)));
     let (across, upward, along) = (extent(right), extent(up), extent(direction));
     let center = right * across.middle() + up * upward.middle() + direction * along.middle();
     let half = (upward.half()).max(across.half() / aspect).max(1e-300);
@@ -42,8 +44,9 @@ pub(super) fn frame(
     for _ in 0..ROUNDS {
         let seen = |axis: DVec3| {
             spread(points.iter().map(|&(p, r)| {
-                let depth = (p - position).dot(direction).max(1e-6 * (along.half() + half));
-                ((p - position).dot(axis) / depth, r / depth)
+                // A ball is seen around the side that it turns to the eye.
+                let depth = ((p - position).dot(direction) - SEEN * r).max(1e-2 * half);
+                ((p - position).dot(axis) / depth, SEEN * r / depth)
             }))
         };
         let (x, y) = (seen(right), seen(up));
@@ -75,8 +78,7 @@ impl Spread {
 
 /// The spread of intervals, each a middle and half a length.
 fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
-    let (mut lows, mut highs): (Vec<f64>, Vec<f64>) =
-        intervals.map(|(m, h)| (m - 0.5 * h, m + 0.5 * h)).unzip();
+    let (mut lows, mut highs): (Vec<f64>, Vec<f64>) = intervals.map(|(m, h)| (m - h, m + h)).unzip();
     lows.sort_by(f64::total_cmp);
     highs.sort_by(f64::total_cmp);
     let left_out = (STRAYS * lows.len() as f64) as usize;

@@ -46,6 +46,30 @@ impl Statistics {
         })
     }
 
+    /// Some points of the sample, and the number of points in a unit of volume around each, of a cloud of `points` points.
+    pub(super) fn number_densities(&self, points: u64) -> Vec<(usize, f64)> {
+        /// Most points that are asked.
+        const ASKED: usize = 1024;
+        /// The neighbour whose distance is taken, the point itself being the first.
+        const NEIGHBOUR: usize = 8;
+        let all: Vec<DVec3> = self.positions().collect();
+        if all.len() <= NEIGHBOUR {
+            return Vec::new();
+        }
+        let of_sample = points as f64 / all.len() as f64;
+        let mut squares = vec![0.0; all.len()];
+        all.iter()
+            .enumerate()
+            .step_by(all.len().div_ceil(ASKED))
+            .map(|(i, &p)| {
+                squares.iter_mut().zip(&all).for_each(|(square, &q)| *square = (q - p).length_squared());
+                let (_, &mut farthest, _) = squares.select_nth_unstable_by(NEIGHBOUR, f64::total_cmp);
+                let ball = 4.0 / 3.0 * std::f64::consts::PI * farthest.powf(1.5);
+                (i, of_sample * NEIGHBOUR as f64 / ball)
+            })
+            .collect()
+    }
+
     /// The share of points of each class of a column, by descending share.
     pub(super) fn classes(&self, name: &str) -> Vec<(f64, f64)> {
         let sorted = self.sorted(name);
