@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import pathlib
+import shlex
 import shutil
 import struct
 import sys
@@ -69,7 +70,7 @@ def make(entry, arguments, folder):
         return None
     picture = folder / f"{entry['name']}.png"
     for command in entry["commands"]:
-        words = command.split()
+        words = shlex.split(command)
         assert words[0] == "rayset", command
         last = command is entry["commands"][-1]
         # What is made only to be rendered is made once.

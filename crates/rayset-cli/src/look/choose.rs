@@ -54,6 +54,11 @@ pub(crate) fn of_cloud(
         sorted: &|name| chosen.sorted(name),
         logarithmic: chosen.name == LookName::Gas,
     };
+    let mut look = look.clone();
+    if look.color_by.as_deref() == Some("height") && !header.attributes.iter().any(|a| a.name == "height") {
+        // In scenes it is z; here it is known what is up.
+        look.color_by = Some(chosen.vertical().to_owned());
+    }
     look.apply(&mut scene, &input)?;
     Ok(Chosen {
         scene,

@@ -91,6 +91,11 @@ impl CloudLook {
         self.statistics.positions().zip(self.statistics.values("radius")).collect()
     }
 
+    /// The coordinate along the vertical.
+    pub(super) fn vertical(&self) -> &'static str {
+        vertical(&self.orientation)
+    }
+
     /// The object of the scene.
     pub(super) fn root(&self, cloud: &Cloud, file: &str) -> Value {
         let mut root = json!({"type": "cloud", "file": file});

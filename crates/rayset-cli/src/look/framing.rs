@@ -4,8 +4,10 @@ use rayset::geometry::DVec3;
 
 /// The part of the picture's shorter side, or of whichever side is reached first, that the object fills.
 const FILLED: f64 = 0.9;
-/// Points left out of each side of the frame: strays would make everything else small.
+/// Of the points, these parts at either side may be strays, which would make everything else small…
 const STRAYS: f64 = 0.001;
+/// … if they lie farther from the others than this part of the extent of those.
+const APART: f64 = 0.2;
 /// How far from a point by itself it is seen, as a part of its radius.
 const SEEN: f64 = 0.65;
 /// Steps until the frame no longer changes.
@@ -82,8 +84,12 @@ fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
     lows.sort_by(f64::total_cmp);
     highs.sort_by(f64::total_cmp);
     let left_out = (STRAYS * lows.len() as f64) as usize;
-    match (lows.get(left_out), highs.get(highs.len().saturating_sub(1 + left_out))) {
-        (Some(&low), Some(&high)) => Spread { low, high },
-        _ => Spread { low: 0.0, high: 0.0 },
-    }
+    let (Some(&low), Some(&high)) = (lows.get(left_out), highs.get(highs.len().saturating_sub(1 + left_out)))
+    else {
+        return Spread { low: 0.0, high: 0.0 };
+    };
+    let apart = APART * (high - low);
+    let lowest = lows.iter().find(|&&v| v >= low - apart).copied().unwrap_or(low);
+    let highest = highs.iter().rfind(|&&v| v <= high + apart).copied().unwrap_or(high);
+    Spread { low: lowest, high: highest }
 }

@@ -8,7 +8,7 @@ use crate::container::{ScanError, SectionKind};
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, Schema};
 
 /// Most pages that are read for a sample.
-const MOST_PAGES: u64 = 64;
+const MOST_PAGES: u64 = 256;
 
 /// Columns of a sample before the attributes: radius, weight, and the three colours if there are any.
 const OWN: [&str; 5] = ["radius", "weight", "red", "green", "blue"];

@@ -46,6 +46,13 @@ const KINDS: &[Kind] = &[
         way: ATOMS,
     },
     Kind {
+        what: "a volume without a header",
+        marks: &[],
+        extensions: &["raw", "img"],
+        way: "say what they are, as in `rayset build --raw 256x256x128,u16 volume.raw -o volume.rset`, or name the header \
+              that comes with them (.mhd, .nhdr, .hdr)",
+    },
+    Kind {
         what: "a molecule, or a trajectory of one",
         marks: &[],
         extensions: &["gro", "cif", "mmcif", "mol", "mol2", "sdf", "xtc", "trr", "dcd", "psf"],

@@ -43,6 +43,7 @@ fn files_without_a_mark_are_recognized_by_their_names() {
         ("octree.bin", "an octree of Potree"),
         ("data.bp", "openPMD"),
         ("a.rcp", "a scan in a scanner's own format"),
+        ("a.raw", "a volume without a header"),
         ("a.rset", "built already"),
     ] {
         let path = folder.path().join(name);
