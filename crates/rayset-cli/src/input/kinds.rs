@@ -86,7 +86,11 @@ fn advice(path: &Path, head: &[u8]) -> String {
         _ => match extension.as_str() {
             "json" => "a scene goes to `rayset check` or `rayset render`".into(),
             "png" | "exr" => "it is a picture by its name".into(),
-            known if points::extensions().chain(VolumeSource::extensions()).any(|one| one == known) => {
+            known
+                if points::ReadOptions::extensions()
+                    .chain(VolumeSource::extensions())
+                    .any(|one| one == known) =>
+            {
                 format!("build one of it: `rayset build {name} -o {}`", built.display())
             }
             _ => "`rayset build` makes one of points or voxels".into(),

@@ -204,10 +204,12 @@ fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
     Err(ReadError::NotCompiled { path: path.to_owned(), feature: "e57" })
 }
 
-/// Endings of the names of files of points, without the dot, in lower case; and those of what may be around them.
-pub fn extensions() -> impl Iterator<Item = &'static str> {
-    let packings = [Packing::Gzip, Packing::Zstd].map(|packing| packing.ending().trim_start_matches('.'));
-    FORMATS.iter().flat_map(|format| format.extensions).copied().chain(packings)
+impl ReadOptions {
+    /// Endings of the names of files of points, without the dot, in lower case; and those of what may be around them.
+    pub fn extensions() -> impl Iterator<Item = &'static str> {
+        let packings = [Packing::Gzip, Packing::Zstd].map(|packing| packing.ending().trim_start_matches('.'));
+        FORMATS.iter().flat_map(|format| format.extensions).copied().chain(packings)
+    }
 }
 
 /// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name. Text,

@@ -47,7 +47,7 @@ pub use self::array::ArraySource;
 pub(crate) use self::array::ArraySource;
 pub use self::column::{ColumnInfo, ColumnType, Values};
 pub use self::error::{Place, ReadError};
-pub use self::formats::{ReadOptions, extensions, open};
+pub use self::formats::{ReadOptions, open};
 #[cfg(all(feature = "internals", feature = "las"))]
 #[doc(hidden)]
 pub use self::las::LasSource;
