@@ -47,8 +47,6 @@ pub(super) struct CloudLook {
     statistics: Statistics,
     /// Whether points have weights of their own.
     has_weights: bool,
-    /// Of the whole cloud.
-    number_of_points: u64,
     /// Stops by which dark colours are made brighter.
     exposure: f64,
     /// What made it so.
@@ -82,8 +80,7 @@ impl CloudLook {
         // In linear light, roughly the square of displayed values.
         let exposure = dark.map_or(0.0, |b| (2.2 * (0.85 / b).log2()).clamp(0.0, 4.0));
         let has_weights = header.weight.is_stored();
-        let number_of_points = header.points;
-        Ok(Self { name, paint, orientation, statistics, has_weights, number_of_points, exposure, reason })
+        Ok(Self { name, paint, orientation, statistics, has_weights, exposure, reason })
     }
 
     /// The points that the camera frames, each with its radius.
@@ -154,7 +151,7 @@ impl CloudLook {
     fn densities(&self) -> Vec<f64> {
         const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
-        let around = self.statistics.number_densities(self.number_of_points);
+        let around = self.statistics.number_densities();
         // Points within a radius: few where radii were measured, dozens in simulations, none where points are alone.
         let mut reached: Vec<f64> =
             around.iter().map(|&(i, density)| density * BALL * radii[i].powi(3)).collect();
@@ -179,12 +176,12 @@ impl CloudLook {
         /// Points of the curves, evenly spaced in the logarithm.
         const KNOTS: usize = 64;
         let densities = self.densities();
-        let (low, high) = (percentile(&densities, 0.02).max(1e-17), percentile(&densities, 0.995).min(1e17));
+        let (low, high) = (percentile(&densities, 0.02).max(1e-17), percentile(&densities, 0.98).min(1e17));
         let (low, high) = if high > 1.2 * low { (low, high) } else { (0.3 * low, 3.0 * low) };
         let density = |t: f64| low * (high / low).powf(t);
         let opacity: Vec<Value> = (0..=KNOTS)
             .map(|i| i as f64 / KNOTS as f64)
-            .map(|t| json!([density(t), if t > 0.0 { 0.004 + 0.35 * t.powi(3) } else { 0.0 }]))
+            .map(|t| json!([density(t), if t > 0.0 { 0.006 + 0.45 * t.powf(2.5) } else { 0.0 }]))
             .collect();
         let inferno = inferno_stops(KNOTS);
         let color: Vec<Value> = (0..=KNOTS)

@@ -13,11 +13,14 @@ const SAMPLE_POINTS: usize = 1 << 14;
 pub(super) struct Statistics {
     batch: PointBatch,
     schema: Schema,
+    /// By what the density of the sample has to be multiplied.
+    stride: u64,
 }
 
 impl Statistics {
     pub(super) fn of(cloud: &Cloud) -> Result<Self> {
-        Ok(Self { batch: cloud.sample(SAMPLE_POINTS)?, schema: cloud.sample_schema() })
+        let stride = cloud.sample_stride(SAMPLE_POINTS);
+        Ok(Self { batch: cloud.sample(SAMPLE_POINTS)?, schema: cloud.sample_schema(), stride })
     }
 
     pub(super) fn positions(&self) -> impl Iterator<Item = DVec3> + '_ {
@@ -46,8 +49,8 @@ impl Statistics {
         })
     }
 
-    /// Some points of the sample, and the number of points in a unit of volume around each, of a cloud of `points` points.
-    pub(super) fn number_densities(&self, points: u64) -> Vec<(usize, f64)> {
+    /// Some points of the sample, and the number of points in a unit of volume around each.
+    pub(super) fn number_densities(&self) -> Vec<(usize, f64)> {
         /// Most points that are asked.
         const ASKED: usize = 1024;
         /// The neighbour whose distance is taken, the point itself being the first.
@@ -56,7 +59,6 @@ impl Statistics {
         if all.len() <= NEIGHBOUR {
             return Vec::new();
         }
-        let of_sample = points as f64 / all.len() as f64;
         let mut squares = vec![0.0; all.len()];
         all.iter()
             .enumerate()
@@ -65,7 +67,7 @@ impl Statistics {
                 squares.iter_mut().zip(&all).for_each(|(square, &q)| *square = (q - p).length_squared());
                 let (_, &mut farthest, _) = squares.select_nth_unstable_by(NEIGHBOUR, f64::total_cmp);
                 let ball = 4.0 / 3.0 * std::f64::consts::PI * farthest.powf(1.5);
-                (i, of_sample * NEIGHBOUR as f64 / ball)
+                (i, self.stride as f64 * NEIGHBOUR as f64 / ball)
             })
             .collect()
     }

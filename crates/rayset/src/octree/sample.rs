@@ -33,8 +33,7 @@ impl Cloud {
             return Ok(batch);
         }
         let read = pages.min(MOST_PAGES);
-        // Of the points of the pages that are read, every how many are taken.
-        let stride = (points * read / pages).div_ceil(most as u64).max(1) as usize;
+        let stride = self.sample_stride(most) as usize;
         let file = self.reopened()?;
         for index in 0..read {
             let page = ((2 * index + 1) * pages / (2 * read)) as u32;
@@ -54,6 +53,15 @@ impl Cloud {
             }
         }
         Ok(batch)
+    }
+
+    /// Of the points of those pages that [`sample`](Self::sample) reads, every how many it has: by what the density of a
+    /// sample has to be multiplied.
+    #[must_use]
+    pub fn sample_stride(&self, most: usize) -> u64 {
+        let (pages, points) = (u64::from(self.header().point_pages).max(1), self.header().points);
+        let read = u128::from(points) * u128::from(pages.min(MOST_PAGES)) / u128::from(pages);
+        (read as u64).div_ceil(most.max(1) as u64).max(1)
     }
 
     /// The columns of a [`sample`](Self::sample).
