@@ -34,6 +34,9 @@ pub(crate) struct DemoArgs {
     size: (u32, u32),
 }
 
+/// Radii of workloads are for measuring; a surface without pores needs larger ones.
+const RADIUS_SCALE: f64 = 1.3;
+
 pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     let started = Instant::now();
     // Checked first, although it is written last.
@@ -57,6 +60,7 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
     report::say(format_args!("2. build their octree on disk, within {}", report::bytes(args.memory)));
     let options = BuildOptions::default()
         .with_radius(workload.radius().map(build::Rule::Number))
+        .with_radius_scale(RADIUS_SCALE)
         .with_memory_bytes(args.memory.saturating_sub(memory::PROCESS_BYTES));
     let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
     let meter = Meter::new("points", false);
