@@ -102,6 +102,23 @@ fn a_scan_whose_spacing_varies_widely_has_no_stray_points() {
     assert!(ratio > 25.0, "radii follow the spacing: {ratio}");
 }
 
+#[test]
+fn clusters_a_thousand_million_times_as_far_apart_as_they_are_wide_have_one_radius_each() {
+    const COUNT: usize = 12_000;
+    let random = &mut Random(4);
+    let cluster = |random: &mut Random, at: f64, side: f64| -> Vec<Point> {
+        (0..COUNT).map(|_| std::array::from_fn(|_| at + side * random.unit())).collect()
+    };
+    let (near, far) = (cluster(random, 0.0, 1e-3), cluster(random, 1e6, 2e-3));
+    let built = measured(&[near, far].concat());
+    for (side, is_far) in [(1e-3, false), (2e-3, true)] {
+        let expected = 0.75 * side / (COUNT as f64).sqrt();
+        let of_cluster = built.iter().filter(|(p, _)| (p[0] > 5e5) == is_far);
+        assert!(of_cluster.clone().count() == COUNT);
+        assert!(of_cluster.clone().all(|&(_, radius)| (radius / expected - 1.0).abs() < 0.01));
+    }
+}
+
 /// The density of a cloud.
 struct Density {
     points: Vec<(Point, f64)>,

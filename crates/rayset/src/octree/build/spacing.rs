@@ -5,7 +5,8 @@
 //!
 //! Records are first sorted along the Hilbert curve, with a box around every few hundred. Then they are loaded again a block
 //! at a time: neighbours are looked for in the block, and after that in the records elsewhere whose boxes are near enough
-//! (`neighbours`). Distances are exact, and the rest are counts of them, so the result depends on the points alone.
+//! (`neighbours`). Where so many records share a Hilbert code that the curve says nothing of their places, boxes would be of no
+//! use: they have one radius, by their number and extent ([`Crowd`]). Other distances are exact, and the rest are counts of them, so the result depends on the points alone.
 
 use super::context::Context;
 use super::control::Stage;
@@ -19,13 +20,14 @@ use super::record::{self, KeyMaker};
 use crate::geometry::{Aabb, DVec3};
 use crate::spill::{Spill, SpillWriter};
 
-/// Chosen by measurement (docs/benchmarks.md, "Automatic radii"): the largest with which the surface lies, in the mean, within
-/// half of the spacing.
+/// Chosen by measurement (docs/benchmarks.md, "Automatic radii"): a compromise of a thin surface and one without pores.
 const RADII_PER_DISTANCE: f64 = 0.85;
 /// Number of records that share a box, if there is memory for so many boxes.
 const GRAIN: u64 = 256;
 /// Largest number of records in a block.
 const MOST_IN_BLOCK: u64 = 1 << 15;
+/// More records than this with one Hilbert code are a crowd.
+const CROWD: u64 = 8192;
 /// Position and radius of a record.
 const HEAD: usize = 28;
 
@@ -35,7 +37,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     let keys = KeyMaker { root: ingested.root, radius: Some(f32::MIN_POSITIVE) };
     let stride = ingested.layout.stride();
     let partition = Partition::new(context, stride, keys, ingested.count, Stage::Spacing).in_passes(2);
-    let mut curve = CurveWriter::new(context, stride)?;
+    let mut curve = CurveWriter::new(context, stride, keys)?;
     partition.run(Region::all(&ingested.spill, ingested.count), &Copy, &mut curve)?;
     let layout = ingested.layout.with_radius();
     let sorted = curve.finish(ingested.count, layout.stride())?;
@@ -70,9 +72,36 @@ impl Pack for Copy {
     }
 }
 
+/// Records that share a Hilbert code, which happens where a cloud is a million times as wide as a part of it.
+struct Crowd {
+    records: std::ops::Range<u64>,
+    code: u64,
+    bounds: Aabb,
+}
+
+impl Crowd {
+    /// The radius of its points before scaling, as if they were spread over a square; 0 if they coincide.
+    fn radius(&self) -> f64 {
+        let count = (self.records.end - self.records.start) as f64;
+        0.75 * self.bounds.size().max_element() / count.sqrt()
+    }
+}
+
+/// Consecutive records that are measured in the same way, in blocks.
+struct Section {
+    records: std::ops::Range<u64>,
+    first_block: u64,
+    /// The radius of a crowd before scaling.
+    radius: Option<f64>,
+}
+
 /// Writes sorted records, each with room for a radius, and keeps boxes around them.
 struct CurveWriter<'a> {
     context: &'a Context<'a>,
+    keys: KeyMaker,
+    /// The records with the latest code, and those before that were a crowd.
+    latest: Crowd,
+    crowds: Vec<Crowd>,
     writer: SpillWriter,
     stride: usize,
     written: u64,
@@ -82,10 +111,41 @@ struct CurveWriter<'a> {
 }
 
 impl<'a> CurveWriter<'a> {
-    fn new(context: &'a Context<'a>, stride: usize) -> Result<Self, BuildError> {
+    fn new(context: &'a Context<'a>, stride: usize, keys: KeyMaker) -> Result<Self, BuildError> {
         let writer = SpillWriter::new(context.spill()?, 1 << 20);
         let most_boxes = context.options.memory_bytes as usize / 16 / size_of::<Aabb>();
-        Ok(Self { context, writer, stride, written: 0, boxes: Vec::new(), grain: GRAIN, most_boxes })
+        let latest = Crowd { records: 0..0, code: u64::MAX, bounds: Aabb::EMPTY };
+        Ok(Self {
+            context,
+            keys,
+            latest,
+            crowds: Vec::new(),
+            writer,
+            stride,
+            written: 0,
+            boxes: Vec::new(),
+            grain: GRAIN,
+            most_boxes,
+        })
+    }
+
+    /// Counts the next record as one of the latest code.
+    fn follow(&mut self, record: &[u8]) {
+        let code = self.keys.key(record).code();
+        if code != self.latest.code {
+            self.end_crowd();
+            self.latest = Crowd { records: self.written..self.written, code, bounds: Aabb::EMPTY };
+        }
+        self.latest.records.end += 1;
+        self.latest.bounds.include(DVec3::from_array(record::position(record)));
+    }
+
+    fn end_crowd(&mut self) {
+        let empty = Crowd { records: 0..0, code: u64::MAX, bounds: Aabb::EMPTY };
+        let ended = std::mem::replace(&mut self.latest, empty);
+        if ended.records.end - ended.records.start > CROWD {
+            self.crowds.push(ended);
+        }
     }
 
     fn take(&mut self, records: &[u8]) -> Result<(), BuildError> {
@@ -100,6 +160,7 @@ impl<'a> CurveWriter<'a> {
             if let Some(last) = self.boxes.last_mut() {
                 last.include(DVec3::from_array(record::position(record)));
             }
+            self.follow(record);
             self.written += 1;
             let io = self.context.io("write temporary files in");
             self.writer.push(&record[..24]).map_err(&io)?;
@@ -109,9 +170,10 @@ impl<'a> CurveWriter<'a> {
         Ok(())
     }
 
-    fn finish(self, count: u64, stride: usize) -> Result<Curve, BuildError> {
+    fn finish(mut self, count: u64, stride: usize) -> Result<Curve, BuildError> {
+        self.end_crowd();
         let spill = self.writer.finish().map_err(self.context.io("write temporary files in"))?;
-        Ok(Curve { spill, stride, count, boxes: self.boxes, grain: self.grain })
+        Ok(Curve { spill, stride, count, crowds: self.crowds, boxes: self.boxes, grain: self.grain })
     }
 }
 
@@ -136,11 +198,33 @@ struct Curve {
     spill: Spill,
     stride: usize,
     count: u64,
+    crowds: Vec<Crowd>,
     boxes: Vec<Aabb>,
     grain: u64,
 }
 
 impl Curve {
+    /// Crowds and what lies between them, of blocks of at most `block` records; and the number of blocks.
+    fn sections(&self, block: u64) -> (Vec<Section>, u64) {
+        let (mut sections, mut blocks, mut at) = (Vec::new(), 0, 0);
+        let mut add = |records: std::ops::Range<u64>, radius: Option<f64>| {
+            let first_block = blocks;
+            blocks += (records.end - records.start).div_ceil(block);
+            sections.push(Section { records, first_block, radius });
+        };
+        for crowd in &self.crowds {
+            if at < crowd.records.start {
+                add(at..crowd.records.start, None);
+            }
+            add(crowd.records.clone(), Some(crowd.radius()));
+            at = crowd.records.end;
+        }
+        if at < self.count {
+            add(at..self.count, None);
+        }
+        (sections, blocks)
+    }
+
     /// Gives every record the radius that its neighbours suggest, or 0 if they suggest none.
     fn measure(&self, context: &Context<'_>, scale: f64) -> Result<Measured, BuildError> {
         let threads = context.options.threads.max(1);
@@ -149,13 +233,22 @@ impl Curve {
         let block = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
         let block = block.clamp(512, MOST_IN_BLOCK) / STRETCH as u64 * STRETCH as u64;
         let mut measured = Measured::default();
-        let blocks = self.count.div_ceil(block) as usize;
+        let (sections, blocks) = self.sections(block);
         let work = |number: usize| {
-            let first = number as u64 * block;
-            self.measure_block(context, first..(first + block).min(self.count), scale)
+            let section = sections.partition_point(|section| section.first_block <= number as u64) - 1;
+            let Section { records, first_block, radius } = &sections[section];
+            let first = records.start + (number as u64 - first_block) * block;
+            let range = first..(first + block).min(records.end);
+            match radius {
+                Some(radius) => {
+                    let radii = vec![scale * radius; (range.end - range.start) as usize];
+                    self.store(context, &range, radii)
+                }
+                None => self.measure_block(context, range, scale),
+            }
         };
         let mut done = self.count;
-        pipeline::ordered(blocks, threads, work, |_, radii| {
+        pipeline::ordered(blocks as usize, threads, work, |_, radii| {
             radii.iter().for_each(|&radius| measured.count(radius));
             done += radii.len() as u64;
             context.progress(Stage::Spacing, done / 2, self.count);
@@ -164,7 +257,7 @@ impl Curve {
         Ok(measured)
     }
 
-    /// Measures the radii of a block and stores them, within the range of an `f32`.
+    /// Measures the radii of a block and stores them.
     fn measure_block(
         &self,
         context: &Context<'_>,
@@ -175,15 +268,28 @@ impl Curve {
         self.read(context, &block, &mut bytes)?;
         let mut points = Stretches::default();
         bytes.chunks_exact(self.stride).for_each(|record| points.push(record::position(record)));
+        drop(bytes);
         let mut search = Search::among(&points, || !context.is_cancelled());
         context.check()?;
         self.search_elsewhere(context, &block, &mut search)?;
-        let mut radii = Vec::with_capacity(points.len());
-        for (record, distance) in bytes.chunks_exact_mut(self.stride).zip(search.distances()) {
-            let radius = if distance.is_finite() { RADII_PER_DISTANCE * scale * distance } else { 0.0 };
+        let radius = |distance: f64| {
+            if distance.is_finite() { RADII_PER_DISTANCE * scale * distance } else { 0.0 }
+        };
+        self.store(context, &block, search.distances().map(radius).collect())
+    }
+
+    /// Stores the radii of a block, within the range of an `f32`; returns them.
+    fn store(
+        &self,
+        context: &Context<'_>,
+        block: &std::ops::Range<u64>,
+        radii: Vec<f64>,
+    ) -> Result<Vec<f64>, BuildError> {
+        let mut bytes = Vec::new();
+        self.read(context, block, &mut bytes)?;
+        for (record, &radius) in bytes.chunks_exact_mut(self.stride).zip(&radii) {
             let stored = if radius > 0.0 { radius.clamp(1.0 / LIMIT, LIMIT) as f32 } else { 0.0 };
             record[24..HEAD].copy_from_slice(&stored.to_le_bytes());
-            radii.push(radius);
         }
         // Others may read these records meanwhile, but only their positions, which stay as they are.
         let at = block.start * self.stride as u64;
