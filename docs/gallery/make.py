@@ -97,7 +97,7 @@ def page(entries, measured):
         "",
         "Made by `docs/gallery/make.py` from [pictures.toml](gallery/pictures.toml), with two threads: the last command of each,",
         "after what comes before it has been built. Times are of a shared machine, and say no more than seconds or minutes. Sizes",
-        "are left out of the commands; every one takes `--size 960x640`.",
+        "are left out of the commands; every one takes `--size 960x640`, the statue 640x960.",
         "",
     ]
     for entry in entries:
