@@ -20,10 +20,10 @@ use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
-pub const POINTS: [&str; 24] = [
+pub const POINTS: [&str; 26] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
     "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu", "p.e57",
-    "p.pcd", "p.ptx", "p.csv.gz",
+    "p.pcd", "p.ptx", "p.csv.gz", "m.off", "p.bin",
 ];
 /// See [`POINTS`].
 pub const VOLUMES: [&str; 12] = [

@@ -11,6 +11,7 @@ use rayset::{BARE_SAMPLES, SimdLevel, bare_loop};
 
 use crate::bench_cloud::{Case, Measured, Prepared};
 use crate::bench_features::{self, Cost};
+use crate::bench_scenes;
 use crate::interrupts::TemporaryFolder;
 use crate::{report, values};
 
@@ -21,8 +22,8 @@ use crate::{report, values};
 /// 1 %) or translucent (0.02/r, every sample taken). Times are medians.
 #[derive(Args)]
 pub(crate) struct BenchArgs {
-    /// sphere-N or cube-N; the four standard ones by default
-    workloads: Vec<Workload>,
+    /// sphere-N or cube-N; the four standard ones by default. With --scenes, words that the names of scenes contain
+    workloads: Vec<String>,
     /// Every sample is taken
     #[arg(long)]
     translucent: bool,
@@ -38,6 +39,12 @@ pub(crate) struct BenchArgs {
     /// What each feature of a scene costs instead: light, shadows, mirrors, operators; over knot-200k by default
     #[arg(long, conflicts_with_all = ["translucent", "memory", "out_of_core"])]
     features: bool,
+    /// Whole scenes instead, of generated data, on one thread and on two: grids, figures, lights, mirrors, glass
+    #[arg(long, conflicts_with_all = ["translucent", "memory", "out_of_core", "features", "threads"])]
+    scenes: bool,
+    /// Count the instructions of each scene, too, with Valgrind
+    #[arg(long, requires = "scenes")]
+    instructions: bool,
     /// Renders of each case
     #[arg(long, default_value_t = 5)]
     repeat: usize,
@@ -63,29 +70,43 @@ struct Report {
     results: Vec<Measured>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     features: Vec<Cost>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    scenes: Vec<bench_scenes::Measured>,
 }
 
 pub(crate) fn run(args: &BenchArgs) -> Result<()> {
-    let workloads = if args.workloads.is_empty() && args.features {
-        vec!["knot-200k".parse()?]
-    } else if args.workloads.is_empty() {
-        Workload::STANDARD.iter().map(|name| name.parse()).collect::<Result<_, _>>()?
-    } else {
-        args.workloads.clone()
-    };
     let report = if let Some(folder) = &args.dir {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-        measure(args, &workloads, folder)?
+        measure(args, folder)?
     } else {
-        measure(args, &workloads, TemporaryFolder::new("bench")?.path())?
+        measure(args, TemporaryFolder::new("bench")?.path())?
     };
     if args.json { report::json(&report) } else { describe(&report) }
 }
 
-fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -> Result<Report> {
+/// The workloads that are asked for, or those that are measured by default.
+fn workloads(args: &BenchArgs) -> Result<Vec<Workload>> {
+    if args.workloads.is_empty() && args.features {
+        return Ok(vec!["knot-200k".parse()?]);
+    }
+    let standard: Vec<String> = Workload::STANDARD.iter().map(|&name| name.to_owned()).collect();
+    let names = if args.workloads.is_empty() { &standard } else { &args.workloads };
+    Ok(names.iter().map(|name| name.parse()).collect::<Result<_, _>>()?)
+}
+
+fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
     let bare = bare_evaluations_per_second(args.simd);
-    let (mut results, mut features) = (Vec::new(), Vec::new());
-    for workload in workloads {
+    let (mut results, mut features, mut scenes) = (Vec::new(), Vec::new(), Vec::new());
+    if args.scenes {
+        scenes = bench_scenes::measure(&bench_scenes::Options {
+            folder,
+            repeat: args.repeat,
+            simd: args.simd,
+            only: &args.workloads,
+            instructions: args.instructions,
+        })?;
+    }
+    for workload in &if args.scenes { Vec::new() } else { workloads(args)? } {
         let prepared = Prepared::new(workload, folder, args.threads)?;
         if args.features {
             let session = Session::builder().threads(args.threads).simd(args.simd);
@@ -118,6 +139,7 @@ fn measure(args: &BenchArgs, workloads: &[Workload], folder: &std::path::Path) -
         bare_evaluations_per_second: bare,
         results,
         features,
+        scenes,
     })
 }
 
@@ -162,6 +184,10 @@ fn describe(report: &Report) -> Result<()> {
         report.bare_evaluations_per_second / 1e9
     ));
     report::say("");
+    if !report.scenes.is_empty() {
+        bench_scenes::describe(&report.scenes);
+        return Ok(());
+    }
     if !report.features.is_empty() {
         bench_features::describe(&report.features);
         return Ok(());

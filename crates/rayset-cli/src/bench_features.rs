@@ -14,6 +14,7 @@ use rayset::scene::{
 use rayset::{CancelToken, Picture, RenderCounts, SessionBuilder};
 
 use crate::bench_cloud::median;
+use crate::memory::process_cpu_seconds;
 use crate::report;
 
 /// Bytes for pages: enough that nothing is ever evicted.
@@ -32,6 +33,9 @@ pub(crate) struct Cost {
     feature: &'static str,
     /// Median.
     seconds: f64,
+    /// Processor time, all threads; median.
+    cpu_seconds: f64,
+    /// In processor time, which others on the machine disturb least.
     of_bare: f64,
     kernel_evaluations: u64,
     shadow_rays: u64,
@@ -47,6 +51,7 @@ pub(crate) fn measure(
 ) -> Result<Vec<Cost>> {
     let features = features(cloud);
     let mut seconds = vec![Vec::new(); features.len()];
+    let mut cpu_seconds = vec![Vec::new(); features.len()];
     let mut counts = vec![RenderCounts::default(); features.len()];
     for round in 0..=repeat.max(1) {
         for (i, feature) in features.iter().enumerate() {
@@ -58,33 +63,38 @@ pub(crate) fn measure(
                 Ok(view.render_bands(&whole, u32::MAX, &CancelToken::new(), &mut picture)?)
             };
             render(&features[0])?;
-            let started = Instant::now();
+            let (started, cpu) = (Instant::now(), process_cpu_seconds());
             counts[i] = render(feature)?;
             if round > 0 {
                 seconds[i].push(started.elapsed().as_secs_f64());
+                cpu_seconds[i].push(process_cpu_seconds() - cpu);
             }
         }
     }
-    let medians: Vec<f64> = seconds.iter().map(|s| median(s)).collect();
-    let costs = features.iter().zip(&medians).zip(&counts).map(|((feature, &seconds), counts)| Cost {
-        feature: feature.name,
-        seconds,
-        of_bare: seconds / medians[0],
-        kernel_evaluations: counts.splats.kernel_evaluations,
-        shadow_rays: counts.shadow_rays,
-        bounced_rays: counts.bounced_rays,
-    });
+    let bare = median(&cpu_seconds[0]);
+    let costs = features.iter().zip(&seconds).zip(cpu_seconds.iter().zip(&counts)).map(
+        |((feature, seconds), (cpu, counts))| Cost {
+            feature: feature.name,
+            seconds: median(seconds),
+            cpu_seconds: median(cpu),
+            of_bare: median(cpu) / bare,
+            kernel_evaluations: counts.splats.kernel_evaluations,
+            shadow_rays: counts.shadow_rays,
+            bounced_rays: counts.bounced_rays,
+        },
+    );
     Ok(costs.collect())
 }
 
 pub(crate) fn describe(costs: &[Cost]) {
-    report::say("| feature | render s | of bare | M evaluations | shadow rays | bounced rays |");
-    report::say("| --- | ---: | ---: | ---: | ---: | ---: |");
+    report::say("| feature | render s | CPU s | of bare | M evaluations | shadow rays | bounced rays |");
+    report::say("| --- | ---: | ---: | ---: | ---: | ---: | ---: |");
     for cost in costs {
         report::say(format_args!(
-            "| {} | {:.3} | {:.2} | {} | {} | {} |",
+            "| {} | {:.3} | {:.3} | {:.2} | {} | {} | {} |",
             cost.feature,
             cost.seconds,
+            cost.cpu_seconds,
             cost.of_bare,
             cost.kernel_evaluations / 1_000_000,
             report::count(cost.shadow_rays),

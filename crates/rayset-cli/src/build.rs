@@ -20,9 +20,10 @@ use crate::{input, report, values};
 /// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// Points: PLY, LAS, LAZ, E57, PCD, PTX, PTS, XYZ, TXT, CSV or ASC, NPY, NPZ, VTK, VTP or VTU files, snapshots of
-    /// simulations (HDF5, GADGET), Gaussian splats (PLY, SPZ, SPLAT, KSPLAT), meshes (OBJ, STL); folders and patterns of such.
-    /// Or one volume: NRRD, MHA, MHD, NII, VTI, VTK, VDB, DX, SLC, NPY, NPZ
+    /// Points: PLY, LAS, LAZ, COPC, E57, PCD, PTX, PTS, XYZ, TXT, CSV, ASC, NPY, NPZ, VTK, VTP or VTU files; BIN of KITTI
+    /// and nuScenes; snapshots of simulations (HDF5 of GADGET, SWIFT, AREPO, EAGLE, Illustris; GADGET 1 and 2); Gaussian
+    /// splats (PLY, SPZ, SPLAT, KSPLAT); meshes (OBJ, OFF, STL); text, PLY, PTX and PCD in gzip or zstd; folders and patterns
+    /// of such. Or one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTK, VDB, DX, SLC, NPY or NPZ
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
@@ -57,8 +58,8 @@ pub(crate) struct BuildArgs {
     /// Names of the columns of text files, as in x,y,z,-,intensity
     #[arg(long, value_delimiter = ',')]
     columns: Option<Vec<String>>,
-    /// Points to sample on the faces of a mesh. By default the vertices of PLY are the points, and OBJ and STL get ten points
-    /// a triangle, 1 to 20 million
+    /// Points to sample on the faces of a mesh. By default the vertices of PLY are the points, and OBJ, OFF and STL get ten
+    /// points a triangle, 1 to 20 million
     #[arg(long)]
     mesh_points: Option<u64>,
     /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7.

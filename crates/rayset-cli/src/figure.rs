@@ -129,9 +129,8 @@ pub(crate) fn run(args: &FigureArgs) -> Result<()> {
 }
 
 fn make(figure: &Figure, args: &FigureArgs, folder: &Path, output: &Path) -> Result<()> {
-    let scene = folder.join(format!("fig{}.json", figure.number));
     let preparation = Preparation { args, folder };
-    outputs::write(&preparation.output(&scene)?, figure.scene.as_bytes())?;
+    let scene = preparation.scene(figure)?;
     let radius = |radius: f64| radius / STATUE_HEIGHT;
     match figure.number {
         3 => preparation.statue(radius(2.0))?,
@@ -143,18 +142,34 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path, output: &Path) -> Res
             }
             return Ok(());
         }
-        _ => {
-            preparation.cloud("scan.rset", args.scan.as_deref(), args.scan_pose(), "vase-300k")?;
-            if matches!(figure.number, 10 | 11) {
-                let pose = Pose { up: args.other_up, turn_degrees: args.other_turn };
-                preparation.cloud("other.rset", args.other.as_deref(), pose, "knot-200k")?;
-            }
-            if matches!(figure.number, 1 | 2 | 10) {
-                preparation.volume()?;
-            }
-        }
+        _ => preparation.data(figure.number)?,
     }
     render(args, &scene, output)
+}
+
+/// Prepares the data of figures 1, 2, 4, 10 and 11 in a folder, all of it generated, and their scenes, `fig1.json` and so
+/// on.
+pub(crate) fn prepare(folder: &Path) -> Result<()> {
+    for figure in FIGURES.iter().filter(|figure| !matches!(figure.number, 3 | 5)) {
+        let args = FigureArgs {
+            number: figure.number,
+            output: None,
+            scan: None,
+            scan_up: Up::Y,
+            scan_turn: 0.0,
+            other: None,
+            other_up: Up::Y,
+            other_turn: 0.0,
+            volume: None,
+            data: None,
+            size: None,
+            memory: 1 << 30,
+        };
+        let preparation = Preparation { args: &args, folder };
+        preparation.scene(figure)?;
+        preparation.data(figure.number)?;
+    }
+    Ok(())
 }
 
 fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
@@ -182,6 +197,27 @@ impl Preparation<'_> {
     fn output(&self, path: &Path) -> Result<Destination> {
         let FigureArgs { scan, other, volume, .. } = self.args;
         Outputs::beside([scan, other, volume].into_iter().flatten()).add(path, None)
+    }
+
+    /// Writes the scene of a figure.
+    fn scene(&self, figure: &Figure) -> Result<PathBuf> {
+        let path = self.folder.join(format!("fig{}.json", figure.number));
+        outputs::write(&self.output(&path)?, figure.scene.as_bytes())?;
+        Ok(path)
+    }
+
+    /// Prepares clouds and volume of a figure that has no statue.
+    fn data(&self, number: u32) -> Result<()> {
+        let args = self.args;
+        self.cloud("scan.rset", args.scan.as_deref(), args.scan_pose(), "vase-300k")?;
+        if matches!(number, 10 | 11) {
+            let pose = Pose { up: args.other_up, turn_degrees: args.other_turn };
+            self.cloud("other.rset", args.other.as_deref(), pose, "knot-200k")?;
+        }
+        if matches!(number, 1 | 2 | 10) {
+            self.volume()?;
+        }
+        Ok(())
     }
 
     fn build_options(&self) -> BuildOptions {

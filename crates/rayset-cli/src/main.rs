@@ -4,6 +4,7 @@ mod annotate;
 mod bench;
 mod bench_cloud;
 mod bench_features;
+mod bench_scenes;
 mod budget;
 mod build;
 mod check;
@@ -48,8 +49,7 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Write a generated cloud as a PLY file
     Generate(generate::GenerateArgs),
-    /// Build a cloud file from points (PLY, LAS, LAZ, XYZ, TXT, CSV, ASC, PTS) or a grid file from a volume (NRRD, MHA,
-    /// MHD, NII, VTI, raw)
+    /// Build a cloud file from points, or a grid file from a volume
     Build(Box<build::BuildArgs>),
     /// Say what is in a cloud or grid, or in any file of points or voxels, and how much memory it wants
     Info(info::InfoArgs),

@@ -10,10 +10,10 @@ pub(crate) struct WorkStatistics {
     pub(crate) kernel_evaluations: u64,
     pairs_tested: u64,
     samples: u64,
-    nonzero_samples: u64,
+    pub(crate) nonzero_samples: u64,
     packets: u64,
-    shadow_rays: u64,
-    bounced_rays: u64,
+    pub(crate) shadow_rays: u64,
+    pub(crate) bounced_rays: u64,
     /// Pairs of a ray and a point, by kind of ray: those that are tested but not added are wasted.
     primary_pairs: Pairs,
     shadow_pairs: Pairs,

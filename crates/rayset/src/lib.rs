@@ -96,6 +96,7 @@ pub mod file;
 pub mod geometry;
 pub mod image;
 pub mod memory;
+mod numbers;
 pub mod output;
 mod parse;
 pub mod points;

@@ -11,13 +11,25 @@ pub(crate) use shuttle::sync::{Condvar, Mutex, MutexGuard, atomic};
 #[cfg(feature = "model")]
 pub(crate) use shuttle::thread;
 
-use std::sync::PoisonError;
+use std::sync::{PoisonError, TryLockError};
 use std::time::Duration;
 
 /// Locks a mutex, poisoned or not. The data are consistent even after a panic: no thread panics in the middle of a change
 /// while it holds one of these locks.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Locks a mutex as [`lock`] does, and counts in `waits` if another thread holds it.
+pub(crate) fn lock_counting<'a, T>(mutex: &'a Mutex<T>, waits: &atomic::AtomicU64) -> MutexGuard<'a, T> {
+    match mutex.try_lock() {
+        Ok(guard) => guard,
+        Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+        Err(TryLockError::WouldBlock) => {
+            waits.fetch_add(1, atomic::Ordering::Relaxed);
+            lock(mutex)
+        }
+    }
 }
 
 /// Waits for a notification, for at most `limit`. The model checker does not model time: there, only a notification ends a

@@ -3,13 +3,19 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use rayset::points::{self, ReadError, ReadOptions};
+use rayset::volumes::VolumeSource;
+
+use super::kinds;
+use crate::report;
 
 /// Deepest nesting of folders that is followed.
 const DEEPEST: usize = 32;
 
-/// The files that inputs stand for: a file for itself, a folder for all files below it, a pattern such as `tiles/*.laz` for
-/// those that match. Sorted within each folder and pattern, so that the order of a directory does not matter. Hidden files
-/// and folders are left out.
+/// The files that inputs stand for: a file for itself, a folder for all files below it that can be read, a pattern such as
+/// `tiles/*.laz` for those that match. Sorted within each folder and pattern, so that the order of a directory does not
+/// matter. Hidden files and folders are left out. A folder that is one thing, as a series of DICOM or a Zarr array is, stands
+/// for itself.
 pub(crate) fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
@@ -19,6 +25,8 @@ pub(crate) fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
             if files.len() == before {
                 bail!("{} is a folder without files", input.display());
             }
+            let found = files.split_off(before);
+            files.extend(readable(input, found)?);
         } else if is_pattern(input) && !input.exists() {
             matching(input, &mut files)?;
         } else {
@@ -48,10 +56,74 @@ fn matching(pattern: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
+/// Of the files of a folder those that can be read. The others, read-me files and previews among them, are named.
+fn readable(folder: &Path, files: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
+    if let [_] = files.as_slice() {
+        return Ok(files);
+    }
+    let (mut kept, mut left_out) = (Vec::new(), Vec::new());
+    for file in files {
+        match why_not(&file)? {
+            None => kept.push(file),
+            Some(why) => left_out.push((file, why)),
+        }
+    }
+    let Some((first, why)) = left_out.first() else { return Ok(kept) };
+    let first = first.strip_prefix(folder).unwrap_or(first);
+    if kept.is_empty() {
+        bail!("none of the {} files in {} can be read: {why}", left_out.len(), folder.display());
+    }
+    report::remark(format_args!(
+        "left out {} of {} files in {}, the first being {}: name it to be told why",
+        left_out.len(),
+        left_out.len() + kept.len(),
+        folder.display(),
+        first.display()
+    ));
+    Ok(kept)
+}
+
+/// Why a file of a folder is not read; `None` if it is, or has something in it that a person has to be told.
+fn why_not(file: &Path) -> Result<Option<String>> {
+    if file.is_dir() || VolumeSource::is_volume(file)? || kinds::is_built(file)? {
+        return Ok(None);
+    }
+    if kinds::is_scene(file)? {
+        return Ok(Some(format!("{} is a scene", file.display())));
+    }
+    let ends = |names: &[&str]| {
+        names.iter().any(|name| file.extension().is_some_and(|e| e.eq_ignore_ascii_case(name)))
+    };
+    if !ends(&["txt", "csv", "asc"]) && ReadOptions::extensions().any(|known| ends(&[known])) {
+        return Ok(None);
+    }
+    Ok(match points::open(file, &ReadOptions::default()) {
+        Ok(_) => None,
+        Err(error @ (ReadError::UnknownFormat { .. } | ReadError::Malformed { .. })) => {
+            Some(error.to_string())
+        }
+        Err(error) => return Err(error.into()),
+    })
+}
+
+/// Whether a folder is one thing that is not read, for which there is a sentence.
+fn is_one_thing(folder: &Path) -> Result<bool> {
+    let error = points::open(folder, &ReadOptions::default()).err();
+    let is_known = |error: &ReadError| match error {
+        ReadError::UnknownFormat { advice, .. } => !advice.starts_with("this is a folder"),
+        _ => false,
+    };
+    Ok(VolumeSource::is_volume(folder)? || error.as_ref().is_some_and(is_known))
+}
+
 fn below(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<()> {
     let doing = || format!("cannot read the folder {}", folder.display());
     if depth == DEEPEST {
         bail!("{}: folders are nested more than {DEEPEST} deep", folder.display());
+    }
+    if is_one_thing(folder)? {
+        files.push(folder.to_owned());
+        return Ok(());
     }
     let mut entries = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(doing)? {

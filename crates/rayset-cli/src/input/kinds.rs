@@ -16,10 +16,26 @@ pub(crate) enum Built {
     Grid(Box<Grid>),
 }
 
+/// Files of JSON that are no scenes: endings of their names, in lower case.
+const NO_SCENES: [&str; 9] = [
+    ".gltf",
+    ".geojson",
+    ".topojson",
+    "tileset.json",
+    "ept.json",
+    "zarr.json",
+    "reconstruction.json",
+    "transforms.json",
+    ".ipynb",
+];
+
 /// Whether a file is a scene: by its name, or because it begins as JSON does.
 pub(super) fn is_scene(path: &Path) -> Result<bool> {
-    let named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"));
-    Ok(named || head(path)?.starts_with(b"{"))
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    if NO_SCENES.iter().any(|ending| name.ends_with(ending)) {
+        return Ok(false);
+    }
+    Ok(name.ends_with(".json") || head(path)?.starts_with(b"{"))
 }
 
 /// Whether a file was built by rayset, or was going to be.

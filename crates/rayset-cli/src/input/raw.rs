@@ -113,7 +113,12 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
 fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
     let memory = resources.memory.saturating_sub(PROCESS_BYTES);
     if has_volume(files)? {
-        let [file] = files else { bail!("a grid is built from one volume at a time; name one of them") };
+        let [file] = files else {
+            bail!(
+                "these are {} files, volumes among them, and a grid is built from one volume at a time; name one of them",
+                files.len()
+            )
+        };
         let source = VolumeSource::open(file)?;
         remark_about(file, &source);
         let meter = Meter::new("slices", false);

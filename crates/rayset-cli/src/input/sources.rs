@@ -18,7 +18,26 @@ pub(crate) fn open_points(files: &[PathBuf], options: &ReadOptions) -> Result<Ve
         }
         sources.push(source);
     }
+    remark_on_systems(&sources);
     Ok(sources)
+}
+
+/// Says so if sources have different reference systems, whose coordinates do not belong together.
+fn remark_on_systems(sources: &[Box<dyn PointSource>]) {
+    let mut systems: Vec<&str> = sources.iter().map(|source| &*source.schema().crs).collect();
+    systems.retain(|system| !system.is_empty());
+    systems.sort_unstable();
+    systems.dedup();
+    if let [first, second, ..] = systems[..] {
+        let name = |system: &str| system.chars().take(60).collect::<String>();
+        report::remark(format_args!(
+            "the inputs have {} reference systems, {} and {} among them, and are put together as they are; `pdal translate` \
+             with filters.reprojection brings them into one",
+            systems.len(),
+            name(first),
+            name(second)
+        ));
+    }
 }
 
 /// Whether one of some files is a volume.

@@ -34,7 +34,7 @@ pub(crate) fn of_cloud(
     size: (u32, u32),
 ) -> Result<Chosen> {
     if look.look == Some(LookName::Volume) {
-        bail!("--look volume is for voxels; {} has points", cloud.path().display());
+        bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
     }
     let chosen = CloudLook::choose(cloud, look.look, camera.given_up())?;
     let mut scene =
@@ -71,7 +71,7 @@ pub(crate) fn of_cloud(
 /// The scene of a grid, for a picture of `size`.
 pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
     if let Some(name) = look.look.filter(|name| *name != LookName::Volume) {
-        bail!("--look {} is for points; {} has voxels", name.name(), grid.path().display());
+        bail!("--look {} is for points; the input has voxels, whose look is volume", name.name());
     }
     let chosen = grid::GridLook::choose(grid, camera.given_up())?;
     let mut scene = around(chosen.root(&path_text(grid.path())?), &chosen.orientation.reason_and_up(), size);

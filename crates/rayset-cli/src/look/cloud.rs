@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use super::options::LookName;
 use super::palettes;
 use super::statistics::{Statistics, percentile, range};
+use super::upright::orientation;
 use super::view::Orientation;
 
 /// The colour of unpainted plaster.
@@ -23,11 +24,15 @@ const NIGHT: &str = "#000000";
 const DARK: f64 = 0.6;
 /// A class counts if it has this share of the points.
 const LEAST_CLASS: f64 = 0.002;
-/// Scans of less than this along every side are of things on a turntable, whose files have y up by custom.
-const OBJECT: f64 = 1.0;
-
 /// Points that fill more than this dimension are no surface; halos of simulations have 2.3, scans of statues and trees 2.0.
 const FILLING: f64 = 2.2;
+
+/// Beyond these radii densities of numbers, their inverse cubes, are out of the range of transfer functions: molecules in
+/// metres, galaxies in kilometres.
+const NORMALISED_RADII: [f64; 2] = [1e-5, 1e5];
+
+/// Points in more than this part of the inner cells of their box are no surface, however they crowd; those of rooms are in few.
+const BOX: f64 = 0.7;
 
 /// What a surface is coloured by.
 #[derive(Clone, PartialEq)]
@@ -45,8 +50,8 @@ pub(super) struct CloudLook {
     paint: Paint,
     pub(super) orientation: Orientation,
     statistics: Statistics,
-    /// Whether points have weights of their own.
-    has_weights: bool,
+    /// Whether the kernels of gas are normalised: the density is that of numbers.
+    is_normalised: bool,
     /// Stops by which dark colours are made brighter.
     exposure: f64,
     /// What made it so.
@@ -57,7 +62,7 @@ impl CloudLook {
     /// The look of a cloud: `wanted`, or the one that its columns and its shape suggest.
     pub(super) fn choose(cloud: &Cloud, wanted: Option<LookName>, up: Option<DVec3>) -> Result<Self> {
         let (header, statistics) = (cloud.header(), Statistics::of(cloud)?);
-        let orientation = orientation(header, &statistics, up);
+        let orientation = orientation(cloud, &statistics, up);
         let (name, reason) = match wanted {
             Some(name) => (name, "as asked for".to_owned()),
             None => suggested(header, &statistics, &orientation),
@@ -69,7 +74,7 @@ impl CloudLook {
                 None => bail!("--look classes: {} stores no classes", cloud.path().display()),
             },
             LookName::Height => Paint::Ramp(vertical(&orientation).to_owned(), json!("viridis")),
-            LookName::Intensity => match intensity_column(header) {
+            LookName::Intensity => match intensity_column(header, &statistics) {
                 Some(column) => Paint::Ramp(column, json!([[0, "#1c1c1c"], [1, "#ffffff"]])),
                 None => bail!("--look intensity: {} stores no intensities", cloud.path().display()),
             },
@@ -79,8 +84,10 @@ impl CloudLook {
         let dark = brightest.filter(|&b| b < DARK && paint == Paint::Points);
         // In linear light, roughly the square of displayed values.
         let exposure = dark.map_or(0.0, |b| (2.2 * (0.85 / b).log2()).clamp(0.0, 4.0));
-        let has_weights = header.weight.is_stored();
-        Ok(Self { name, paint, orientation, statistics, has_weights, exposure, reason })
+        let is_normalised = !header.weight.is_stored()
+            && f64::from(header.radius.min()) > NORMALISED_RADII[0]
+            && f64::from(header.radius.max()) < NORMALISED_RADII[1];
+        Ok(Self { name, paint, orientation, statistics, is_normalised, exposure, reason })
     }
 
     /// The points that the camera frames, each with its radius.
@@ -103,7 +110,7 @@ impl CloudLook {
             _ => self.painted(cloud.header()),
         };
         // Weights of simulations are densities already; without them, the number of points in a volume counts.
-        if self.name == LookName::Gas && !self.has_weights {
+        if self.name == LookName::Gas && self.is_normalised {
             root["normalised"] = json!(true);
         }
         if self.name == LookName::Splats {
@@ -158,7 +165,7 @@ impl CloudLook {
         reached.sort_by(f64::total_cmp);
         let reached = percentile(&reached, 0.5);
         let alike = range(&self.statistics.sorted("radius"), 0.01);
-        let mut densities: Vec<f64> = if self.has_weights {
+        let mut densities: Vec<f64> = if !self.is_normalised {
             // Each counts by its kernel, whose mean over its ball is about a fifth; at its middle it is 1.
             weights.iter().map(|weight| (0.2 * reached).max(1.0) * weight).collect()
         } else if alike.1 < 1.2 * alike.0 {
@@ -291,7 +298,7 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
         return (LookName::Gas, "particles of a simulation".into());
     }
     if statistics.brightest_color(header).is_some() {
-        if dimension(statistics) > FILLING {
+        if fills_volume(statistics) {
             return (LookName::Gas, "points with colours that fill a volume".into());
         }
         return (LookName::Surface, "points with colours".into());
@@ -309,16 +316,13 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
     if orientation.lies {
         return (LookName::Height, "terrain without colours".into());
     }
-    if dimension(statistics) > FILLING {
+    if fills_volume(statistics) {
         return (LookName::Gas, "points that fill a volume".into());
     }
     // Other files have columns of this name that are no measure of light.
     let scanned = ["LAS", "E57", "PTX", "PTS", "PCD"].iter().any(|kind| said(kind));
-    if let Some(column) = intensity_column(header).filter(|_| scanned) {
-        let (low, high) = range(&statistics.sorted(&column), 0.02);
-        if high - low > 0.05 * high.abs().max(1e-12) && high > 0.0 {
-            return (LookName::Intensity, "intensities".into());
-        }
+    if intensity_column(header, statistics).is_some_and(|column| varies(statistics, &column)) && scanned {
+        return (LookName::Intensity, "intensities".into());
     }
     (LookName::Surface, "points without colours".into())
 }
@@ -330,12 +334,19 @@ fn class_column(header: &Header) -> Option<String> {
     customary.or_else(|| classes().next()).map(|a| a.name.clone())
 }
 
-/// The column of intensities, if there is one.
-fn intensity_column(header: &Header) -> Option<String> {
+/// The column of intensities, if there is one: the first whose values differ, else the first.
+fn intensity_column(header: &Header, statistics: &Statistics) -> Option<String> {
     let names = ["intensity", "reflectance", "scalar_intensity", "amplitude"];
-    let found =
-        names.iter().find_map(|name| header.attributes.iter().find(|a| a.name.eq_ignore_ascii_case(name)));
-    found.map(|a| a.name.clone())
+    let stored = |name: &&str| header.attributes.iter().find(|a| a.name.eq_ignore_ascii_case(name));
+    let found: Vec<String> = names.iter().filter_map(stored).map(|a| a.name.clone()).collect();
+    found.iter().find(|name| varies(statistics, name)).or(found.first()).cloned()
+}
+
+/// Whether the values of a column differ so much that they show anything.
+fn varies(statistics: &Statistics, column: &str) -> bool {
+    let sorted = statistics.sorted(column);
+    let (low, high) = (percentile(&sorted, 0.02), percentile(&sorted, 0.98));
+    high - low > 0.05 * high.abs().max(low.abs()).max(1e-12)
 }
 
 /// The coordinate along the vertical.
@@ -368,55 +379,23 @@ fn dimension(statistics: &Statistics) -> f64 {
     (occupied(cells) / occupied(0.5 * cells)).log2()
 }
 
-/// Whether points are where a depth camera sees them from the origin, which has x to the right, y down and z ahead: all within
-/// its field of view.
-fn is_camera_frame(statistics: &Statistics) -> bool {
-    /// Of depth cameras, at most: the tangent of half their field of view.
-    const TANGENT: f64 = 1.2;
-    let mut points = statistics.positions().filter(|p| p.is_finite()).peekable();
-    points.peek().is_some() && points.all(|p| p.z > 0.0 && p.x.abs().max(p.y.abs()) < TANGENT * p.z)
+fn fills_volume(statistics: &Statistics) -> bool {
+    dimension(statistics) > FILLING || inside(statistics) > BOX
 }
 
-/// What is up, and where the front is.
-fn orientation(header: &Header, statistics: &Statistics, given: Option<DVec3>) -> Orientation {
-    let sides: [f64; 3] = ["x", "y", "z"].map(|axis| {
-        let (low, high) = range(&statistics.sorted(axis), 0.005);
-        high - low
-    });
-    let (thin, long) = (
-        (0..3).min_by(|&a, &b| sides[a].total_cmp(&sides[b])).unwrap_or(2),
-        (0..3).max_by(|&a, &b| sides[a].total_cmp(&sides[b])).unwrap_or(2),
-    );
-    let others = |axis: usize| (0..3).filter(move |&other| other != axis).map(|other| sides[other]);
-    let axis = |axis: usize| DVec3::from_array(std::array::from_fn(|i| f64::from(u8::from(i == axis))));
-    let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
-    let scanned = ["LAS", "E57", "PTX", "PTS"].iter().any(|kind| said(kind)) && sides[long] >= OBJECT;
-    let surveyed = !header.crs.is_empty() || scanned;
-    let lies_on = |up: usize| sides[up] < 0.5 * others(up).fold(f64::INFINITY, f64::min);
-    let mut chosen = if let Some(up) = given {
-        Orientation::with_up(up, "as asked for")
-    } else if let Some(up) = header.up {
-        Orientation::with_up(up, "by the kind of file")
-    } else if surveyed {
-        let reason =
-            if header.crs.is_empty() { "the kind of file" } else { "the coordinate reference system" };
-        Orientation::with_up(DVec3::Z, reason)
-    } else if said("PCD") && is_camera_frame(statistics) {
-        Orientation::with_up(DVec3::NEG_Y, "a camera's own axes").toward_front(Some(DVec3::Z))
-    } else if lies_on(thin) && !said("PLY") {
-        Orientation::with_up(axis(thin), "the thinnest extent")
-    } else if sides[long] > 1.3 * others(long).fold(0.0, f64::max) && long > 0 {
-        Orientation::with_up(axis(long), "the longest extent")
-    } else if sides[long] < OBJECT {
-        Orientation::with_up(DVec3::Y, "the size of an object, not of a site")
-    } else if said("PLY") || said("OBJ") || said("STL") || said("PCD") {
-        Orientation::with_up(DVec3::Y, "the custom of such files")
-    } else {
-        Orientation::with_up(DVec3::Z, "the custom of such files")
-    };
-    let up = (0..3).max_by(|&a, &b| chosen.up[a].abs().total_cmp(&chosen.up[b].abs())).unwrap_or(2);
-    chosen.lies = lies_on(up);
-    chosen
+/// The part of the inner cells of a cube around the points, eight along each side, that have points in them.
+fn inside(statistics: &Statistics) -> f64 {
+    const CELLS: usize = 8;
+    let bounds = ["x", "y", "z"].map(|axis| range(&statistics.sorted(axis), 0.005));
+    let side = bounds.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
+    let mut has_points = vec![false; CELLS.pow(3)];
+    for p in statistics.positions() {
+        let cell = [0, 1, 2].map(|axis| (p[axis] - bounds[axis].0) / side * CELLS as f64);
+        if cell.iter().all(|&at| at >= 1.0 && at < (CELLS - 1) as f64) {
+            has_points[(cell[0] as usize * CELLS + cell[1] as usize) * CELLS + cell[2] as usize] = true;
+        }
+    }
+    has_points.iter().filter(|&&has| has).count() as f64 / (CELLS - 2).pow(3) as f64
 }
 
 /// Stops of the map `inferno`, as displayed.

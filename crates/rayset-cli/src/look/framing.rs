@@ -8,6 +8,11 @@ const FILLED: f64 = 0.9;
 const STRAYS: f64 = 0.001;
 /// … if they lie farther from the others than this part of the extent of those.
 const APART: f64 = 0.2;
+/// What four in five of the points span, times this, is the most that is framed: the returns of a LiDAR from far away, and the
+/// outskirts of a halo, would make the rest small.
+const CORE: f64 = 4.0;
+/// Fewer points than these have no core.
+const FEW: usize = 500;
 /// How far from a point by itself it is seen, as a part of its radius.
 const SEEN: f64 = 0.65;
 /// Steps until the frame no longer changes.
@@ -91,5 +96,11 @@ fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
     let apart = APART * (high - low);
     let lowest = lows.iter().find(|&&v| v >= low - apart).copied().unwrap_or(low);
     let highest = highs.iter().rfind(|&&v| v <= high + apart).copied().unwrap_or(high);
-    Spread { low: lowest, high: highest }
+    if lows.len() < FEW {
+        return Spread { low: lowest, high: highest };
+    }
+    let at = |sorted: &[f64], part: f64| sorted[(part * (sorted.len() - 1) as f64) as usize];
+    let (from, to) = (at(&lows, 0.1), at(&highs, 0.9));
+    let (middle, most) = (0.5 * (from + to), 0.5 * CORE * (to - from));
+    Spread { low: lowest.max(middle - most), high: highest.min(middle + most) }
 }

@@ -14,6 +14,10 @@ const SAMPLE_VALUES: usize = 1 << 15;
 const MARKS: f64 = 1e17;
 /// Largest number of a scene.
 const LARGEST: f64 = 1e18;
+/// What the reader of OpenVDB says of a level set begins like this.
+const LEVEL_SET: &str = "a level set";
+/// Surfaces without colours.
+const PLAIN: &str = "#dbccb2";
 /// Behind voxels.
 const NIGHT: &str = "#0b0d10";
 
@@ -22,6 +26,8 @@ const NIGHT: &str = "#0b0d10";
 enum Content {
     /// X-ray absorption in Hounsfield units: air is -1000, water 0.
     Hounsfield,
+    /// Distances to a surface, negative inside, in units of the file.
+    LevelSet,
     /// Anything else of a body.
     Body,
     /// A field of a simulation or a measurement.
@@ -42,6 +48,8 @@ pub(super) struct GridLook {
     /// The places that the camera frames.
     pub(super) points: Vec<(DVec3, f64)>,
     diagonal: f64,
+    /// The shortest edge of a voxel.
+    voxel: f64,
 }
 
 impl GridLook {
@@ -53,14 +61,21 @@ impl GridLook {
         let mut values: Vec<f64> = all.iter().copied().filter(|&v| is_value(v)).collect();
         values.sort_by(f64::total_cmp);
         let (least, largest) = (percentile(&values, 0.0), percentile(&values, 1.0));
-        let content = if (-9000.0..=-900.0).contains(&least) && (600.0..70_000.0).contains(&largest) {
+        let content = if header.sources.iter().any(|about| about.starts_with(LEVEL_SET)) {
+            Content::LevelSet
+        } else if (-9000.0..=-900.0).contains(&least) && (600.0..70_000.0).contains(&largest) {
             Content::Hounsfield
         } else {
             Content::Field
         };
         let mode = mode(&values);
-        let background_is_low = mode <= percentile(&values, 0.5).max(0.5 * (least + largest));
-        let threshold = if content == Content::Hounsfield { -300.0 } else { threshold(&values, mode) };
+        let background_is_low =
+            content != Content::LevelSet && mode <= percentile(&values, 0.5).max(0.5 * (least + largest));
+        let threshold = match content {
+            Content::Hounsfield => -300.0,
+            Content::LevelSet => 0.0,
+            Content::Body | Content::Field => threshold(&values, mode),
+        };
         let shown: Vec<f64> = values
             .iter()
             .copied()
@@ -73,14 +88,22 @@ impl GridLook {
         let corners = [0, 7].map(|i| header.space_from_voxel.transform_point3(corner(i)));
         let diagonal = corners[0].distance(corners[1]);
         // What is nearly transparent is not framed.
-        let faint = percentile(&shown, if background_is_low { 0.05 } else { 0.95 });
+        let faint = match content {
+            Content::LevelSet => threshold,
+            _ => percentile(&shown, if background_is_low { 0.05 } else { 0.95 }),
+        };
         let stands_out = |v: f64| if background_is_low { v >= faint } else { v <= faint };
+        let matrix = header.space_from_voxel.matrix3;
+        let voxel = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::length).into_iter();
+        let voxel = voxel.fold(f64::INFINITY, f64::min);
+        // The surface lies between the voxels inside and those outside.
+        let margin = if content == Content::LevelSet { voxel } else { 0.0 };
         let points: Vec<(DVec3, f64)> = sample
             .position
             .iter()
             .zip(&all)
             .filter(|(_, v)| !shown.is_empty() && is_value(**v) && stands_out(**v))
-            .map(|(p, _)| (DVec3::from_array(*p), 0.0))
+            .map(|(p, _)| (DVec3::from_array(*p), margin))
             .collect();
         let points = if points.len() >= 8 {
             points
@@ -95,13 +118,24 @@ impl GridLook {
         let is_body = content == Content::Field && header.facing.is_some();
         let content = if is_body { Content::Body } else { content };
         let has_marks = all.iter().any(|v| v.abs() >= MARKS);
-        Ok(Self { content, shown, threshold, background_is_low, has_marks, orientation, points, diagonal })
+        Ok(Self {
+            content,
+            shown,
+            threshold,
+            background_is_low,
+            has_marks,
+            orientation,
+            points,
+            diagonal,
+            voxel,
+        })
     }
 
     /// The object of the scene.
     pub(super) fn root(&self, file: &str) -> Value {
         let (opacity, color, range) = match self.content {
             Content::Hounsfield => self.hounsfield(),
+            Content::LevelSet => self.level_set(),
             Content::Body | Content::Field => self.ramp(),
         };
         json!({
@@ -134,6 +168,12 @@ impl GridLook {
             [1, "#ffffff"]
         ]);
         (opacity, color, (low, high))
+    }
+
+    /// Solid inside, with a surface as thick as a voxel.
+    fn level_set(&self) -> (Value, Value, (f64, f64)) {
+        let half = (0.5 * self.voxel).max(1e-17);
+        (json!([[-half, 0.95], [half, 0]]), json!(PLAIN), (-half, half))
     }
 
     /// From the background to the rarest values: thin, then solid.
@@ -171,8 +211,10 @@ impl GridLook {
         let right = facing.cross(up);
         let sun = (facing * 0.7 + right * 0.5 - up * 0.8).normalize().to_array();
         scene["background"] = json!(NIGHT);
-        // Voxels have no edges that rays between those of pixels would smooth.
-        scene["image"]["samples"] = json!(1);
+        if self.content != Content::LevelSet {
+            // Voxels have no edges that rays between those of pixels would smooth.
+            scene["image"]["samples"] = json!(1);
+        }
         scene["lights"] = json!([
             {"type": "ambient", "intensity": 0.9},
             {"type": "headlight", "intensity": 0.5},
@@ -185,6 +227,7 @@ impl GridLook {
     pub(super) fn line(&self) -> String {
         let what = match self.content {
             Content::Hounsfield => "computed tomography in Hounsfield units".to_owned(),
+            Content::LevelSet => "a level set, the surface where values are 0".to_owned(),
             Content::Body | Content::Field => {
                 let side = if self.background_is_low { "above" } else { "below" };
                 format!("values {side} {:.4}", self.threshold)

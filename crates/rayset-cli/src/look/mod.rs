@@ -12,6 +12,7 @@ mod options;
 mod palettes;
 mod ranges;
 mod statistics;
+mod upright;
 mod view;
 
 pub(crate) use self::choose::{Chosen, of_cloud, of_grid};

@@ -53,6 +53,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(shot.loading_bytes + drawing_bytes);
     let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
     let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
+    prepared.remarks().iter().for_each(remark);
     for (picture, camera) in &pictures {
         let sink = PictureSink::create(picture, &region, &shot)?
             .under(annotations.as_ref().map(|annotations| annotations.overlay(camera)));

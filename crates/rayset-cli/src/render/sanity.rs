@@ -28,7 +28,7 @@ pub(super) struct Census {
 
 /// What the remarks depend on besides pixels.
 pub(super) struct Circumstances {
-    /// Records that the input had, and points or voxels that it became; `None` of scenes.
+    /// Points of a cloud; `None` of voxels and of scenes.
     pub(super) points: Option<u64>,
     /// Whether the look was chosen here, so that options of looks apply.
     pub(super) chosen: bool,
@@ -94,7 +94,12 @@ impl Census {
                 format!(
                     "{whole} is empty: all that rays meet is transparent, or far smaller than a pixel; try {}",
                     or(
-                        "--look density, or --opacity extinction:10",
+                        // Voxels have one look alone.
+                        if of.points.is_none() {
+                            "--opacity extinction:10"
+                        } else {
+                            "--look density, or --opacity extinction:10"
+                        },
                         "more \"opacity\", or a shorter \"unitDistance\""
                     )
                 )
@@ -170,5 +175,9 @@ mod tests {
         let of = Circumstances { points: Some(0), chosen: true, rays_per_pixel: 1, cropped: false };
         let empty = grey.complaint(&RenderCounts::default(), &of).expect("a remark");
         assert!(empty.contains("no point"), "{empty}");
+        let mut counts = RenderCounts::default();
+        (counts.samples, counts.nonzero_samples) = (100, 0);
+        let of_voxels = grey.complaint(&counts, &Circumstances { points: None, ..of }).expect("a remark");
+        assert!(of_voxels.contains("--opacity") && !of_voxels.contains("--look"), "{of_voxels}");
     }
 }

@@ -1,6 +1,7 @@
 //! Whatever is rendered without a scene: it is built into the cache, framed, and looks as the data suggest.
 
 use std::fs;
+use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -246,6 +247,35 @@ fn a_volume_is_rendered_by_itself_without_its_background() {
     assert_eq!(pixels[0][3], 0, "the background does not");
 }
 
+#[test]
+fn a_level_set_is_a_solid_thing_in_the_middle_of_the_frame() {
+    let folder = folder();
+    let f = folder.path();
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures/vdb/sphere.vdb.gz");
+    let mut bytes = Vec::new();
+    let file = fs::File::open(fixture).expect("a fixture");
+    flate2::read::GzDecoder::new(file).read_to_end(&mut bytes).expect("it is whole");
+    fs::write(f.join("sphere.vdb"), bytes).expect("a write");
+    let arguments =
+        ["render", "sphere.vdb", "-o", "s.png", "--size", "64x64", "--background", "none", "--no-cache"];
+    let said = succeeds(f, &arguments);
+    assert!(said.contains("look: volume (a level set, the surface where values are 0)"), "{said}");
+    let (width, height, pixels) = picture(&f.join("s.png"));
+    let alpha = |x: usize, y: usize| pixels[y * width + x][3];
+    assert!(alpha(32, 32) > 240, "inside it is solid, {}", alpha(32, 32));
+    // A ball: 9 of 10 of the shorter side, round, and nothing around it.
+    let covered = |x: usize, y: usize| alpha(x, y) > 128;
+    let row = (0..width).filter(|&x| covered(x, 32)).count();
+    let column = (0..height).filter(|&y| covered(32, y)).count();
+    assert!((52..=61).contains(&row) && row.abs_diff(column) <= 2, "{row} x {column}");
+    let border =
+        (0..width).flat_map(|i| [alpha(i, 0), alpha(i, height - 1), alpha(0, i), alpha(width - 1, i)]);
+    assert_eq!(border.max(), Some(0));
+    let area = (0..width * height).filter(|i| covered(i % width, i / width)).count() as f64;
+    let round = std::f64::consts::FRAC_PI_4 * (row * column) as f64;
+    assert!((area / round - 1.0).abs() < 0.06, "{area} pixels, where a disc has {round}");
+}
+
 /// An array of NumPy of 24 × 24 × 24 voxels: a ball of values from 0 to 1, and `mark` in the first slices.
 fn marked_volume(path: &Path, mark: f32) {
     let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
@@ -301,4 +331,232 @@ fn points_as_a_depth_camera_sees_them_have_y_down() {
     // Around the origin no camera has seen them.
     let said = pcd(0.0);
     assert!(!said.contains("-y up") && !said.contains("a camera's"), "{said}");
+}
+
+#[test]
+fn a_folder_is_the_files_in_it_that_can_be_read_and_a_series_of_slices_is_one_thing() {
+    let folder = folder();
+    let f = folder.path();
+    fs::create_dir_all(f.join("tiles")).expect("a folder");
+    stair(f);
+    fs::rename(f.join("stair.txt"), f.join("tiles/stair.txt")).expect("a move");
+    for (name, text) in
+        [("README.md", "# Words"), ("index.json", "{}"), ("license.txt", "No numbers.\n"), ("a.jpg", "\u{0}")]
+    {
+        fs::write(f.join("tiles").join(name), text).expect("a write");
+    }
+    let said = succeeds(f, &["render", "tiles", "-o", "a.png", "--size", "16x16", "--no-cache"]);
+    assert!(said.contains("left out 4 of 5 files in tiles, the first being README.md"), "{said}");
+    fs::create_dir_all(f.join("case/series")).expect("a folder");
+    for name in ["1", "2"] {
+        fs::write(f.join("case/series").join(name), [&[0; 128][..], b"DICM"].concat()).expect("a write");
+    }
+    fs::create_dir_all(f.join("a.zarr")).expect("a folder");
+    fs::write(f.join("a.zarr/zarr.json"), "{\"zarr_format\": 3}").expect("a write");
+    for (input, what) in [("case", "this is DICOM"), ("a.zarr", "this is Zarr")] {
+        let output = run(f, &["render", input, "-o", "a.png"]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && said.contains(what), "{said}");
+    }
+}
+
+#[test]
+fn what_falls_falls_down() {
+    let folder = folder();
+    let f = folder.path();
+    let up = |velocity: &dyn Fn(f64) -> [f64; 3]| {
+        let some = |i: u32, step: f64| (f64::from(i) * step).fract();
+        let line = |[x, y, z]: [f64; 3]| format!("{x} {y} {z}\n");
+        let places: String = (0..500)
+            .map(|i| [0.8191, 0.6711, 0.5498].map(|step| some(i, step)))
+            .map(|[x, y, z]| line([x, y, 1.5 * z]))
+            .collect();
+        let velocities: String = (0..500).map(|i| line(velocity(some(i, 0.618) - 0.5))).collect();
+        let head = "# vtk DataFile Version 3.0\nwords\nASCII\nDATASET POLYDATA\nPOINTS 500 float\n";
+        let vectors = "POINT_DATA 500\nVECTORS velocity float\n";
+        fs::write(f.join("a.vtk"), [head, &places, vectors, &velocities].concat()).expect("a write");
+        let said = succeeds(f, &["render", "a.vtk", "-o", "a.png", "--size", "8x8", "--no-cache"]);
+        said.lines().find(|line| line.starts_with("look: ")).unwrap_or_default().to_owned()
+    };
+    assert!(up(&|t| [t, t - 3.0, t]).contains("y up (particles that fall)"));
+    assert!(up(&|t| [t, t, 2.0 * t - 5.0]).contains("z up (particles that fall)"));
+    // A wind, a fountain, and a whirl.
+    assert!(!up(&|t| [t + 3.0, t, t]).contains("fall"));
+    assert!(!up(&|t| [t, 3.0 + t, t]).contains("fall"));
+    assert!(!up(&|t| [t, -0.2, t]).contains("fall"));
+}
+
+#[test]
+fn gas_shows_in_units_of_any_size() {
+    let folder = folder();
+    let f = folder.path();
+    let some = |i: u32, step: f64| (f64::from(i) * step).fract();
+    for unit in [1.0, 4e9, 2e-9] {
+        let points: String = (0..2000)
+            .map(|i| [0.8191, 0.6711, 0.5498].map(|step| unit * some(i, step)))
+            .map(|[x, y, z]| format!("{x:e} {y:e} {z:e}\n"))
+            .collect();
+        fs::write(f.join("box.xyz"), points).expect("a write");
+        let said = succeeds(
+            f,
+            &["render", "box.xyz", "-o", "a.png", "--size", "32x32", "--look", "gas", "--no-cache"],
+        );
+        assert!(!said.contains("empty") && !said.contains("black"), "{unit}: {said}");
+        let (_, _, pixels) = picture(&f.join("a.png"));
+        let lit = pixels.iter().filter(|pixel| pixel[0] > 40).count();
+        assert!(lit > 200, "{unit}: {lit} pixels are lit");
+    }
+}
+
+#[test]
+fn inputs_of_different_reference_systems_are_remarked_upon() {
+    let folder = folder();
+    let f = folder.path();
+    // Degrees on both sides of the border between the zones 32 and 33.
+    for (name, east) in [("a.csv", 11.9), ("b.csv", 12.1), ("c.csv", 11.8)] {
+        let rows: String =
+            (0..40).map(|i| format!("{},{},{i}\n", east + 1e-5 * f64::from(i), 48.0)).collect();
+        fs::write(f.join(name), format!("lon,lat,alt\n{rows}")).expect("a write");
+    }
+    let said = succeeds(f, &["build", "a.csv", "b.csv", "-o", "ab.rset"]);
+    assert!(said.contains("2 reference systems, EPSG:32632 and EPSG:32633 among them"), "{said}");
+    let said = succeeds(f, &["build", "a.csv", "c.csv", "-o", "ac.rset"]);
+    assert!(!said.contains("reference systems"), "{said}");
+}
+
+#[test]
+fn json_of_others_is_no_scene() {
+    let folder = folder();
+    for (name, what) in
+        [("a.gltf", "a scene or a mesh for renderers"), ("tileset.json", "3D Tiles"), ("a.geojson", "a map")]
+    {
+        fs::write(folder.path().join(name), "{\"asset\": {}}").expect("a write");
+        let output = run(folder.path(), &["render", name, "-o", "a.png"]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && said.contains(what), "{said}");
+    }
+}
+
+/// A PLY in text of points with some more properties.
+fn ply(path: &Path, more: &str, points: impl Iterator<Item = String>) {
+    let points: Vec<String> = points.collect();
+    let text = format!(
+        "ply\nformat ascii 1.0\ncomment made up\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         {more}end_header\n{}\n",
+        points.len(),
+        points.join("\n")
+    );
+    fs::write(path, text).expect("a write");
+}
+
+/// Points on the sides of a box.
+fn sides([a, b, c]: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
+    (0..6 * 400).map(move |i| {
+        let (side, u, v) = (i % 6, f64::from(i / 6 % 20) / 19.0, f64::from(i / 120) / 19.0);
+        let end = f64::from(side % 2);
+        let [x, y, z] = match side / 2 {
+            0 => [u, v, end],
+            1 => [u, end, v],
+            _ => [end, u, v],
+        };
+        [a * x, b * y, c * z]
+    })
+}
+
+#[test]
+fn what_is_up_in_a_ply_follows_from_its_extent_columns_and_place() {
+    let folder = folder();
+    let f = folder.path();
+    let gray = "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+    let up = |more: &str, size: [f64; 3], from: [f64; 3]| {
+        let shift = |[x, y, z]: [f64; 3]| {
+            let color = if more.is_empty() { "" } else { " 120 130 140" };
+            format!("{} {} {}{color}", x + from[0], y + from[1], z + from[2])
+        };
+        ply(&f.join("a.ply"), more, sides(size).map(shift));
+        let said = succeeds(f, &["render", "a.ply", "-o", "a.png", "--size", "8x8", "--no-cache"]);
+        said.split(" up (").next().and_then(|start| start.rsplit(' ').next()).unwrap_or("none").to_owned()
+    };
+    let near = [-1.0, -1.0, -1.0];
+    // A room, a person, a street, a room without colours, a block on a map.
+    assert_eq!(up(gray, [6.0, 5.0, 2.7], near), "z");
+    assert_eq!(up(gray, [0.8, 1.8, 0.33], near), "y");
+    assert_eq!(up("", [80.0, 90.0, 9.0], near), "z");
+    assert_eq!(up("", [6.0, 5.0, 2.7], near), "y");
+    assert_eq!(up("", [60.0, 50.0, 40.0], [5e5, 5e6, 100.0]), "z");
+}
+
+#[test]
+fn what_is_far_from_the_origin_is_in_no_cameras_frame_unless_it_is_around_its_axis() {
+    let folder = folder();
+    let f = folder.path();
+    let up = |from: [f64; 3]| {
+        let text: String = sides([4.0, 5.0, 4.5])
+            .map(|[x, y, z]| format!("{} {} {}\n", x + from[0], y + from[1], z + from[2]))
+            .collect();
+        fs::write(f.join("a.xyz"), text).expect("a write");
+        succeeds(f, &["render", "a.xyz", "-o", "a.png", "--size", "8x8", "--no-cache"])
+    };
+    let said = up([300.0, 300.0, 300.0]);
+    assert!(said.contains("z up (the custom of such files)"), "{said}");
+    let said = up([-2.0, -2.0, 3.0]);
+    assert!(said.contains("-y up (a camera's own axes)"), "{said}");
+}
+
+#[test]
+fn intensities_that_are_all_the_same_are_not_shown() {
+    let folder = folder();
+    let f = folder.path();
+    for (intensity, look) in [("0", "surface ("), ("7", "surface ("), ("", "intensity (")] {
+        let points: Vec<String> = sides([6.0, 5.0, 4.0])
+            .enumerate()
+            .map(|(i, [x, y, z])| {
+                let own = (i % 50).to_string();
+                format!("{x} {y} {z} {}", if intensity.is_empty() { &own } else { intensity })
+            })
+            .collect();
+        fs::write(f.join("a.pts"), format!("{}\n{}\n", points.len(), points.join("\n"))).expect("a write");
+        let said = succeeds(f, &["render", "a.pts", "-o", "a.png", "--size", "8x8", "--no-cache"]);
+        assert!(said.contains(&format!("look: {look}")), "{intensity}: {said}");
+    }
+}
+
+#[test]
+fn crowds_in_a_box_that_has_points_everywhere_are_no_surface() {
+    let folder = folder();
+    let f = folder.path();
+    // A part all over the box, and the rest on the surfaces of small balls, as crowded as halos.
+    let some = |i: u32, step: f64| (f64::from(i) * step).fract();
+    let spread = (0..6000).map(|i| [0.8191, 0.6711, 0.5498].map(|step| 100.0 * some(i, step)));
+    let crowds = (0..12000).map(|i| {
+        let center = [0.381, 0.733, 0.157].map(|step| 100.0 * some(i % 60, step));
+        let (turn, z) = (std::f64::consts::TAU * some(i, 0.618), 2.0 * some(i, 0.7548) - 1.0);
+        let flat = (1.0 - z * z).sqrt();
+        [center[0] + 0.5 * flat * turn.cos(), center[1] + 0.5 * flat * turn.sin(), center[2] + 0.5 * z]
+    });
+    let text: String = spread.chain(crowds).map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    fs::write(f.join("box.xyz"), text).expect("a write");
+    let said = succeeds(f, &["render", "box.xyz", "-o", "a.png", "--size", "8x8", "--no-cache"]);
+    assert!(said.contains("look: gas (points that fill a volume)"), "{said}");
+}
+
+#[test]
+fn a_few_returns_from_far_away_do_not_make_the_rest_of_a_scan_small() {
+    let folder = folder();
+    let f = folder.path();
+    // A disc of points, and one in twenty along a line of twelve times its radius.
+    let mut text = String::new();
+    for i in 0..20_000_u32 {
+        let turn = f64::from(i) * 2.399_963;
+        let reach =
+            if i % 20 == 0 { 12.0 * f64::from(i) / 20_000.0 } else { (f64::from(i) / 20_000.0).sqrt() };
+        let turn = if i % 20 == 0 { 0.3 } else { turn };
+        text += &format!("{} {} 0\n", 10.0 * reach * turn.cos(), 10.0 * reach * turn.sin());
+    }
+    fs::write(f.join("scan.xyz"), text).expect("a write");
+    succeeds(f, &["render", "scan.xyz", "-o", "a.png", "--size", "64x64", "--view", "top", "--no-cache"]);
+    let (width, _, pixels) = picture(&f.join("a.png"));
+    let backdrop = pixels[0];
+    let seen = pixels.iter().filter(|&&pixel| pixel != backdrop).count();
+    assert!(seen > width * width / 8, "{seen} pixels");
 }

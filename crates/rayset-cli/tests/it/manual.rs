@@ -1,6 +1,7 @@
 //! Completions and manual pages are of the command line as it is.
 
 use std::io::Write;
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::common::{folder, program};
@@ -64,4 +65,25 @@ fn every_command_has_a_manual_page_that_formats_without_a_warning() {
     let render = std::fs::read_to_string(pages.join("rayset-render.1")).expect("a page");
     assert!(render.contains("annotate") && render.contains("value\\-range"), "options are in the page");
     assert_eq!(std::fs::read_dir(&pages).expect("a folder").count(), commands.len() + 1);
+}
+
+#[test]
+fn the_help_of_build_names_every_kind_of_file_that_the_documents_do() {
+    let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/inputs.md");
+    let document = std::fs::read_to_string(document).expect("the document");
+    // Kinds are the words with several capitals in the first column of both tables.
+    let kinds: Vec<&str> = (document.lines().filter_map(|line| line.strip_prefix("| ")?.split(" |").next()))
+        .take_while(|cell| *cell != "look")
+        .flat_map(|cell| cell.split(|c: char| !c.is_ascii_alphanumeric()))
+        .filter(|word| {
+            word.chars().filter(|c| !c.is_ascii_lowercase()).count() > 1
+                && !word.starts_with(char::is_numeric)
+        })
+        .collect();
+    assert!(kinds.len() > 30 && kinds.contains(&"E57") && kinds.contains(&"NIfTI"), "{kinds:?}");
+    let help = said(&["build", "--help"]);
+    let help: Vec<&str> = help.split(|c: char| !c.is_ascii_alphanumeric()).collect();
+    for kind in kinds {
+        assert!(help.contains(&kind), "the help does not name {kind}");
+    }
 }

@@ -55,7 +55,9 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
     assert!(number(&built, "peak_rss_bytes") <= 24.0 * MIB, "{built}");
     let file = number(&built, "file_bytes");
     let mut pictures = Vec::new();
-    for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (11.5, 10.0)] {
+    // An unoptimised program takes half a mebibyte more by itself.
+    let least = if cfg!(debug_assertions) { 12.0 } else { 11.5 };
+    for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (least, 10.0)] {
         for predictor in ["packet", "none"] {
             let budget = format!("{memory}MiB");
             let stats = render(

@@ -153,7 +153,10 @@ fn a_file_of_another_kind_is_told_what_it_is_and_what_to_do_with_it() {
     for (arguments, words) in [
         (&["verify", "p.ply"][..], &["neither a cloud", "rayset build p.ply -o p.rset"][..]),
         (&["render", "c.rset", "p.ply", "-o", "x.png"], &["c.rset", "has been built", "docs/scene.md"]),
-        (&["render", "g.rset", "--look", "surface", "-o", "x.png"], &["is for points", "g.rset has voxels"]),
+        (
+            &["render", "g.rset", "--look", "surface", "-o", "x.png"],
+            &["is for points", "the input has voxels, whose look is volume"],
+        ),
         (&["render", "c.rset", "--look", "classes", "-o", "x.png"], &["stores no classes"]),
         (&["render", "absent*.laz", "-o", "x.png"], &["no file matches absent*.laz"]),
         (&["verify", "v.raw"], &["neither a cloud", "rayset build"]),

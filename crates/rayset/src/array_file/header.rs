@@ -3,6 +3,7 @@
 //! The layout is that of `numpy.lib.format`, versions 1 to 3.
 
 use super::literal::{self, Literal};
+use crate::numbers::Stored;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header in bytes, and largest element.
@@ -14,9 +15,8 @@ const MOST_FIELDS: usize = 4096;
 /// The type of a number: `f` and 4 of `<f4`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Scalar {
-    /// `f`, `i`, `u`, or `b` for a truth.
-    pub(crate) letter: char,
-    pub(crate) bytes: usize,
+    /// Truths are [`Stored::U8`].
+    pub(crate) stored: Stored,
     pub(crate) big_endian: bool,
 }
 
@@ -155,14 +155,22 @@ fn scalar(code: &str) -> Result<(u64, Option<Scalar>), String> {
     // Of dates the unit follows: `<M8[ns]`.
     let digits = kind[letter.len_utf8()..].split('[').next().unwrap_or_default();
     let size = if digits.is_empty() { None } else { Some(digits.parse::<u64>().map_err(|_| fail())?) };
-    let number = |bytes: u64| {
-        let scalar = Scalar { letter, bytes: bytes as usize, big_endian: code.starts_with('>') };
-        Ok((bytes, Some(scalar)))
+    let number = |stored: Stored| {
+        let scalar = Scalar { stored, big_endian: code.starts_with('>') };
+        Ok((stored.bytes() as u64, Some(scalar)))
     };
     match (letter, size) {
-        ('f', Some(size @ (2 | 4 | 8))) => number(size),
-        ('u' | 'i', Some(size @ (1 | 2 | 4 | 8))) => number(size),
-        ('b', Some(1)) => number(1),
+        ('f', Some(2)) => number(Stored::F16),
+        ('f', Some(4)) => number(Stored::F32),
+        ('f', Some(8)) => number(Stored::F64),
+        ('u' | 'b', Some(1)) => number(Stored::U8),
+        ('u', Some(2)) => number(Stored::U16),
+        ('u', Some(4)) => number(Stored::U32),
+        ('u', Some(8)) => number(Stored::U64),
+        ('i', Some(1)) => number(Stored::I8),
+        ('i', Some(2)) => number(Stored::I16),
+        ('i', Some(4)) => number(Stored::I32),
+        ('i', Some(8)) => number(Stored::I64),
         ('O', _) => Err("its elements are objects of Python, which are not read; save numbers".into()),
         ('U', Some(size)) => Ok((size.saturating_mul(4), None)),
         ('S' | 'a' | 'V' | 'f' | 'c' | 'M' | 'm', Some(size)) => Ok((size, None)),

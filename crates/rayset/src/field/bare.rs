@@ -5,7 +5,6 @@ use fearless_simd::prelude::*;
 use fearless_simd::{dispatch, f32x16};
 
 use super::SimdLevel;
-use super::kernel::{LaneKernel, Triweight};
 
 /// Number of samples evaluated together.
 pub const BARE_SAMPLES: usize = 64;
@@ -40,7 +39,8 @@ fn evaluate<S: Simd>(
             let (dx, dy, dz) = (position[0][v] - x, position[1][v] - y, position[2][v] - z);
             let distance_squared = dz.mul_add(dz, dy.mul_add(dy, dx * dx));
             let q = (-distance_squared).mul_add(f32x16::splat(simd, inverse), f32x16::splat(simd, 1.0));
-            sums[v] = Triweight::value(q).mul_add(weight, sums[v]);
+            let q = q.max(0.0);
+            sums[v] = (q * q * q).mul_add(weight, sums[v]);
         }
     }
     let mut out = [0.0; BARE_SAMPLES];

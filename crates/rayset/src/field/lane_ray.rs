@@ -4,32 +4,55 @@
 //! moved (in `f64`) to its foot, the position nearest to that centre: |c|² − t_c² with distances from the eye would
 //! lose all digits.
 
-use fearless_simd::f32x16;
+use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
+use super::columns::CHUNKS;
+use super::packet::{BLOCK_SAMPLES, BLOCKS, LANES, Packet, Slab};
 use super::run::DecodedRun;
 
-/// Vectors of sixteen samples in a slab.
-pub(super) const BLOCKS: usize = SLAB_SAMPLES / 16;
-
-const COUNT: [f32; 16] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
+const COUNT: [f32; BLOCK_SAMPLES] = [0., 1., 2., 3., 4., 5., 6., 7.];
 
 /// The rays of a packet relative to a run: the foot of each ray, nearest to the run's centre, and its samples counted
 /// from there.
+#[derive(Clone, Debug)]
 pub(super) struct Frames {
-    foot: [[f32; LANES]; 3],
+    /// The foot, with reversed sign: what is added to a point to have it relative to the foot.
+    pub(super) minus_foot: [[f32; LANES]; 3],
     /// Number of the slab's first sample, counted from sample zero, which lies within one step of the foot.
     first_sample: [f32; LANES],
     /// Signed distance along the ray from the foot to sample zero.
     sample_zero: [f32; LANES],
+    /// The range of distances along the ray of the slab's samples, measured from the foot, or slightly more.
+    pub(super) start: [f32; LANES],
+    pub(super) end: [f32; LANES],
+    /// Where the slab begins, in blocks from the foot, and a slack that exceeds the rounding error of such numbers, so
+    /// that culling is never stricter than the evaluation.
+    start_in_blocks: [f32; LANES],
+    slack_in_blocks: [f32; LANES],
+    /// For each block of samples, the lanes whose samples in it may lie within the run's bounds of influence.
+    pub(super) meets: [u64; BLOCKS],
+}
+
+impl Default for Frames {
+    fn default() -> Self {
+        Self {
+            minus_foot: [[0.0; LANES]; 3],
+            first_sample: [0.0; LANES],
+            sample_zero: [0.0; LANES],
+            start: [0.0; LANES],
+            end: [0.0; LANES],
+            start_in_blocks: [0.0; LANES],
+            slack_in_blocks: [0.0; LANES],
+            meets: [0; BLOCKS],
+        }
+    }
 }
 
 impl Frames {
+    /// Sets everything for a run and a slab.
     #[inline(always)]
-    pub(super) fn new(run: &DecodedRun, packet: &Packet, slab: Slab) -> Self {
-        let mut frames =
-            Self { foot: [[0.0; LANES]; 3], first_sample: [0.0; LANES], sample_zero: [0.0; LANES] };
+    pub(super) fn set<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, slab: Slab) {
         let (o, d) = (&packet.origin, &packet.direction);
         let center = run.center.to_array();
         let first = slab.first as f64;
@@ -38,116 +61,154 @@ impl Frames {
         for lane in 0..LANES {
             let (x, y, z) = (o[0][lane] - center[0], o[1][lane] - center[1], o[2][lane] - center[2]);
             let t_foot = -(x * d[0][lane] + y * d[1][lane] + z * d[2][lane]);
-            frames.foot[0][lane] = (x + t_foot * d[0][lane]) as f32;
-            frames.foot[1][lane] = (y + t_foot * d[1][lane]) as f32;
-            frames.foot[2][lane] = (z + t_foot * d[2][lane]) as f32;
+            self.minus_foot[0][lane] = -(x + t_foot * d[0][lane]) as f32;
+            self.minus_foot[1][lane] = -(y + t_foot * d[1][lane]) as f32;
+            self.minus_foot[2][lane] = -(z + t_foot * d[2][lane]) as f32;
             let nearest = (t_foot * packet.per_step[lane]).floor();
-            frames.first_sample[lane] = (first - nearest) as f32;
-            frames.sample_zero[lane] =
+            self.first_sample[lane] = (first - nearest) as f32;
+            self.sample_zero[lane] =
                 ((nearest + packet.sample_offset[lane]) * packet.step[lane] - t_foot) as f32;
         }
-        frames
+        self.find_blocks(simd, run, packet, slab.blocks());
     }
 
-    /// Lanes whose samples in the slab may lie within the run's bounds of influence.
     #[inline(always)]
-    pub(super) fn lanes_that_meet<S: Simd>(
-        &self,
-        simd: S,
-        run: &DecodedRun,
-        packet: &Packet,
-        samples: usize,
-    ) -> u64 {
-        let mut mask = 0;
-        let last = (samples - 1) as f32;
-        for chunk in 0..LANES / 16 {
-            let step = lanes_of(simd, &packet.step_f32, chunk);
-            let start =
-                lanes_of(simd, &self.first_sample, chunk) * step + lanes_of(simd, &self.sample_zero, chunk);
-            // Half a step of slack on either side covers the rounding error of this test.
-            let (mut enter, mut exit) = (start - step * 0.5, start + step * (last + 0.5));
+    fn find_blocks<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, blocks: usize) {
+        self.meets = [0; BLOCKS];
+        for chunk in 0..LANES / 8 {
+            let per_block = lanes_of(simd, &packet.per_block, chunk);
+            let mut enter = f32x8::splat(simd, f32::NEG_INFINITY);
+            let mut exit = f32x8::splat(simd, f32::INFINITY);
             for axis in 0..3 {
-                let foot = lanes_of(simd, &self.foot[axis], chunk);
+                let minus_foot = lanes_of(simd, &self.minus_foot[axis], chunk);
                 let inverse = lanes_of(simd, &packet.inverse_direction[axis], chunk);
                 let reach = run.reach[axis];
                 // A ray parallel to this axis never crosses its planes: the products are huge, of opposite signs inside
                 // and of the same sign outside.
-                let (a, b) = ((-reach - foot) * inverse, (reach - foot) * inverse);
+                let (a, b) = ((minus_foot - reach) * inverse, (minus_foot + reach) * inverse);
                 enter = enter.max(a.min(b));
                 exit = exit.min(a.max(b));
             }
-            let slack = (enter.abs() + exit.abs()) * 1e-5;
-            mask |= (enter - slack).simd_le(exit + slack).to_bitmask() << (16 * chunk);
+            // In blocks from the slab's beginning. Half a sample of slack on either side covers the rounding error.
+            let zero = lanes_of(simd, &self.sample_zero, chunk);
+            let first = lanes_of(simd, &self.first_sample, chunk);
+            let start = zero.mul_add(per_block, first * (1.0 / BLOCK_SAMPLES as f32));
+            self.set_range(simd, packet, chunk, (start, start.abs() + per_block * run.reach_length));
+            let slack = (enter.abs() + exit.abs()).mul_add(per_block, start.abs()) * 1e-5;
+            let from = enter.mul_add(per_block, -(start + slack));
+            let to = exit.mul_add(per_block, slack - start);
+            for b in 0..BLOCKS {
+                let meets = from.simd_lt(b as f32 + 1.0) & to.simd_gt(b as f32 - 0.0625);
+                self.meets[b] |= meets.to_bitmask() << (8 * chunk);
+            }
         }
-        mask
+        self.meets[blocks..].fill(0);
+    }
+
+    /// Sets where the slab begins and ends on eight rays, from its beginning in blocks and a bound of such numbers.
+    #[inline(always)]
+    fn set_range<S: Simd>(
+        &mut self,
+        simd: S,
+        packet: &Packet,
+        chunk: usize,
+        (start, most): (f32x8<S>, f32x8<S>),
+    ) {
+        let range = 8 * chunk..8 * chunk + 8;
+        let step = lanes_of(simd, &packet.step_f32, chunk);
+        let slack = most.mul_add(2e-6, f32x8::splat(simd, 2e-3));
+        start.store_slice(&mut self.start_in_blocks[range.clone()]);
+        slack.store_slice(&mut self.slack_in_blocks[range.clone()]);
+        let (begin, end) = (start - slack, start + slack + BLOCKS as f32);
+        (begin * BLOCK_SAMPLES as f32 * step).store_slice(&mut self.start[range.clone()]);
+        (end * BLOCK_SAMPLES as f32 * step).store_slice(&mut self.end[range]);
     }
 }
 
-/// Sixteen lanes of a column. A function, because closures are not always inlined where vector code requires it.
+/// Eight lanes of a column. A function, because closures are not always inlined where vector code requires it.
 #[inline(always)]
-fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x16<S> {
-    f32x16::from_slice(simd, &column[16 * chunk..16 * chunk + 16])
+fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x8<S> {
+    f32x8::from_slice(simd, &column[8 * chunk..8 * chunk + 8])
 }
 
 /// One ray relative to a run.
-pub(super) struct LaneRay<S: Simd> {
-    foot: [f32; 3],
+pub(super) struct LaneRay {
+    minus_foot: [f32; 3],
     pub(super) direction: [f32; 3],
-    /// Distances of the slab's samples along the ray, measured from its foot.
-    pub(super) t: [f32x16<S>; BLOCKS],
-    /// The same for the first and the last sample of each block, slightly widened, so that culling is never stricter
-    /// than the evaluation.
-    pub(super) block_start: [f32; BLOCKS],
-    pub(super) block_end: [f32; BLOCKS],
+    step: f32,
+    /// The reciprocal of the length of a block.
+    pub(super) per_block: f32,
+    first_sample: f32,
+    sample_zero: f32,
+    start: f32,
+    end: f32,
+    pub(super) start_in_blocks: f32,
+    pub(super) slack_in_blocks: f32,
 }
 
-impl<S: Simd> LaneRay<S> {
+impl LaneRay {
     #[inline(always)]
-    pub(super) fn new(simd: S, packet: &Packet, frames: &Frames, lane: usize) -> Self {
-        let step = packet.step_f32[lane];
-        let (first, zero) = (frames.first_sample[lane], frames.sample_zero[lane]);
-        let count = f32x16::from_slice(simd, &COUNT);
-        let mut ray = Self {
-            foot: [frames.foot[0][lane], frames.foot[1][lane], frames.foot[2][lane]],
-            direction: packet.direction_f32(lane),
-            t: [f32x16::splat(simd, zero); BLOCKS],
-            block_start: [0.0; BLOCKS],
-            block_end: [0.0; BLOCKS],
-        };
-        for b in 0..BLOCKS {
-            let block_first = first + (16 * b) as f32;
-            ray.t[b] = (count + block_first).mul_add(step, ray.t[b]);
-            ray.block_start[b] = (block_first - 0.01) * step + zero;
-            ray.block_end[b] = (block_first + 15.01) * step + zero;
+    pub(super) fn new(packet: &Packet, frames: &Frames, lane: usize) -> Self {
+        Self {
+            minus_foot: [frames.minus_foot[0][lane], frames.minus_foot[1][lane], frames.minus_foot[2][lane]],
+            direction: [
+                packet.direction_f32[0][lane],
+                packet.direction_f32[1][lane],
+                packet.direction_f32[2][lane],
+            ],
+            step: packet.step_f32[lane],
+            per_block: packet.per_block[lane],
+            first_sample: frames.first_sample[lane],
+            sample_zero: frames.sample_zero[lane],
+            start: frames.start[lane],
+            end: frames.end[lane],
+            start_in_blocks: frames.start_in_blocks[lane],
+            slack_in_blocks: frames.slack_in_blocks[lane],
         }
-        ray
+    }
+
+    /// Distances of a block's samples along the ray, measured from its foot.
+    #[inline(always)]
+    pub(super) fn samples_of_block<S: Simd>(&self, simd: S, block: usize) -> f32x8<S> {
+        let number = f32x8::from_slice(simd, &COUNT) + (self.first_sample + (block * BLOCK_SAMPLES) as f32);
+        number.mul_add(f32x8::splat(simd, self.step), f32x8::splat(simd, self.sample_zero))
     }
 
     /// Distances along the ray at which it is nearest to the points, and the vectors from the ray to the points there.
     #[inline(always)]
-    pub(super) fn project(&self, simd: S, position: [f32x16<S>; 3]) -> (f32x16<S>, [f32x16<S>; 3]) {
-        let (x, y, z) = (position[0] - self.foot[0], position[1] - self.foot[1], position[2] - self.foot[2]);
-        let dx = f32x16::splat(simd, self.direction[0]);
-        let dy = f32x16::splat(simd, self.direction[1]);
-        let dz = f32x16::splat(simd, self.direction[2]);
+    pub(super) fn project<S: Simd>(&self, simd: S, position: [f32x8<S>; 3]) -> (f32x8<S>, [f32x8<S>; 3]) {
+        let (x, y, z) = (
+            position[0] + self.minus_foot[0],
+            position[1] + self.minus_foot[1],
+            position[2] + self.minus_foot[2],
+        );
+        let dx = f32x8::splat(simd, self.direction[0]);
+        let dy = f32x8::splat(simd, self.direction[1]);
+        let dz = f32x8::splat(simd, self.direction[2]);
         let nearest = z.mul_add(dz, y.mul_add(dy, x * dx));
         let back = -nearest;
         (nearest, [back.mul_add(dx, x), back.mul_add(dy, y), back.mul_add(dz, z)])
     }
 
-    /// Chunks of sixteen points whose sphere of influence the ray meets within the slab; a bit for each.
+    /// Chunks of points whose sphere of influence the ray meets in the slab; a bit for each.
     #[inline(always)]
-    pub(super) fn chunks_in_reach(&self, simd: S, run: &DecodedRun) -> u64 {
-        let center = [
-            f32x16::from_slice(simd, &run.chunk_center[0]),
-            f32x16::from_slice(simd, &run.chunk_center[1]),
-            f32x16::from_slice(simd, &run.chunk_center[2]),
-        ];
-        let (nearest, [x, y, z]) = self.project(simd, center);
-        let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
-        let gap = (self.block_start[0] - nearest).max(nearest - self.block_end[BLOCKS - 1]).max(0.0);
-        let within =
-            gap.mul_add(gap, distance_squared).simd_le(f32x16::from_slice(simd, &run.chunk_reach_squared));
-        within.to_bitmask() & ((1 << run.len.div_ceil(16)) - 1)
+    pub(super) fn chunks_in_reach<S: Simd>(&self, simd: S, run: &DecodedRun) -> u64 {
+        let mut reached = 0;
+        for group in 0..CHUNKS / 8 {
+            let range = 8 * group..8 * group + 8;
+            let center = [
+                f32x8::from_slice(simd, &run.chunk_center[0][range.clone()]),
+                f32x8::from_slice(simd, &run.chunk_center[1][range.clone()]),
+                f32x8::from_slice(simd, &run.chunk_center[2][range.clone()]),
+            ];
+            let (nearest, [x, y, z]) = self.project(simd, center);
+            let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
+            let gap = (self.start - nearest).max(nearest - self.end).max(0.0);
+            let within = gap
+                .mul_add(gap, distance_squared)
+                .simd_le(f32x8::from_slice(simd, &run.chunk_reach_squared[range]));
+            reached |= within.to_bitmask() << (8 * group);
+        }
+        reached
     }
 }

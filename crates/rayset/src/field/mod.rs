@@ -2,7 +2,10 @@
 //! brute-force reference that all of it is tested against.
 
 mod bare;
+mod batch;
+mod columns;
 mod counts;
+mod group;
 pub mod kernel;
 mod lane_ray;
 mod packet;
@@ -14,13 +17,15 @@ mod samples;
 mod simd;
 mod splat;
 mod splat_wide;
+mod sums;
 
 pub use bare::{BARE_SAMPLES, bare_loop};
+pub use batch::{BATCH_BYTES, RunBatch};
 pub use counts::SplatCounts;
 pub use kernel::Kernel;
-pub use packet::{LANES, Packet, SLAB_SAMPLES, Slab};
+pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{Crossing, RayColumns};
 pub use run::{AttributeColumns, DecodedRun, RunDecoder, linear_from_srgb};
-pub use samples::{Channels, FieldSamples, SampleRow};
+pub use samples::{Channels, FieldSamples, LeastAbsorption, RayEnds, SampleRow};
 pub use simd::SimdLevel;
 pub use splat::Splatter;

@@ -12,6 +12,11 @@ use crate::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
 pub const LANES: usize = 64;
 /// Number of samples of a ray that are processed together.
 pub const SLAB_SAMPLES: usize = 32;
+/// Number of samples of a ray to which points are added together: the most that a point covers at a step of a quarter of
+/// its radius.
+pub const BLOCK_SAMPLES: usize = 8;
+/// Blocks of samples in a slab.
+pub(super) const BLOCKS: usize = SLAB_SAMPLES / BLOCK_SAMPLES;
 
 /// Upper bound of sample numbers: beyond it, the distances of samples would not be distinct numbers.
 const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
@@ -28,6 +33,8 @@ pub struct Packet {
     pub(super) step: [f64; LANES],
     pub(super) step_f32: [f32; LANES],
     pub(super) per_step: [f64; LANES],
+    /// Reciprocal of the length of a block of samples.
+    pub(super) per_block: [f32; LANES],
     /// Sample offset in steps, in [0, 1).
     pub(super) sample_offset: [f64; LANES],
     pub(super) direction_f32: [[f32; LANES]; 3],
@@ -52,6 +59,7 @@ impl Packet {
             step: [step_world; LANES],
             step_f32: [step_world as f32; LANES],
             per_step: [1.0 / step_world; LANES],
+            per_block: [per_block(step_world); LANES],
             sample_offset: [0.0; LANES],
             direction_f32: [[0.0; LANES]; 3],
             inverse_direction: [[0.0; LANES]; 3],
@@ -94,6 +102,7 @@ impl Packet {
             local.step[lane] = self.step[lane] * scale;
             local.step_f32[lane] = local.step[lane] as f32;
             local.per_step[lane] = 1.0 / local.step[lane];
+            local.per_block[lane] = per_block(local.step[lane]);
         }
         local
     }
@@ -194,10 +203,15 @@ impl Packet {
     }
 }
 
+/// The reciprocal of the length of a block.
+fn per_block(step: f64) -> f32 {
+    (1.0 / (step * BLOCK_SAMPLES as f64)) as f32
+}
+
 /// A range of sample numbers, the same on every ray of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slab {
-    /// Number of the first sample: a multiple of [`SLAB_SAMPLES`] or of a fraction of it.
+    /// Number of the first sample.
     pub first: u64,
     /// Number of samples, at most [`SLAB_SAMPLES`].
     pub samples: usize,
@@ -209,4 +223,17 @@ impl Slab {
     pub fn end(&self) -> u64 {
         self.first + self.samples as u64
     }
+
+    /// Number of blocks of samples that it takes, the last of them perhaps in part.
+    pub(super) fn blocks(&self) -> usize {
+        self.samples.div_ceil(BLOCK_SAMPLES).min(BLOCKS)
+    }
+}
+
+/// Some of a slab's blocks of samples.
+#[derive(Clone, Copy)]
+pub(super) struct BlockRange {
+    pub(super) first: usize,
+    /// One past the last.
+    pub(super) end: usize,
 }

@@ -1,10 +1,11 @@
-//! Tests one ray against the points of a run, sixteen at a time: which of them reach its samples.
+//! Tests one ray against the points of a run, eight at a time: which of them reach its samples.
 
-use fearless_simd::f32x16;
+use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::lane_ray::{BLOCKS, LaneRay};
-use super::run::DecodedRun;
+use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
+use super::lane_ray::LaneRay;
+use super::packet::{BLOCK_SAMPLES, BLOCKS, BlockRange};
 use crate::octree::layout::RUN_POINTS;
 
 /// One ray and the points of a run, with distances in units of each point's radius.
@@ -16,8 +17,25 @@ pub(super) struct Pairs {
     pub(super) inside: [f32; RUN_POINTS],
     /// The vector from the ray to the point in the packet's space, if gradients are computed.
     pub(super) across: [[f32; RUN_POINTS]; 3],
-    /// For each block of samples, the points that reach it; a bit for each.
-    pub(super) hits: [[u64; 2]; BLOCKS],
+    /// The first of the blocks of samples that were tested.
+    first_block: usize,
+    /// For each block from there on, the points that reach it; for each chunk of points, a bit for each.
+    hits: [[u8; CHUNKS]; BLOCKS],
+}
+
+/// Where blocks of samples begin and end, in blocks: sample j of block b is at b + j/8. Whole vectors, from which
+/// comparisons take them as they lie in memory.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BlockLimits {
+    begin: [[f32; CHUNK_POINTS]; BLOCKS],
+    end: [[f32; CHUNK_POINTS]; BLOCKS],
+}
+
+impl BlockLimits {
+    pub(super) fn new() -> Self {
+        let of = |offset: f32| std::array::from_fn(|b| [b as f32 + offset; CHUNK_POINTS]);
+        Self { begin: of(0.0), end: of(1.0 - 1.0 / BLOCK_SAMPLES as f32) }
+    }
 }
 
 impl Default for Pairs {
@@ -26,67 +44,89 @@ impl Default for Pairs {
             nearest: [0.0; RUN_POINTS],
             inside: [0.0; RUN_POINTS],
             across: [[0.0; RUN_POINTS]; 3],
-            hits: [[0; 2]; BLOCKS],
+            first_block: 0,
+            hits: [[0; CHUNKS]; BLOCKS],
         }
     }
 }
 
 impl Pairs {
-    /// Finds the points that reach samples of the slab; false if there are none.
+    /// Finds the points of some chunks that reach samples of some blocks.
     #[inline(always)]
     pub(super) fn test<S: Simd, const GRADIENT: bool>(
         &mut self,
         simd: S,
-        ray: &LaneRay<S>,
-        run: &DecodedRun,
+        ray: &LaneRay,
+        points: &PointColumns,
         mut chunks: u64,
-    ) -> bool {
-        let mut hits = [[0_u64; 2]; BLOCKS];
+        blocks: BlockRange,
+        limits: &BlockLimits,
+    ) {
+        self.first_block = blocks.first;
+        self.hits = [[0; CHUNKS]; BLOCKS];
+        if chunks == 0 {
+            return;
+        }
+        let start = ray.start_in_blocks + blocks.first as f32;
+        let first = f32x8::splat(simd, -(start + ray.slack_in_blocks));
+        let last = f32x8::splat(simd, ray.slack_in_blocks - start);
+        let count = blocks.end - blocks.first;
         while chunks != 0 {
-            let chunk = chunks.trailing_zeros() as usize & 7;
+            let chunk = chunks.trailing_zeros() as usize & (CHUNKS - 1);
             chunks &= chunks - 1;
-            let range = 16 * chunk..16 * chunk + 16;
-            let position = [
-                f32x16::from_slice(simd, &run.position[0][range.clone()]),
-                f32x16::from_slice(simd, &run.position[1][range.clone()]),
-                f32x16::from_slice(simd, &run.position[2][range.clone()]),
-            ];
-            let (nearest, [x, y, z]) = ray.project(simd, position);
-            let inverse = f32x16::from_slice(simd, &run.inverse_radius[range.clone()]);
-            let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
-            let nearest = nearest * inverse;
-            let inside = (-distance_squared).mul_add(inverse * inverse, f32x16::splat(simd, 1.0));
-            // Far larger than the rounding error of a pair that barely contributes.
-            let reach = inside + 1e-5;
+            let (from, to) = self.reach::<S, GRADIENT>(simd, ray, points, chunk);
+            let (from, to) = (from.mul_add(ray.per_block, first), to.mul_add(ray.per_block, last));
             for b in 0..BLOCKS {
-                let before = inverse * ray.block_start[b] - nearest;
-                let behind = nearest - inverse * ray.block_end[b];
-                let gap = before.max(behind).max(0.0);
-                hits[b][chunk / 4] |= (gap * gap).simd_lt(reach).to_bitmask() << (16 * (chunk % 4));
-            }
-            nearest.store_slice(&mut self.nearest[range.clone()]);
-            inside.store_slice(&mut self.inside[range.clone()]);
-            if GRADIENT {
-                x.store_slice(&mut self.across[0][range.clone()]);
-                y.store_slice(&mut self.across[1][range.clone()]);
-                z.store_slice(&mut self.across[2][range.clone()]);
+                let (begin, end) =
+                    (f32x8::from_slice(simd, &limits.begin[b]), f32x8::from_slice(simd, &limits.end[b]));
+                let reaches = from.simd_lt(end) & to.simd_gt(begin);
+                self.hits[b][chunk] = reaches.to_bitmask() as u8;
+                if b + 1 >= count {
+                    break;
+                }
             }
         }
-        let valid = [u64::MAX >> 64_usize.saturating_sub(run.len).min(63), high_mask(run.len)];
-        let mut any = 0;
-        for b in 0..BLOCKS {
-            self.hits[b] = [hits[b][0] & valid[0], hits[b][1] & valid[1]];
-            any |= self.hits[b][0] | self.hits[b][1];
-        }
-        any != 0
     }
-}
 
-/// The bits of points 64 to 127 of a run of `len` points.
-#[inline(always)]
-fn high_mask(len: usize) -> u64 {
-    match len.saturating_sub(64) {
-        0 => 0,
-        more => u64::MAX >> (64 - more),
+    /// The points that reach a block, a bit for each: those before point 64, and the others.
+    #[inline(always)]
+    pub(super) fn hits(&self, block: usize) -> [u64; 2] {
+        let (low, high) = self.hits[(block - self.first_block) & (BLOCKS - 1)].split_at(8);
+        let word = |bytes: &[u8]| u64::from_le_bytes(bytes.try_into().unwrap_or_default());
+        [word(low), word(high)]
+    }
+
+    /// Projects the points of a chunk on the ray; returns where along it they begin and cease to contribute, neither of
+    /// them a number if they do nowhere.
+    #[inline(always)]
+    fn reach<S: Simd, const GRADIENT: bool>(
+        &mut self,
+        simd: S,
+        ray: &LaneRay,
+        points: &PointColumns,
+        chunk: usize,
+    ) -> (f32x8<S>, f32x8<S>) {
+        let range = CHUNK_POINTS * chunk..CHUNK_POINTS * (chunk + 1);
+        let position = [
+            f32x8::from_slice(simd, &points.position[0][range.clone()]),
+            f32x8::from_slice(simd, &points.position[1][range.clone()]),
+            f32x8::from_slice(simd, &points.position[2][range.clone()]),
+        ];
+        let (nearest, [x, y, z]) = ray.project(simd, position);
+        let inverse = f32x8::from_slice(simd, &points.inverse_radius[range.clone()]);
+        let inverse_squared = f32x8::from_slice(simd, &points.inverse_radius_squared[range.clone()]);
+        let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
+        let inside = (-distance_squared).mul_add(inverse_squared, f32x8::splat(simd, 1.0));
+        (nearest * inverse).store_slice(&mut self.nearest[range.clone()]);
+        inside.store_slice(&mut self.inside[range.clone()]);
+        if GRADIENT {
+            x.store_slice(&mut self.across[0][range.clone()]);
+            y.store_slice(&mut self.across[1][range.clone()]);
+            z.store_slice(&mut self.across[2][range.clone()]);
+        }
+        // The slack is far larger than the rounding error of a pair that barely contributes.
+        let half = (inside + 1e-5).sqrt();
+        let radius = f32x8::from_slice(simd, &points.radius[range]);
+        ((-half).mul_add(radius, nearest), half.mul_add(radius, nearest))
     }
 }

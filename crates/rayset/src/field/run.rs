@@ -1,8 +1,9 @@
 //! A run of points, decoded for the inner loop.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{dispatch, f32x16};
+use fearless_simd::{dispatch, f32x8};
 
+use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
 use super::kernel::Kernel;
 use super::simd::SimdLevel;
 use crate::geometry::DVec3;
@@ -15,9 +16,6 @@ use crate::octree::page::Run;
 const WIDEST_IN_F32: f64 = 128.0;
 /// Most samples across a run that can be counted exactly in single precision.
 const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
-/// Entries for the bounding spheres of a run's chunks: eight chunks of sixteen points, padded to a whole vector.
-pub(super) const CHUNKS: usize = 16;
-
 /// Up to 128 points stored by columns, relative to the centre of their bounds.
 #[derive(Clone, Debug)]
 pub struct DecodedRun {
@@ -26,13 +24,15 @@ pub struct DecodedRun {
     pub(super) center: DVec3,
     /// Half the edge lengths of the bounds of influence about the centre, rounded up.
     pub(super) reach: [f32; 3],
-    pub(super) position: [[f32; RUN_POINTS]; 3],
-    pub(super) inverse_radius: [f32; RUN_POINTS],
-    /// Spheres of influence of chunks of sixteen points, by which a chunk is culled as a whole.
+    /// No less than the length of the vector of these.
+    pub(super) reach_length: f32,
+    /// No more than the radius of any point.
+    pub(super) radius_min: f32,
+    pub(super) points: PointColumns,
+    /// Spheres of influence of chunks of points, by which a chunk is culled as a whole.
     pub(super) chunk_center: [[f32; CHUNKS]; 3],
+    /// Negative for chunks that the run does not have.
     pub(super) chunk_reach_squared: [f32; CHUNKS],
-    /// Weights, multiplied by the kernel's normalisation if it is requested.
-    pub(super) weight: [f32; RUN_POINTS],
     /// One column for each channel of [`AttributeColumns`].
     pub(super) attribute: Vec<[f32; RUN_POINTS]>,
     /// One column for each attribute of class labels.
@@ -113,21 +113,26 @@ impl RunDecoder {
         let radius_max = f64::from(run.head.radius_max());
         let half = bounds.size() * 0.5 + radius_max;
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
-        run.decode_local(self.root, &mut out.position);
+        out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
+        run.decode_local(self.root, &mut out.points.position);
         let mut radius_min = f64::INFINITY;
         if let Some(r) = self.radius {
             radius_min = f64::from(r);
-            out.inverse_radius[..n].fill(1.0 / r);
+            out.points.radius[..n].fill(r);
+            out.points.inverse_radius[..n].fill(1.0 / r);
         } else if let Some(radii) = run.radii(header) {
-            for (inverse, r) in out.inverse_radius.iter_mut().zip(radii) {
+            for ((radius, inverse), r) in
+                out.points.radius.iter_mut().zip(&mut out.points.inverse_radius).zip(radii)
+            {
                 radius_min = radius_min.min(f64::from(r));
-                *inverse = 1.0 / r;
+                (*radius, *inverse) = (r, 1.0 / r);
             }
         }
         out.pad_last_chunk();
         out.bound_chunks(simd);
         self.decode_weights(run, header, out);
         self.decode_attributes(run, header, out);
+        out.radius_min = radius_min as f32 * 0.9999;
         let extent = bounds.size().max_element();
         let is_wide =
             extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step;
@@ -138,12 +143,12 @@ impl RunDecoder {
     fn decode_weights(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
         let n = run.head.len();
         if let Some(w) = self.weight {
-            out.weight[..n].fill(w);
+            out.points.weight[..n].fill(w);
         } else if let Some(weights) = run.weights(header) {
-            out.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
+            out.points.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
         }
         if let Some(factor) = self.normalisation {
-            for (w, inverse) in out.weight[..n].iter_mut().zip(&out.inverse_radius) {
+            for (w, inverse) in out.points.weight[..n].iter_mut().zip(&out.points.inverse_radius) {
                 // Clamped so that it fits an `f32`; larger weights make no difference to a picture.
                 *w = (f64::from(*w) * factor * f64::from(*inverse).powi(3)).clamp(-1e30, 1e30) as f32;
             }
@@ -166,7 +171,8 @@ impl RunDecoder {
                 None => decode_attribute(run, header, number, column),
                 Some(axis) => {
                     let center = out.center[axis];
-                    for (o, &offset) in column.iter_mut().zip(&out.position[axis]).take(run.head.len()) {
+                    for (o, &offset) in column.iter_mut().zip(&out.points.position[axis]).take(run.head.len())
+                    {
                         *o = (center + f64::from(offset)) as f32;
                     }
                 }
@@ -199,11 +205,11 @@ impl Default for DecodedRun {
             len: 0,
             center: DVec3::ZERO,
             reach: [0.0; 3],
-            position: [[0.0; RUN_POINTS]; 3],
-            inverse_radius: [0.0; RUN_POINTS],
+            reach_length: 0.0,
+            radius_min: 0.0,
+            points: PointColumns::default(),
             chunk_center: [[0.0; CHUNKS]; 3],
             chunk_reach_squared: [-1.0; CHUNKS],
-            weight: [0.0; RUN_POINTS],
             attribute: Vec::new(),
             label: Vec::new(),
             wide: None,
@@ -213,31 +219,47 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
-    /// Pads the last chunk with copies of its first point, which do not enlarge its bounds. They are never evaluated.
+    /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and reach no sample.
     #[inline(always)]
     fn pad_last_chunk(&mut self) {
-        let (n, padded) = (self.len, self.len.next_multiple_of(16));
-        for column in self.position.iter_mut().chain([&mut self.inverse_radius]) {
-            let first = column[padded - 16];
+        let (n, padded) = (self.len, self.len.next_multiple_of(CHUNK_POINTS));
+        for column in
+            self.points.position.iter_mut().chain([&mut self.points.radius, &mut self.points.inverse_radius])
+        {
+            let first = column[padded - CHUNK_POINTS];
             column[n..padded].fill(first);
         }
+        for (squared, inverse) in
+            self.points.inverse_radius_squared[..n].iter_mut().zip(&self.points.inverse_radius)
+        {
+            *squared = inverse * inverse;
+        }
+        self.points.inverse_radius_squared[n..padded].fill(f32::INFINITY);
     }
 
     #[inline(always)]
     fn bound_chunks<S: Simd>(&mut self, simd: S) {
-        for chunk in 0..self.len.div_ceil(16) {
-            let range = 16 * chunk..16 * chunk + 16;
-            let mut distance_squared = f32x16::splat(simd, 0.0);
+        let chunks = self.len.div_ceil(CHUNK_POINTS);
+        for group in 0..chunks.div_ceil(8) {
+            let of_group = 8 * group..8 * group + 8;
             for axis in 0..3 {
-                let p = f32x16::from_slice(simd, &self.position[axis][range.clone()]);
-                let center = 0.5 * (p.reduce_min() + p.reduce_max());
-                self.chunk_center[axis][chunk] = center;
-                distance_squared += (p - center) * (p - center);
+                let points = chunks_of(simd, &self.points.position[axis], group);
+                let center = (fold::<S, false>(points) + fold::<S, true>(points)) * 0.5;
+                center.store_slice(&mut self.chunk_center[axis][of_group.clone()]);
             }
-            let radius = 1.0 / f32x16::from_slice(simd, &self.inverse_radius[range]).reduce_min();
-            let reach = distance_squared.reduce_max().sqrt() + radius;
-            self.chunk_reach_squared[chunk] = reach * reach * 1.0001;
+            let mut distance_squared = [f32x8::splat(simd, 0.0); 8];
+            for axis in 0..3 {
+                let points = chunks_of(simd, &self.points.position[axis], group);
+                for (chunk, sum) in distance_squared.iter_mut().enumerate() {
+                    let offset = points[chunk] - self.chunk_center[axis][8 * group + chunk];
+                    *sum = offset.mul_add(offset, *sum);
+                }
+            }
+            let radius = fold::<S, true>(chunks_of(simd, &self.points.radius, group));
+            let reach = fold::<S, true>(distance_squared).sqrt() + radius;
+            (reach * reach * 1.0001).store_slice(&mut self.chunk_reach_squared[of_group]);
         }
+        self.chunk_reach_squared[chunks..].fill(-1.0);
     }
 
     fn set_wide(&mut self, source: Option<(&Run<'_>, RootCell)>) {
@@ -250,9 +272,42 @@ impl DecodedRun {
             Box::new(WideRun { position: [[0.0; RUN_POINTS]; 3], inverse_radius: [0.0; RUN_POINTS] })
         });
         run.decode_local_f64(root, &mut wide.position);
-        for (o, i) in wide.inverse_radius.iter_mut().zip(&self.inverse_radius) {
+        for (o, i) in wide.inverse_radius.iter_mut().zip(&self.points.inverse_radius) {
             *o = f64::from(*i);
         }
         self.wide = Some(wide);
     }
+}
+
+/// Eight chunks of a column.
+#[inline(always)]
+fn chunks_of<S: Simd>(simd: S, column: &[f32; RUN_POINTS], group: usize) -> [f32x8<S>; 8] {
+    let mut chunks = [f32x8::splat(simd, 0.0); 8];
+    let column = &column[64 * group..64 * group + 64];
+    for chunk in 0..8 {
+        chunks[chunk] = f32x8::from_slice(simd, &column[8 * chunk..8 * chunk + 8]);
+    }
+    chunks
+}
+
+/// The largest element of each of eight vectors, or the smallest.
+#[inline(always)]
+fn fold<S: Simd, const LARGEST: bool>(v: [f32x8<S>; 8]) -> f32x8<S> {
+    let quarters = [
+        fold_pairs::<S, LARGEST>(v[0], v[1]),
+        fold_pairs::<S, LARGEST>(v[2], v[3]),
+        fold_pairs::<S, LARGEST>(v[4], v[5]),
+        fold_pairs::<S, LARGEST>(v[6], v[7]),
+    ];
+    fold_pairs::<S, LARGEST>(
+        fold_pairs::<S, LARGEST>(quarters[0], quarters[1]),
+        fold_pairs::<S, LARGEST>(quarters[2], quarters[3]),
+    )
+}
+
+/// The larger element of each pair of neighbours in two vectors, or the smaller.
+#[inline(always)]
+fn fold_pairs<S: Simd, const LARGEST: bool>(a: f32x8<S>, b: f32x8<S>) -> f32x8<S> {
+    let (even, odd) = (a.unzip_low(b), a.unzip_high(b));
+    if LARGEST { even.max(odd) } else { even.min(odd) }
 }

@@ -1,8 +1,10 @@
 //! The field at the samples of one slab of a packet, accumulated run by run.
 
+use fearless_simd::f32x8;
+use fearless_simd::prelude::*;
+
 use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
-use super::pairs::Pairs;
-use super::run::DecodedRun;
+use super::pairs::BlockLimits;
 
 /// The quantities accumulated besides the density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -33,8 +35,6 @@ pub struct FieldSamples {
     pub label: Vec<[Vec<SampleRow>; 2]>,
     /// Lanes that have received contributions since [`clear`](Self::clear); the rows of all other lanes are stale.
     pub touched: u64,
-    /// Scratch memory, kept from run to run; its contents need not be cleared.
-    pub(super) pairs: Option<Box<Pairs>>,
 }
 
 impl FieldSamples {
@@ -48,7 +48,6 @@ impl FieldSamples {
             attribute: (0..channels.attributes).map(|_| rows(true)).collect(),
             label: (0..channels.labels).map(|_| [rows(true), rows(true)]).collect(),
             touched: 0,
-            pairs: None,
         }
     }
 
@@ -94,11 +93,42 @@ impl FieldSamples {
     }
 }
 
+/// Where rays end, so that samples behind are left out.
+#[derive(Clone, Copy, Debug)]
+pub struct RayEnds<'a> {
+    /// For each lane, the optical depth from the slab's beginning at which its ray has ended.
+    pub depth: &'a [f32; LANES],
+    /// The optical depth of each sample, in the same unit, or less.
+    pub absorption: LeastAbsorption,
+}
+
+/// A lower bound of the optical depth of a sample.
+#[derive(Clone, Copy, Debug)]
+pub struct LeastAbsorption {
+    /// At unit density; in proportion to it elsewhere.
+    pub per_density: f32,
+    /// The most that it may be.
+    pub most: f32,
+    /// The density from which on it is the most.
+    pub full: f32,
+}
+
+impl LeastAbsorption {
+    /// The sum over samples of these densities.
+    #[inline(always)]
+    pub(super) fn sum<S: Simd>(&self, density: f32x8<S>) -> f32 {
+        let most = f32x8::splat(density.simd, self.most);
+        let depth = (density * self.per_density).max(0.0).min(most);
+        density.simd_ge(self.full).select(most, depth).reduce_sum()
+    }
+}
+
 /// The operands of a splat.
 pub(super) struct SplatJob<'a> {
-    pub(super) run: &'a DecodedRun,
     pub(super) packet: &'a Packet,
     pub(super) slab: Slab,
     pub(super) lanes: u64,
+    pub(super) ends: Option<RayEnds<'a>>,
+    pub(super) limits: &'a BlockLimits,
     pub(super) samples: &'a mut FieldSamples,
 }

@@ -1,34 +1,30 @@
-//! The inner loop: adds a run of points to the samples of a packet of rays.
+//! The inner loop: adds runs of points to the samples of a packet of rays.
 //!
-//! Along a ray, the squared distance to a point is d⊥² + (t − t_c)². Points are tested against one ray, sixteen at a
-//! time (`pairs`, in the coordinates of `lane_ray`); those that reach it are added to its 32 samples, sixteen at a
-//! time.
+//! Along a ray, the squared distance to a point is d⊥² + (t − t_c)². A ray takes the runs of a batch together, block by
+//! block of eight samples, front to back. Where it first comes to a run, the run's points are tested against all
+//! samples of the slab (`pairs`, in the coordinates of `lane_ray`); those that reach the block are added to it (`sums`).
+//! If it is known where the ray ends, blocks behind are left out.
 //!
 //! Bit-identical pictures depend on these invariants:
 //! - a contribution is a function of ray, run, point and sample number only;
 //! - a sample receives contributions in the order of the points in the file;
-//! - culling only leaves out pairs whose contribution is exactly zero.
+//! - culling only leaves out pairs whose contribution is exactly zero, and samples behind the end of their ray.
 
-use std::ops::Range;
-
+use fearless_simd::dispatch;
 use fearless_simd::prelude::*;
-use fearless_simd::{dispatch, f32x16};
 
+use super::batch::{BatchedRun, MOST_RUNS, RunBatch};
+use super::columns::CHUNK_POINTS;
 use super::counts::SplatCounts;
+use super::group::{GROUP, GroupLine};
 use super::kernel::{self, Kernel, LaneKernel};
-use super::lane_ray::{Frames, LaneRay};
-use super::packet::{Packet, Slab};
-use super::pairs::Pairs;
-use super::run::DecodedRun;
-use super::samples::{Channels, FieldSamples, SplatJob};
+use super::lane_ray::LaneRay;
+use super::packet::{BLOCK_SAMPLES, BLOCKS, BlockRange, LANES, Packet, SLAB_SAMPLES, Slab};
+use super::pairs::BlockLimits;
+use super::samples::{Channels, FieldSamples, RayEnds, SplatJob};
 use super::simd::SimdLevel;
 use super::splat_wide::splat_wide;
-use crate::octree::layout::RUN_POINTS;
-
-/// Channels of a colour, whose sums are kept in registers.
-const COLOR: usize = 3;
-/// Any other number of channels; their sums are kept in memory.
-const ANY: usize = usize::MAX;
+use super::sums::{ANY, COLOR, Place, Sums};
 
 /// Adds runs to samples with a given kernel and instruction set.
 #[derive(Clone, Copy, Debug)]
@@ -42,227 +38,230 @@ pub struct Splatter {
 }
 
 impl Splatter {
-    /// Adds a run to the samples of one slab, on the rays in `lanes`.
+    /// Adds all runs of a batch to the samples of one slab, on the rays in `lanes`, and empties it. `ends` may be given
+    /// if no runs follow for this slab.
     pub fn splat(
         &self,
-        run: &DecodedRun,
+        batch: &mut RunBatch,
         packet: &Packet,
         slab: Slab,
         lanes: u64,
+        ends: Option<RayEnds<'_>>,
         samples: &mut FieldSamples,
     ) -> SplatCounts {
-        let job = SplatJob { run, packet, slab, lanes, samples };
-        match self.kernel {
-            Kernel::Wyvill => self.with_kernel::<kernel::Wyvill>(job),
-            Kernel::Chen => self.with_kernel::<kernel::Chen>(job),
-            Kernel::Gaussian => self.with_kernel::<kernel::Gaussian>(job),
-            Kernel::CubicSpline => self.with_kernel::<kernel::CubicSpline>(job),
-            Kernel::WendlandC2 => self.with_kernel::<kernel::WendlandC2>(job),
-            Kernel::Epanechnikov => self.with_kernel::<kernel::Epanechnikov>(job),
-            Kernel::Triweight => self.with_kernel::<kernel::Triweight>(job),
+        let mut counts = SplatCounts::default();
+        let mut runs = batch.take();
+        let limits = &BlockLimits::new();
+        while !runs.is_empty() {
+            // Runs that need double precision are added each by itself.
+            let narrow = runs.iter().take_while(|item| item.run.wide.is_none()).count();
+            let (now, later) = runs.split_at_mut(narrow.max(1));
+            let ends = ends.filter(|_| later.is_empty());
+            let job = SplatJob { packet, slab, lanes, ends, limits, samples };
+            counts += match self.kernel {
+                Kernel::Wyvill => self.with_kernel::<kernel::Wyvill>(now, job),
+                Kernel::Chen => self.with_kernel::<kernel::Chen>(now, job),
+                Kernel::Gaussian => self.with_kernel::<kernel::Gaussian>(now, job),
+                Kernel::CubicSpline => self.with_kernel::<kernel::CubicSpline>(now, job),
+                Kernel::WendlandC2 => self.with_kernel::<kernel::WendlandC2>(now, job),
+                Kernel::Epanechnikov => self.with_kernel::<kernel::Epanechnikov>(now, job),
+                Kernel::Triweight => self.with_kernel::<kernel::Triweight>(now, job),
+            };
+            runs = later;
         }
+        counts
     }
 
-    fn with_kernel<K: LaneKernel>(&self, job: SplatJob<'_>) -> SplatCounts {
+    fn with_kernel<K: LaneKernel>(&self, runs: &mut [Box<BatchedRun>], job: SplatJob<'_>) -> SplatCounts {
         // Labels are kept in memory, as attributes are where there are many.
         let attributes = if self.channels.labels > 0 { ANY } else { self.channels.attributes };
         match (self.channels.gradient, attributes) {
-            (false, 0) => self.with_channels::<K, false, 0>(job),
-            (false, COLOR) => self.with_channels::<K, false, COLOR>(job),
-            (false, _) => self.with_channels::<K, false, ANY>(job),
-            (true, 0) => self.with_channels::<K, true, 0>(job),
-            (true, COLOR) => self.with_channels::<K, true, COLOR>(job),
-            (true, _) => self.with_channels::<K, true, ANY>(job),
+            (false, 0) => self.with_channels::<K, false, 0>(runs, job),
+            (false, COLOR) => self.with_channels::<K, false, COLOR>(runs, job),
+            (false, _) => self.with_channels::<K, false, ANY>(runs, job),
+            (true, 0) => self.with_channels::<K, true, 0>(runs, job),
+            (true, COLOR) => self.with_channels::<K, true, COLOR>(runs, job),
+            (true, _) => self.with_channels::<K, true, ANY>(runs, job),
         }
     }
 
     #[inline(never)]
     fn with_channels<K: LaneKernel, const G: bool, const A: usize>(
         &self,
+        runs: &mut [Box<BatchedRun>],
         mut job: SplatJob<'_>,
     ) -> SplatCounts {
-        let kernel = self.kernel;
-        dispatch!(self.simd.level(), simd => splat_run::<_, K, G, A>(simd, kernel, &mut job))
+        if let [item] = runs
+            && item.run.wide.is_some()
+        {
+            return splat_wide::<G>(self.kernel, &item.run, &mut job);
+        }
+        dispatch!(self.simd.level(), simd => splat_runs::<_, K, G, A>(simd, runs, &mut job))
     }
 }
 
 #[inline(always)]
-fn splat_run<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
+fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
     simd: S,
-    kernel: Kernel,
+    runs: &mut [Box<BatchedRun>],
     job: &mut SplatJob<'_>,
 ) -> SplatCounts {
     let mut counts = SplatCounts::default();
-    if let Some(wide) = &job.run.wide {
-        return splat_wide::<GRADIENT>(kernel, wide, job);
-    }
-    let frames = Frames::new(job.run, job.packet, job.slab);
-    let mut lanes = job.lanes & frames.lanes_that_meet(simd, job.run, job.packet, job.slab.samples);
-    let mut pairs = job.samples.pairs.take().unwrap_or_default();
-    while lanes != 0 {
-        let lane = lanes.trailing_zeros() as usize;
-        lanes &= lanes - 1;
-        let ray = LaneRay::new(simd, job.packet, &frames, lane);
-        let chunks = ray.chunks_in_reach(simd, job.run);
-        counts.pairs_tested += 16 * u64::from(chunks.count_ones());
-        if chunks != 0 && pairs.test::<S, GRADIENT>(simd, &ray, job.run, chunks) {
-            job.samples.begin::<GRADIENT>(lane);
-            let added = add::<S, K, GRADIENT, ATTRIBUTES>(simd, &pairs, &ray, job.run, lane, job.samples);
-            counts.pairs_added += added;
-            counts.kernel_evaluations += added * 16;
+    // For each block of each ray, a bit for each run that may reach it.
+    let mut reaching = [[0_u32; LANES]; BLOCKS];
+    let mut lanes = 0;
+    for (number, item) in runs.iter_mut().enumerate() {
+        item.frames.set(simd, &item.run, job.packet, job.slab);
+        for block in 0..BLOCKS {
+            let mut meets = item.frames.meets[block] & job.lanes;
+            lanes |= meets;
+            while meets != 0 {
+                reaching[block][meets.trailing_zeros() as usize & (LANES - 1)] |= 1 << number;
+                meets &= meets - 1;
+            }
         }
     }
-    job.samples.pairs = Some(pairs);
+    for first in (0..LANES).step_by(GROUP) {
+        let mut of_group = lanes & 0xffff << first;
+        let mut group = Group { first, rays: of_group.count_ones(), asked: 0, bounded: 0, empty: 0 };
+        while of_group != 0 {
+            let lane = of_group.trailing_zeros() as usize & (LANES - 1);
+            of_group &= of_group - 1;
+            splat_lane::<S, K, GRADIENT, ATTRIBUTES>(
+                simd,
+                runs,
+                &reaching,
+                lane,
+                &mut group,
+                job,
+                &mut counts,
+            );
+        }
+    }
+    counts.pairs_tested *= CHUNK_POINTS as u64;
+    counts.kernel_evaluations = counts.pairs_added * BLOCK_SAMPLES as u64;
     counts
 }
 
-/// Adds all hits to the samples of a lane, in the order of the points; returns the number of pairs of a point and a
-/// block of sixteen samples.
-#[inline(always)]
-fn add<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
-    simd: S,
-    pairs: &Pairs,
-    ray: &LaneRay<S>,
-    run: &DecodedRun,
-    lane: usize,
-    samples: &mut FieldSamples,
-) -> u64 {
-    let mut added = 0;
-    for (block, hits) in pairs.hits.iter().enumerate() {
-        if hits[0] | hits[1] == 0 {
-            continue;
-        }
-        let mut sums = Sums::<S, GRADIENT, ATTRIBUTES>::load(simd, samples, lane, block);
-        for (half, &hits) in hits.iter().enumerate() {
-            let mut hits = hits;
-            added += u64::from(hits.count_ones());
-            while hits != 0 {
-                // Below RUN_POINTS by construction; the mask makes this visible to the compiler.
-                let i = (64 * half + hits.trailing_zeros() as usize) & (RUN_POINTS - 1);
-                hits &= hits - 1;
-                let along = ray.t[block] * run.inverse_radius[i] - pairs.nearest[i];
-                let q = (-along).mul_add(along, f32x16::splat(simd, pairs.inside[i]));
-                let weighted = sums.add_value(K::value(q), run, i);
-                if ATTRIBUTES == ANY {
-                    add_attributes(weighted, run, i, samples, lane, block);
-                }
-                if GRADIENT {
-                    sums.add_slope(K::slope_over_x(q), along, pairs, run, i);
-                }
-            }
-        }
-        sums.store(ray, samples, lane, block);
-    }
-    added
+/// Neighbouring rays, for which points are looked up together.
+struct Group {
+    /// The first of its lanes.
+    first: usize,
+    /// Number of rays that some run may reach.
+    rays: u32,
+    /// A bit for each run that some ray of the group has come to.
+    asked: u32,
+    /// Those of them whose points near the group are known.
+    bounded: u32,
+    /// Those of them that have none.
+    empty: u32,
 }
 
-/// The range of samples of a block.
-#[inline(always)]
-fn places(block: usize) -> Range<usize> {
-    16 * block..16 * block + 16
-}
+/// Fewest rays for which points are looked up together.
+const LEAST_RAYS: u32 = 3;
 
-/// Adds one point to the attributes, whose sums are in memory, and to the labels.
-#[inline(always)]
-fn add_attributes<S: Simd>(
-    weighted: f32x16<S>,
-    run: &DecodedRun,
-    point: usize,
-    samples: &mut FieldSamples,
-    lane: usize,
-    block: usize,
-) {
-    for (rows, column) in samples.attribute.iter_mut().zip(&run.attribute) {
-        let row = &mut rows[lane].0[places(block)];
-        weighted.mul_add(column[point], f32x16::from_slice(weighted.simd, row)).store_slice(row);
-    }
-    for ([rows, most], column) in samples.label.iter_mut().zip(&run.label) {
-        let row = &mut rows[lane].0[places(block)];
-        let most = &mut most[lane].0[places(block)];
-        let before = f32x16::from_slice(weighted.simd, most);
-        let wins = weighted.simd_gt(before);
-        let label = f32x16::splat(weighted.simd, column[point]);
-        wins.select(label, f32x16::from_slice(weighted.simd, row)).store_slice(row);
-        wins.select(weighted, before).store_slice(most);
-    }
-}
-
-/// Sums over the points of one run at sixteen samples, kept in registers.
-struct Sums<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> {
-    density: f32x16<S>,
-    color: [f32x16<S>; COLOR],
-    /// Component of the gradient along the ray, of this run only.
-    along: f32x16<S>,
-    /// Component of the gradient across the ray, with reversed sign, of this run only.
-    across: [f32x16<S>; 3],
-}
-
-impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, ATTRIBUTES> {
+impl Group {
+    /// The chunks of points of a run, or of those of its points near the group, that are to be tested against a ray of
+    /// the group.
     #[inline(always)]
-    fn load(simd: S, samples: &FieldSamples, lane: usize, block: usize) -> Self {
-        let zero = f32x16::splat(simd, 0.0);
-        let density = f32x16::from_slice(simd, &samples.density[lane].0[places(block)]);
-        let mut sums = Self { density, color: [zero; COLOR], along: zero, across: [zero; 3] };
-        if ATTRIBUTES == COLOR {
-            for channel in 0..COLOR {
-                sums.color[channel] =
-                    f32x16::from_slice(simd, &samples.attribute[channel][lane].0[places(block)]);
-            }
-        }
-        sums
-    }
-
-    /// Adds the value of one point to density and colour; returns it, weighted if attributes follow.
-    #[inline(always)]
-    fn add_value(&mut self, value: f32x16<S>, run: &DecodedRun, point: usize) -> f32x16<S> {
-        let weight = run.weight[point];
-        if ATTRIBUTES == 0 {
-            self.density = value.mul_add(weight, self.density);
-            return value;
-        }
-        let weighted = value * weight;
-        self.density += weighted;
-        if ATTRIBUTES == COLOR {
-            let columns = &run.attribute[..COLOR];
-            for channel in 0..COLOR {
-                self.color[channel] = weighted.mul_add(columns[channel][point], self.color[channel]);
-            }
-        }
-        weighted
-    }
-
-    /// Adds the slope of one point to the gradient.
-    #[inline(always)]
-    fn add_slope(
+    fn look_up<S: Simd>(
         &mut self,
-        slope: f32x16<S>,
-        along: f32x16<S>,
-        pairs: &Pairs,
-        run: &DecodedRun,
-        point: usize,
-    ) {
-        let (inverse, weight) = (run.inverse_radius[point], run.weight[point]);
-        let slope = slope * (weight * inverse);
-        self.along = slope.mul_add(along, self.along);
-        let slope = slope * inverse;
-        for channel in 0..3 {
-            self.across[channel] = slope.mul_add(pairs.across[channel][point], self.across[channel]);
-        }
-    }
-
-    #[inline(always)]
-    fn store(&self, ray: &LaneRay<S>, samples: &mut FieldSamples, lane: usize, block: usize) {
-        let at = places(block);
-        self.density.store_slice(&mut samples.density[lane].0[at.clone()]);
-        for channel in 0..3 {
-            if ATTRIBUTES == COLOR {
-                self.color[channel].store_slice(&mut samples.attribute[channel][lane].0[at.clone()]);
+        simd: S,
+        number: usize,
+        item: &mut BatchedRun,
+        packet: &Packet,
+        ray: &LaneRay,
+    ) -> u64 {
+        let bit = 1 << number;
+        if self.asked & bit == 0 {
+            self.asked |= bit;
+            if self.rays >= LEAST_RAYS
+                && let Some(line) = GroupLine::new(simd, &item.run, packet, &item.frames, self.first)
+            {
+                self.bounded |= bit;
+                let near = line.points_near(simd, &item.run);
+                if near == [0, 0] {
+                    self.empty |= bit;
+                }
+                item.near_chunks = item.near.select(&item.run.points, near);
             }
-            if GRADIENT {
-                let row = &mut samples.gradient[channel][lane].0[at.clone()];
-                let gradient = self.along * ray.direction[channel] - self.across[channel];
-                (f32x16::from_slice(self.density.simd, row) + gradient).store_slice(row);
+        }
+        if self.bounded & bit == 0 { ray.chunks_in_reach(simd, &item.run) } else { item.near_chunks }
+    }
+}
+
+/// Adds runs to the samples of one ray, block by block, as far as the ray goes. `reaching`: for each block and lane, a
+/// bit for each run that may reach it.
+#[inline(always)]
+fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
+    simd: S,
+    runs: &mut [Box<BatchedRun>],
+    reaching: &[[u32; LANES]; BLOCKS],
+    lane: usize,
+    group: &mut Group,
+    job: &mut SplatJob<'_>,
+    counts: &mut SplatCounts,
+) {
+    // A bit for each run whose points have been tested.
+    let mut tested = 0_u32;
+    let mut depth = 0.0;
+    for block in 0..BLOCKS {
+        let place = Place { lane, block };
+        let (mut sums, mut begun) = (Sums::<S, GRADIENT, ATTRIBUTES>::zero(simd), false);
+        let mut here = reaching[block][lane] & !group.empty;
+        while here != 0 {
+            let number = here.trailing_zeros() as usize;
+            here &= here - 1;
+            let item = &mut *runs[number];
+            let ray = LaneRay::new(job.packet, &item.frames, lane);
+            if tested >> number & 1 == 0 {
+                tested |= 1 << number;
+                let blocks = blocks_from(reaching, place, number);
+                let chunks = group.look_up(simd, number, item, job.packet, &ray);
+                counts.pairs_tested += u64::from(chunks.count_ones());
+                let BatchedRun { run, near, pairs, .. } = item;
+                let points = if group.bounded >> number & 1 == 1 { near } else { &run.points };
+                pairs.test::<S, GRADIENT>(simd, &ray, points, chunks, blocks, job.limits);
+            }
+            let BatchedRun { run, near, pairs, .. } = item;
+            let points = if group.bounded >> number & 1 == 1 { &*near } else { &run.points };
+            let hits = pairs.hits(block);
+            if hits == [0, 0] {
+                continue;
+            }
+            if !begun {
+                begun = true;
+                job.samples.begin::<GRADIENT>(lane);
+                sums = Sums::load(simd, job.samples, place);
+            }
+            counts.pairs_added += u64::from(hits[0].count_ones() + hits[1].count_ones());
+            sums.add::<K>(&ray, pairs, hits, (points, &*run), job.samples, place);
+        }
+        if begun {
+            sums.store(job.samples, place);
+        }
+        if let Some(ends) = job.ends
+            && job.samples.touched >> lane & 1 == 1
+        {
+            if !begun {
+                sums = Sums::load(simd, job.samples, place);
+            }
+            depth += ends.absorption.sum(sums.density);
+            if depth > ends.depth[lane] {
+                return;
             }
         }
     }
 }
+
+/// The blocks of a lane that a run reaches, one behind the other from a given one on.
+#[inline(always)]
+fn blocks_from(reaching: &[[u32; LANES]; BLOCKS], Place { lane, block }: Place, number: usize) -> BlockRange {
+    let mut blocks = BlockRange { first: block, end: block + 1 };
+    while blocks.end < BLOCKS && reaching[blocks.end][lane] >> number & 1 == 1 {
+        blocks.end += 1;
+    }
+    blocks
+}
+
+const _: () = assert!(GROUP == 16 && BLOCKS * BLOCK_SAMPLES == SLAB_SAMPLES && MOST_RUNS <= 32);

@@ -2,18 +2,19 @@
 
 use super::counts::SplatCounts;
 use super::kernel::Kernel;
-use super::run::WideRun;
+use super::run::DecodedRun;
 use super::samples::SplatJob;
 
 /// Adds such a run, one pair of ray and point at a time.
 #[inline(never)]
 pub(super) fn splat_wide<const GRADIENT: bool>(
     kernel: Kernel,
-    wide: &WideRun,
+    run: &DecodedRun,
     job: &mut SplatJob<'_>,
 ) -> SplatCounts {
     let mut counts = SplatCounts::default();
-    let (run, packet, slab) = (job.run, job.packet, job.slab);
+    let Some(wide) = &run.wide else { return counts };
+    let (packet, slab) = (job.packet, job.slab);
     let center = run.center.to_array();
     let mut lanes = job.lanes;
     while lanes != 0 {
@@ -47,14 +48,14 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
                 let along = packet.sample_t(lane, sample) - nearest;
                 let s = (along * along + distance_squared) * inverse;
                 let at = (sample - slab.first) as usize;
-                let weighted = (kernel.value(s) * f64::from(run.weight[i])) as f32;
+                let weighted = (kernel.value(s) * f64::from(run.points.weight[i])) as f32;
                 job.samples.density[lane].0[at] += weighted;
                 for (rows, column) in job.samples.attribute.iter_mut().zip(&run.attribute) {
                     rows[lane].0[at] += weighted * column[i];
                 }
                 job.samples.label(lane, at, weighted, |label| run.label[label][i]);
                 if GRADIENT {
-                    let slope = kernel.slope_over_x(s) * f64::from(run.weight[i]) * inverse;
+                    let slope = kernel.slope_over_x(s) * f64::from(run.points.weight[i]) * inverse;
                     for channel in 0..3 {
                         let offset = along * d[channel] - across[channel];
                         job.samples.gradient[channel][lane].0[at] += (slope * offset) as f32;

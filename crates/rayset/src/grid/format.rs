@@ -52,7 +52,7 @@ impl VoxelKind {
 
     /// Voxels along an edge of a brick: as many as fit in a page.
     #[must_use]
-    pub fn brick_voxels(self) -> usize {
+    pub const fn brick_voxels(self) -> usize {
         match self {
             Self::U8 => 31,
             Self::I16 | Self::U16 => 25,

@@ -1,5 +1,6 @@
 //! Columns of numbers in the types that files use, so that times, classes and identifiers are kept exactly.
 
+use crate::numbers::Stored;
 use crate::text_numbers::{TextNumber, bytes_of};
 
 /// The type of the numbers of a column.
@@ -42,6 +43,22 @@ impl ColumnType {
         Self::F32,
         Self::F64,
     ];
+
+    /// The type of a column of numbers of a file: that of the numbers, but single precision for half precision.
+    pub(super) fn of(stored: Stored) -> Self {
+        match stored {
+            Stored::I8 => Self::I8,
+            Stored::U8 => Self::U8,
+            Stored::I16 => Self::I16,
+            Stored::U16 => Self::U16,
+            Stored::I32 => Self::I32,
+            Stored::U32 => Self::U32,
+            Stored::I64 => Self::I64,
+            Stored::U64 => Self::U64,
+            Stored::F16 | Stored::F32 => Self::F32,
+            Stored::F64 => Self::F64,
+        }
+    }
 
     /// The number that denotes the type in a cloud file.
     #[must_use]

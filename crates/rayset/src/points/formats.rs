@@ -10,7 +10,7 @@ use super::e57::E57Source;
 use super::gadget::{self, GadgetSource};
 #[cfg(feature = "las")]
 use super::las::LasSource;
-use super::mesh::{MeshFormat, MeshSource, ObjSource};
+use super::mesh::{MeshFormat, MeshSource, ObjSource, begins_as_off};
 use super::npy::{self, NpySource};
 use super::packed::Packing;
 use super::pcd::{self, PcdSource};
@@ -23,8 +23,9 @@ use super::snapshot::SnapshotSource;
 use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
 use super::stream::Stream;
 use super::text::TextSource;
+use super::velodyne::VelodyneSource;
 use super::vtk::{self, VtkSource};
-use super::{Place, PointSource, ReadError, refusals};
+use super::{Place, PointSource, ReadError, geographic, refusals};
 use crate::setters::setters;
 
 /// Information for a reader that some formats do not contain.
@@ -34,7 +35,7 @@ pub struct ReadOptions {
     /// Names of all columns of text files and of plain arrays of NumPy, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
     /// Points to sample on the faces of a mesh, evenly by area. If `None`, the vertices of a PLY file are its points, and on
-    /// OBJ and STL files ten points are sampled for each triangle, at least a million and at most 20 million.
+    /// OBJ, OFF and STL files ten points are sampled for each triangle, at least a million and at most 20 million.
     pub mesh_points: Option<u64>,
     /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
     /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
@@ -99,6 +100,14 @@ const FORMATS: &[Format] = &[
         open: open_obj,
     },
     Format {
+        extensions: &["off"],
+        begins: begins_as_off,
+        open: |path, options| {
+            let mesh = MeshSource::survey(path, MeshFormat::Off, options.mesh_points)?;
+            Ok(Box::new(mesh))
+        },
+    },
+    Format {
         extensions: &["gadget", "gadget2"],
         begins: gadget::begins,
         open: |path, options| Ok(Box::new(GadgetSource::open(path, options.particles.as_deref())?)),
@@ -125,6 +134,12 @@ const FORMATS: &[Format] = &[
         extensions: &["ptx"],
         begins: ptx::begins,
         open: |path, _| Ok(Box::new(PtxSource::open(path)?)),
+    },
+    Format {
+        extensions: &["bin", "velodyne"],
+        // Nothing but records.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(VelodyneSource::open(path)?)),
     },
     Format {
         extensions: &["xyz", "txt", "csv", "asc", "pts"],
@@ -213,11 +228,15 @@ impl ReadOptions {
 }
 
 /// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name. Text,
-/// PLY, PCD and PTX may be compressed with gzip or zstd.
+/// PLY, PCD and PTX may be compressed with gzip or zstd. Positions in degrees of longitude and latitude become metres.
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be opened, its header is malformed, or its format is unknown.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
+    geographic::in_metres(path, open_as_it_is(path, options)?, || open_as_it_is(path, options))
+}
+
+fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
     let head = head(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let begins = |head: &[u8]| FORMATS.iter().find(|format| (format.begins)(head));
@@ -231,8 +250,21 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
         ReadError::UnknownFormat { path: path.to_owned(), advice }
     };
     let Some(packing) = Packing::of(&head) else {
-        let format = begins(&head).or_else(|| named(&name)).ok_or_else(unknown)?;
-        return (format.open)(path, options);
+        if let Some(format) = begins(&head) {
+            return (format.open)(path, options);
+        }
+        if refusals::is_marked(&head) {
+            return Err(unknown());
+        }
+        // Names of other files end as those of scans do.
+        let is_other = name.ends_with("bin") && refusals::is_recognized(path, &head);
+        if let Some(format) = named(&name).filter(|_| !is_other) {
+            return (format.open)(path, options);
+        }
+        // Any text may be a table, under any name.
+        let is_text = !head.is_empty() && !head.contains(&0) && !refusals::is_recognized(path, &head);
+        let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
+        return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
     };
     // A format of which compression is a part has files that begin so, or a name of its own.
     let content = unpacked_head(path)?;

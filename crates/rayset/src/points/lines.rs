@@ -1,5 +1,6 @@
 //! Reads and counts the lines of a text file, in bounded memory.
 
+use std::collections::VecDeque;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
@@ -15,6 +16,8 @@ pub(super) struct Lines {
     input: Stream,
     /// Number of the line read last, starting at 1.
     number: u64,
+    /// Lines that were looked at, and are still to be read.
+    ahead: VecDeque<Vec<u8>>,
 }
 
 impl Lines {
@@ -44,16 +47,48 @@ impl Lines {
 
     /// The lines after the first `number`, which have been read.
     pub(super) fn after(input: Stream, number: u64) -> Self {
-        Self { input, number }
+        Self { input, number, ahead: VecDeque::new() }
+    }
+
+    /// The next lines, up to `most` of up to `bytes` together, which are read again. Ends before a line that is too long.
+    pub(super) fn look_ahead(&mut self, most: usize, bytes: usize) -> Result<Vec<&[u8]>, ReadError> {
+        let mut left = bytes;
+        while self.ahead.len() < most && left > 0 {
+            let mut line = Vec::new();
+            let read = (&mut self.input).take(left as u64).read_until(b'\n', &mut line);
+            if read.map_err(|source| ReadError::Io { path: self.path().to_owned(), source })? == 0 {
+                break;
+            }
+            left -= line.len();
+            self.ahead.push_back(line);
+        }
+        let whole = self.ahead.iter().filter(|line| line.ends_with(b"\n"));
+        Ok(whole.map(|line| line.trim_ascii_end()).collect())
+    }
+
+    /// Appends to `record` up to `room` bytes, to the end of a line. Returns their number.
+    fn read_on(&mut self, room: usize, record: &mut Vec<u8>) -> std::io::Result<usize> {
+        let mut read = 0;
+        if let Some(line) = self.ahead.front_mut() {
+            read = line.len().min(room);
+            record.extend(line.drain(..read));
+            if line.is_empty() {
+                self.ahead.pop_front();
+            }
+            // The last that was looked at may have been cut off.
+            if record.last() == Some(&b'\n') || read == room || !self.ahead.is_empty() {
+                return Ok(read);
+            }
+        }
+        Ok(read + (&mut self.input).take((room - read) as u64).read_until(b'\n', record)?)
     }
 
     /// Appends the next line to `record` without its line end. Returns false at the end of the file.
     pub(super) fn append(&mut self, record: &mut Vec<u8>) -> Result<bool, ReadError> {
         // Room for `\r\n`, which does not count.
         let room = RECORD_LIMIT + 2 - record.len().min(RECORD_LIMIT);
-        let read = (&mut self.input)
-            .take(room as u64)
-            .read_until(b'\n', record)
+        let read = self
+            .read_on(room, record)
             .map_err(|source| ReadError::Io { path: self.input.path().to_owned(), source })?;
         if read == 0 {
             return Ok(false);

@@ -11,9 +11,11 @@ mod e57;
 mod error;
 mod formats;
 mod gadget;
+mod geographic;
 #[cfg(feature = "las")]
 mod las;
 mod lines;
+mod lzf;
 mod mesh;
 mod npy;
 mod packed;
@@ -38,6 +40,8 @@ mod stream;
 mod stretch;
 mod synthetic;
 mod text;
+mod unnamed;
+mod velodyne;
 mod vtk;
 
 #[cfg(feature = "internals")]

@@ -45,6 +45,13 @@ impl PlySource {
 
         let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
         schema.description = header.description;
+        // Of nerfstudio.
+        let said = |comment: &str| schema.description.contains(comment);
+        let vertical = ["Vertical Axis: y", "Vertical Axis: z"].iter().position(|comment| said(comment));
+        schema.up = vertical.map(|axis| [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]][axis]);
+        if header.elements.len() == 1 && vertex.has_layout_of_colmap() && !said(";") {
+            schema.description.push_str(", in the layout of COLMAP");
+        }
         let (mut properties, mut kinds) = (Vec::new(), Vec::new());
         for (place, property) in vertex.properties.iter().enumerate() {
             if let Property::Scalar { name, kind } = property

@@ -136,6 +136,16 @@ pub(super) struct Element {
 }
 
 impl Element {
+    /// Whether vertices have what COLMAP writes: positions, normals and colours, in this order.
+    pub(super) fn has_layout_of_colmap(&self) -> bool {
+        const NAMES: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];
+        self.properties.len() == NAMES.len()
+            && self.properties.iter().zip(NAMES).enumerate().all(|(place, (property, name))| {
+                let wanted = if place < 6 { Scalar::F32 } else { Scalar::U8 };
+                matches!(property, Property::Scalar { name: found, kind } if found == name && *kind == wanted)
+            })
+    }
+
     /// Bytes of a record, or `None` if lists make the length vary.
     pub(super) fn stride(&self) -> Option<usize> {
         self.properties.iter().try_fold(0, |sum, p| match p {

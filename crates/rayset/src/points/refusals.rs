@@ -26,7 +26,14 @@ const ATOMS: &str = "write positions as an array, as in `numpy.save(\"atoms.npy\
 const FROM_BLENDER: &str = "Blender's File, Export, Stanford PLY makes a PLY of it";
 const FROM_TABLE: &str =
     "write positions and columns as NPZ, as in `numpy.savez(\"points.npz\", positions=…, intensity=…)`";
+const FROM_YT: &str = "from Python with yt, `numpy.save(\"volume.npy\", g[\"density\"])` of `g = \
+                        yt.load(\"FILE\").arbitrary_grid(left, right, dims=(256, 256, 256))` makes a volume that opens";
 const FROM_SCANNER: &str = "the scanner's own program exports E57, LAS or PTS";
+const FROM_CAD: &str = "a CAD program, FreeCAD for one, exports STL or OBJ";
+const FROM_MESHES: &str =
+    "from Python, `trimesh.load(\"FILE\", force=\"mesh\").export(\"mesh.ply\")` makes a PLY of it";
+const FROM_RASTER: &str =
+    "it has heights and no points; `gdal2xyz.py FILE points.xyz` makes points of them that open";
 const PICTURE: &str = "points come in files of points, such as PLY, LAS or CSV";
 
 /// Recognized by content, in this order, and only then by name.
@@ -116,27 +123,196 @@ const KINDS: &[Kind] = &[
               positions=…, weighting=…)`",
     },
     Kind {
+        what: "a grid of heights as text (ESRI, Surfer)",
+        marks: &[
+            (0, b"ncols"),
+            (0, b"NCOLS"),
+            (0, b"nrows"),
+            (0, b"NROWS"),
+            (0, b"DSAA"),
+            (0, b"DSBB"),
+            (0, b"DSRB"),
+        ],
+        extensions: &["hgt", "dem", "dt0", "dt1", "dt2", "grd", "bil", "flt", "vrt"],
+        way: FROM_RASTER,
+    },
+    Kind {
+        what: "a density map of microscopy (MRC, CCP4)",
+        marks: &[(208, b"MAP ")],
+        extensions: &["mrc", "map", "ccp4", "rec", "st"],
+        way: "from Python, `numpy.save(\"volume.npy\", mrcfile.read(\"FILE\"))` makes a volume that opens",
+    },
+    Kind {
+        what: "a volume of FreeSurfer or MINC",
+        marks: &[],
+        extensions: &["mgz", "mgh", "mnc"],
+        way: "`mri_convert FILE volume.nii.gz` (FreeSurfer), or from Python `nibabel.Nifti1Image(i.get_fdata(), \
+              i.affine).to_filename(\"volume.nii.gz\")` of `i = nibabel.load(\"FILE\")`, makes a NIfTI file that opens",
+    },
+    Kind {
+        what: "a volume in a format of Amira, Inrimage, Voreen or PVM",
+        marks: &[
+            (0, b"# AmiraMesh"),
+            (0, b"# Avizo"),
+            (0, b"#INRIMAGE"),
+            (0, b"PVM"),
+            (0, b"ObjectFileName:"),
+            (0, b"DDS v3d"),
+        ],
+        extensions: &["am", "inr", "pvm", "hx"],
+        way: "where the voxels lie as they are, `rayset build --raw 256x256x128,u8,skip=HEADER-BYTES FILE -o volume.rset` \
+              reads them; else Fiji saves it as NRRD",
+    },
+    Kind {
+        what: "the data of a volume whose header is another file",
+        marks: &[],
+        extensions: &["zraw", "raw.gz"],
+        way: "name the header that comes with it (.mhd, .nhdr)",
+    },
+    Kind {
+        what: "a table or an image of astronomy (FITS)",
+        marks: &[(0, b"SIMPLE  =")],
+        extensions: &["fits", "fit", "fits.gz"],
+        way: "from Python with astropy.io.fits, `numpy.save(\"volume.npy\", fits.getdata(\"FILE\").astype(\"f4\"))` makes \
+              a volume of a cube, and `numpy.savez(\"points.npz\", positions=…)` points of a table",
+    },
+    Kind {
+        what: "an archive of Gaussian splats (SOG)",
+        marks: &[],
+        extensions: &["sog", "lcc"],
+        way: "`splat-transform FILE splats.ply` (PlayCanvas) makes a PLY that opens",
+    },
+    Kind {
+        what: "a package of PyTorch",
+        marks: &[],
+        extensions: &["pth", "pt", "ckpt"],
+        way: "from Python, `numpy.savez(\"points.npz\", positions=torch.load(\"FILE\")[…].numpy())` makes points of a \
+              tensor in it",
+    },
+    Kind {
+        what: "a reconstruction of COLMAP in its binary form",
+        marks: &[],
+        extensions: &["points3d.bin", "images.bin", "cameras.bin", "frames.bin", "rigs.bin"],
+        way: "`colmap model_converter --input_path FOLDER --output_path points.ply --output_type PLY` makes a PLY of it",
+    },
+    Kind {
+        what: "a reconstruction of cameras and points (OpenSfM, Bundler, VisualSFM)",
+        marks: &[(0, b"# Bundle file"), (0, b"NVM_V3")],
+        extensions: &["nvm", "reconstruction.json", "transforms.json", "sfm", "mvs"],
+        way: "the program that made it exports its points as PLY (`opensfm export_ply`, MeshLab, `colmap model_converter`)",
+    },
+    Kind {
+        what: "a map of vectors",
+        marks: &[],
+        extensions: &["geojson", "topojson", "kml", "kmz", "gpx", "shp", "shx", "dbf", "gml", "gpkg"],
+        way: "`ogr2ogr -f CSV points.csv FILE -lco GEOMETRY=AS_XYZ` makes a table of points that opens",
+    },
+    Kind {
+        what: "a drawing or a solid of CAD",
+        marks: &[(0, b"ISO-10303-21"), (0, b"AutoCAD Binary DXF")],
+        extensions: &[
+            "step", "stp", "iges", "igs", "ifc", "dxf", "dwg", "dgn", "skp", "sat", "x_t", "3dm", "rvt",
+            "nwd",
+        ],
+        way: FROM_CAD,
+    },
+    Kind {
+        what: "a mesh in 3MF, VRML, X3D, Draco, Gmsh or the like",
+        marks: &[(0, b"#VRML"), (0, b"DRACO"), (0, b"$MeshFormat"), (0, b"solid_3mf")],
+        extensions: &[
+            "3mf", "wrl", "vrml", "x3d", "drc", "msh", "amf", "ctm", "inp", "ac", "nas", "bdf", "mesh",
+        ],
+        way: FROM_MESHES,
+    },
+    Kind {
+        what: "tiles of 3D Tiles, or of Cesium",
+        marks: &[(0, b"b3dm"), (0, b"pnts"), (0, b"i3dm"), (0, b"cmpt")],
+        extensions: &["b3dm", "pnts", "i3dm", "cmpt", "tileset.json", "3tz", "i3s", "slpk"],
+        way: "open the points or meshes that they were made of",
+    },
+    Kind {
+        what: "materials of an OBJ",
+        marks: &[(0, b"newmtl ")],
+        extensions: &["mtl"],
+        way: "open the OBJ that names it",
+    },
+    Kind {
+        what: "recordings of ROS, or packets of a LiDAR",
+        marks: &[(0, b"#ROSBAG"), (0, b"\x89MCAP0"), (0, b"\xd4\xc3\xb2\xa1"), (0, b"\n\r\r\n")],
+        extensions: &["bag", "mcap", "db3", "pcap", "pcapng"],
+        way: "`rosrun pcl_ros bag_to_pcd FILE /points FOLDER` makes PCD files of the clouds in a bag; the scanner's own viewer \
+              exports packets",
+    },
+    Kind {
+        what: "output of an AMR code (AMReX, Enzo, RAMSES, FLASH)",
+        marks: &[(0, b"HyperCLaw"), (0, b"FAB ((")],
+        extensions: &["athdf", "hierarchy", "boundary"],
+        way: FROM_YT,
+    },
+    Kind {
+        what: "a snapshot in TIPSY",
+        marks: &[],
+        extensions: &["std", "tipsy", "bin.tipsy"],
+        way: "from Python with pynbody, `numpy.savez(\"points.npz\", positions=s.dm[\"pos\"], mass=s.dm[\"mass\"])` of \
+              `s = pynbody.load(\"FILE\")` makes points that open",
+    },
+    Kind {
+        what: "a description of data in other files (XDMF, Exodus, EnSight)",
+        marks: &[(0, b"<?xml version=\"1.0\" ?>\n<!DOCTYPE Xdmf")],
+        extensions: &["xmf", "xdmf", "xmf3", "ex2", "exo", "e", "case", "foam", "cgns", "silo", "plt", "tec"],
+        way: "ParaView opens it and saves VTU, VTP or, behind the filter Resample To Image, VTI",
+    },
+    Kind {
+        what: "a document",
+        marks: &[(0, b"%PDF"), (0, b"<!DOCTYPE html"), (0, b"<html")],
+        extensions: &[
+            "md", "pdf", "rst", "html", "htm", "doc", "docx", "py", "ipynb", "xml", "yaml", "yml", "toml",
+            "ini", "log", "prj", "wkt",
+        ],
+        way: PICTURE,
+    },
+    Kind {
+        what: "a film",
+        marks: &[(4, b"ftyp"), (0, b"RIFF"), (0, b"\x1aE\xdf\xa3")],
+        extensions: &["mp4", "mov", "avi", "mkv", "webm", "webp"],
+        way: PICTURE,
+    },
+    Kind {
         what: "a table of columns",
         marks: &[
             (0, b"PAR1"),
             (0, b"ARROW1"),
             (0, b"SQLite format 3"),
-            (0, b"SIMPLE  ="),
             (0, b"MATLAB 5.0"),
             (0, b"CDF\x01"),
             (0, b"CDF\x02"),
             (0, b"CDF\x05"),
         ],
-        extensions: &[
-            "parquet", "feather", "arrow", "pkl", "pickle", "pt", "mat", "fits", "nc", "root", "gpkg",
-            "xlsx", "shp",
-        ],
+        extensions: &["parquet", "feather", "arrow", "pkl", "pickle", "mat", "nc", "root", "xlsx", "h5ad"],
         way: FROM_TABLE,
     },
     Kind {
         what: "a scan in a scanner's own format",
         marks: &[],
-        extensions: &["rcp", "rcs", "fls", "lsproj", "zfs", "zfc", "rdbx", "pod", "dwg", "dgn", "3dd"],
+        extensions: &[
+            "rcp",
+            "rcs",
+            "fls",
+            "lsproj",
+            "zfs",
+            "zfc",
+            "rdbx",
+            "pod",
+            "3dd",
+            "rxp",
+            "rdb",
+            "ptg",
+            "imp",
+            "lgs",
+            "cl3",
+            "clr",
+            "bin.riegl",
+        ],
         way: FROM_SCANNER,
     },
     Kind {
@@ -185,15 +361,60 @@ pub(super) fn advice(path: &Path, head: &[u8], known: &str) -> String {
     if let Some((_, packer)) = packed.iter().find(|(mark, _)| head.starts_with(mark)) {
         return format!("this is compressed with {packer}; unpack it first");
     }
+    if !head.contains(&0) && std::str::from_utf8(head).is_ok() {
+        return format!(
+            "this is text, but no table: expected numbers in columns, or a header that names x, y and z; otherwise points \
+             in a file whose name ends in {known}"
+        );
+    }
     format!("unknown kind of file; expected points in a file whose name ends in {known}")
 }
 
 fn recognized(head: &[u8], name: &str) -> Option<&'static Kind> {
-    let marked = |kind: &&Kind| {
+    // Of names that are whole, as `cloud.js` is, an ending alone is none.
+    let is = |e: &str| name.ends_with(&format!(".{e}")) || e.contains('.') && name == e;
+    let named = |kind: &&Kind| kind.extensions.iter().any(|e| is(e));
+    marked(head).or_else(|| KINDS.iter().find(named))
+}
+
+/// The kind whose marks a file has.
+fn marked(head: &[u8]) -> Option<&'static Kind> {
+    let has = |kind: &&Kind| {
         kind.marks.iter().any(|(at, mark)| head.get(*at..).is_some_and(|h| h.starts_with(mark)))
     };
-    let named = |kind: &&Kind| kind.extensions.iter().any(|e| name == *e || name.ends_with(&format!(".{e}")));
-    KINDS.iter().find(marked).or_else(|| KINDS.iter().find(named))
+    KINDS
+        .iter()
+        .find(has)
+        .or_else(|| KINDS.iter().find(|kind| kind.extensions.contains(&"gro") && is_molecule(head)))
+}
+
+/// Whether a file says by its first bytes that it is of a kind that is not read, whatever its name.
+pub(super) fn is_marked(head: &[u8]) -> bool {
+    marked(head).is_some()
+}
+
+/// Whether a file is known not to be read, by its first bytes or its name.
+pub(super) fn is_recognized(path: &Path, head: &[u8]) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    recognized(head, &name).is_some()
+}
+
+/// Whether a file is a molecule in XYZ: a count, a remark, and lines of a chemical symbol and three numbers.
+fn is_molecule(head: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(head);
+    let mut lines = text.lines();
+    let is_count = lines.next().is_some_and(|line| line.trim().parse::<u64>().is_ok());
+    let is_remark = lines.next().is_some_and(|line| {
+        !line.split_ascii_whitespace().next().is_some_and(|word| word.parse::<f64>().is_ok())
+    });
+    let mut words = lines.next().unwrap_or_default().split_ascii_whitespace();
+    let is_symbol = words.next().is_some_and(|word| {
+        word.len() <= 3 && word.starts_with(|c: char| c.is_ascii_uppercase()) && word.is_ascii()
+    });
+    is_count
+        && is_remark
+        && is_symbol
+        && words.take(3).filter(|word| word.parse::<f64>().is_ok()).count() == 3
 }
 
 /// What is in a file that is compressed with gzip, and not recognized by its name.
@@ -216,8 +437,17 @@ fn of_folder(path: &Path, name: &str) -> String {
         recognized(&[], "zarr.json")
     } else if has("ept.json") {
         recognized(&[], "ept.json")
+    } else if has("Header") && has("Level_0")
+        || name.strip_prefix("output_").is_some_and(|n| has(&format!("info_{n}.txt")))
+    {
+        // Of AMReX and of RAMSES.
+        recognized(&[], ".athdf")
+    } else if has("points3D.bin") && has("images.bin") {
+        recognized(&[], "points3d.bin")
     } else {
-        recognized(&[], name)
+        // Of these formats folders have the names.
+        let is_folder = [".zarr", ".bp", ".bp4", ".bp5"].iter().any(|ending| name.ends_with(ending));
+        recognized(&[], name).filter(|_| is_folder)
     };
     match kind {
         Some(kind) => format!("this is {}, which is not read; {}", kind.what, kind.way),

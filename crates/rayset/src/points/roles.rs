@@ -6,9 +6,25 @@
 use super::ColumnInfo;
 
 const AXES: [&[&str]; 3] = [
-    &["x", "easting", "points:0", "points_0"],
-    &["y", "northing", "points:1", "points_1"],
-    &["z", "elevation", "height", "points:2", "points_2"],
+    &["x", "easting", "points:0", "points_0", "east", "rechtswert", "e", "longitude", "lon", "lng", "long"],
+    &["y", "northing", "points:1", "points_1", "north", "hochwert", "n", "latitude", "lat"],
+    &[
+        "z",
+        "elevation",
+        "height",
+        "points:2",
+        "points_2",
+        "altitude",
+        "alt",
+        "höhe",
+        "hoehe",
+        // Höhe in Latin-1, whose bytes are no text here.
+        "h\u{fffd}he",
+        "hauteur",
+        "elev",
+        "ele",
+        "h",
+    ],
 ];
 
 const COLORS: [&str; 3] = ["red", "green", "blue"];
@@ -24,7 +40,19 @@ fn place(names: &[&str], wanted: &str) -> Option<usize> {
 /// Which of `names` are x, y and z.
 pub(super) fn axes<S: AsRef<str>>(names: &[S]) -> [Option<usize>; 3] {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
-    AXES.map(|aliases| aliases.iter().find_map(|alias| place(&names, alias)))
+    // Behind a name may stand its unit, as in `x (m)` or `Easting [m]`.
+    let bare: Vec<&str> =
+        names.iter().map(|name| name.split(['(', '[']).next().unwrap_or(name).trim()).collect();
+    AXES.map(|aliases| {
+        let of = |names: &[&str]| aliases.iter().find_map(|alias| place(names, alias));
+        of(&names).or_else(|| of(&bare))
+    })
+}
+
+/// Whether a coordinate of this name is a longitude in degrees.
+pub(super) fn is_longitude(name: &str) -> bool {
+    let bare = name.split(['(', '[']).next().unwrap_or(name).trim().to_lowercase();
+    ["longitude", "lon", "lng", "long"].contains(&bare.as_str())
 }
 
 /// The roles `red`, `green` and `blue`, with the columns that have them under other names. Empty if any column is called
@@ -49,7 +77,7 @@ pub(super) fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str
 }
 
 /// Names of positions of three numbers, without case.
-pub(super) const POSITIONS: [&str; 10] = [
+pub(super) const POSITIONS: [&str; 17] = [
     "positions",
     "position",
     "xyz",
@@ -60,9 +88,17 @@ pub(super) const POSITIONS: [&str; 10] = [
     "vertices",
     "location",
     "locations",
+    "coord",
+    "point",
+    "point_cloud",
+    "pointcloud",
+    "pc",
+    "pcd",
+    "verts",
 ];
 /// Names of colours of three or four numbers.
-const VECTORS_OF_COLORS: [&str; 6] = ["rgb", "rgba", "color", "colors", "colour", "colours"];
+const VECTORS_OF_COLORS: [&str; 9] =
+    ["rgb", "rgba", "color", "colors", "colour", "colours", "point_colors", "rgbs", "vertex_colors"];
 
 /// The columns that `count` numbers with one name become. Positions and colours have names of their own.
 pub(super) fn components(name: &str, count: usize) -> Vec<String> {
@@ -88,7 +124,10 @@ pub(super) fn plain_components(name: &str, count: usize) -> Vec<String> {
 pub(super) fn is_class(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let name = name.strip_prefix("scalar_").unwrap_or(&name);
-    matches!(name, "class" | "classification" | "label")
+    matches!(
+        name,
+        "class" | "classification" | "label" | "labels" | "segment" | "semantic" | "semantic_label"
+    )
 }
 
 /// The start of a text from a file, shortened for a message and without control characters.

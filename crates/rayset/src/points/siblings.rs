@@ -12,7 +12,7 @@ const MOST_FILES: u64 = 1 << 16;
 /// in their names, with its dot, or empty.
 ///
 /// # Errors
-/// If the name has no number below `count`, or one of the files is missing.
+/// If the name has no number below `count`, or one of the files is missing or cannot be looked at.
 pub(super) fn of(path: &Path, count: u64, extension: &str) -> Result<Vec<PathBuf>, ReadError> {
     if count <= 1 {
         return Ok(vec![path.to_owned()]);
@@ -35,16 +35,19 @@ pub(super) fn of(path: &Path, count: u64, extension: &str) -> Result<Vec<PathBuf
     };
     let files = (0..count).map(|number| path.with_file_name(format!("{base}.{number}{extension}")));
     let files: Vec<PathBuf> = files.collect();
-    match files.iter().find(|file| !file.exists()) {
-        None => Ok(files),
-        Some(missing) => {
-            let what = format!("it is one of the {count} files of a snapshot with {name}, and is not there");
-            Err(ReadError::Io {
-                path: missing.clone(),
-                source: io::Error::new(io::ErrorKind::NotFound, what),
-            })
-        }
+    for file in &files {
+        std::fs::metadata(file).map_err(|error| {
+            let source = if error.kind() == io::ErrorKind::NotFound {
+                let what =
+                    format!("it is one of the {count} files of a snapshot with {name}, and is not there");
+                io::Error::new(io::ErrorKind::NotFound, what)
+            } else {
+                error
+            };
+            ReadError::Io { path: file.clone(), source }
+        })?;
     }
+    Ok(files)
 }
 
 #[cfg(test)]
@@ -67,5 +70,20 @@ mod tests {
             let said = of(&at(name), 2, ".h5").expect_err("no number").to_string();
             assert!(said.contains("one of 2 files; expected a name with its number"), "{said}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_that_the_system_cannot_look_at_is_not_said_to_be_missing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [first, second] = ["s.0.h5", "s.1.h5"].map(|name| folder.path().join(name));
+        std::fs::write(&first, "").expect("a write");
+        std::os::unix::fs::symlink(&second, &second).expect("a link to itself");
+        let Err(ReadError::Io { path, source }) = of(&first, 2, ".h5") else {
+            panic!("expected what the system says")
+        };
+        assert_eq!(path, second);
+        assert_ne!(source.kind(), io::ErrorKind::NotFound);
+        assert!(source.raw_os_error().is_some(), "{source}");
     }
 }

@@ -66,6 +66,9 @@ pub enum SceneError {
         /// Number of attributes that are read.
         count: usize,
     },
+    /// A node other than a difference has a cap.
+    #[error("only a difference has a cap: it is what taking away lays bare")]
+    Cap,
     /// The scene has no finite bounds.
     #[error("the scene has no end: cut its half-spaces off with an intersection")]
     Unbounded,

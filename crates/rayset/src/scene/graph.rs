@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use super::error::{MOST_ATTRIBUTES, SceneError};
 use super::transfer::{ColorMap, ColorRule, MapInput, OpacityRule, TransferError, TransferFunction};
-use super::{FARTHEST, Material, Procedural, SHORTEST};
+use super::{BRIGHTEST, FARTHEST, Material, Procedural, SHORTEST};
 use crate::field::Kernel;
 use crate::geometry::{Aabb, DAffine3, DVec3};
 use crate::grid::Grid;
@@ -37,6 +37,9 @@ pub struct Node {
     pub transfers: Vec<Transfer>,
     /// Material of everything below that has no material of its own.
     pub material: Option<Material>,
+    /// Of a difference: the colour of a cap, linear light. What the first child encloses is then filled before the others
+    /// are taken away from it, so that a cut through a hollow scan shows a solid.
+    pub cap: Option<[f64; 3]>,
 }
 
 /// An elemental volume object or an operator.
@@ -227,7 +230,13 @@ impl Node {
     /// A node with an identity transform, without transfer functions or material.
     #[must_use]
     pub fn new(shape: Shape) -> Self {
-        Self { shape, parent_from_local: DAffine3::IDENTITY, transfers: Vec::new(), material: None }
+        Self {
+            shape,
+            parent_from_local: DAffine3::IDENTITY,
+            transfers: Vec::new(),
+            material: None,
+            cap: None,
+        }
     }
 
     /// An operator node with the given children.
@@ -247,6 +256,13 @@ impl Node {
     #[must_use]
     pub fn of(mut self, material: Material) -> Self {
         self.material = Some(material);
+        self
+    }
+
+    /// Sets the colour of the cap of a difference, linear light.
+    #[must_use]
+    pub fn capped(mut self, color: [f64; 3]) -> Self {
+        self.cap = Some(color);
         self
     }
 
@@ -340,6 +356,7 @@ impl Node {
         check_transform(&world_from_local)?;
         self.transfers.iter().try_for_each(|transfer| transfer.check(self))?;
         self.material.as_ref().map_or(Ok(()), Material::check)?;
+        self.check_cap()?;
         match &self.shape {
             Shape::Cloud(object) => object.check(),
             Shape::Grid(object) => Ok(object.transfer.check()?),
@@ -363,6 +380,19 @@ impl Node {
                 }
                 children.iter().try_for_each(|child| child.check_each(&world_from_local))
             }
+        }
+    }
+
+    fn check_cap(&self) -> Result<(), SceneError> {
+        let Some(color) = self.cap else { return Ok(()) };
+        if !matches!(self.shape, Shape::Operator(Operator::Difference, _)) {
+            return Err(SceneError::Cap);
+        }
+        match color.into_iter().find(|v| !(0.0..=BRIGHTEST).contains(v)) {
+            Some(value) => {
+                Err(SceneError::Number { what: "the colour of a cap", value, expected: "0 to 1e12" })
+            }
+            None => Ok(()),
         }
     }
 

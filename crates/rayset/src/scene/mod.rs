@@ -237,6 +237,9 @@ pub struct RenderSettings {
     /// How much darker surfaces become in creases and close behind edges, 0 (not at all, the default) to 4. Of whole
     /// pictures and regions alone: tiles that are handed out one by one are as they were traced.
     pub ambient_occlusion: f32,
+    /// Cells along the longest side of the lattice on which it is decided what a cap fills, 8 to 1024. Less than two
+    /// bytes of memory are set aside for each, of at most this number cubed for every cap.
+    pub cap_resolution: u32,
 }
 
 impl Default for RenderSettings {
@@ -253,6 +256,7 @@ impl Default for RenderSettings {
             max_depth: 4,
             layers: false,
             ambient_occlusion: 0.0,
+            cap_resolution: 256,
         }
     }
 }
@@ -267,6 +271,7 @@ setters!(RenderSettings {
     with_max_depth => max_depth: u32,
     with_layers => layers: bool,
     with_ambient_occlusion => ambient_occlusion: f32,
+    with_cap_resolution => cap_resolution: u32,
 });
 
 impl RenderSettings {

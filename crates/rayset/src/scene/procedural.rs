@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::transfer::ColorMap;
-use crate::geometry::{Aabb, DVec3};
+use crate::geometry::{Aabb, DVec3, Ray};
 
 /// A field at one position, local space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -25,6 +25,13 @@ pub trait Procedural: fmt::Debug + Send + Sync {
 
     /// The length scale on which the field varies, local space: automatic steps are at most a fraction of it.
     fn detail(&self) -> f64;
+
+    /// An interval of distances along a ray, from 0 on, local space, outside which the opacity is 0: in units of the length of the
+    /// ray's direction. `None` if the ray meets nothing. The tighter it is, the fewer samples are taken; a step's worth of
+    /// rounding errors does no harm. By default, where the ray is within the bounds.
+    fn span(&self, ray: &Ray) -> Option<(f64, f64)> {
+        self.bounds().clip(ray)
+    }
 
     /// The colour, if it is the same everywhere.
     fn uniform_color(&self) -> Option<[f64; 3]> {

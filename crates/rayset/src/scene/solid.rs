@@ -1,7 +1,7 @@
 //! Solids with hard or soft edges.
 
 use super::{Pattern, Procedural, ProceduralSample};
-use crate::geometry::{Aabb, DVec3};
+use crate::geometry::{Aabb, DVec3, Ray};
 
 /// Shapes centred at the origin, with y as the axis of revolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,6 +109,24 @@ impl Form {
         Aabb::new(-half, half)
     }
 
+    /// An interval of a ray outside which it is farther than `reach` from the shape, or `None`.
+    fn span(&self, ray: &Ray, reach: f64) -> Option<(f64, f64)> {
+        let within = self.bounds().inflated(reach).clip(ray)?;
+        let round = match *self {
+            Self::Sphere { radius } => near_origin(ray.origin, ray.direction, radius + reach)?,
+            Self::Cylinder { radius, .. } | Self::Cone { radius, .. } => near_axis(ray, radius + reach)?,
+            Self::Torus { major, minor } => near_axis(ray, major + minor + reach)?,
+            // Its distance is not exact: only where it is negative or 0 is the ellipsoid certain.
+            Self::Ellipsoid { radii } if reach == 0.0 => {
+                near_origin(ray.origin / radii, ray.direction / radii, 1.0)?
+            }
+            Self::HalfSpace { normal, offset } => beyond_plane(ray, normal, offset + reach)?,
+            Self::Ellipsoid { .. } | Self::Box { .. } => within,
+        };
+        let (enter, exit) = (within.0.max(round.0), within.1.min(round.1));
+        (enter <= exit).then_some((enter, exit))
+    }
+
     /// The smallest extent of the shape.
     fn thickness(&self) -> f64 {
         match *self {
@@ -117,6 +135,40 @@ impl Form {
             _ => self.bounds().size().min_element(),
         }
     }
+}
+
+/// Where a line is within a distance of the origin, or a little farther.
+fn near_origin(origin: DVec3, direction: DVec3, distance: f64) -> Option<(f64, f64)> {
+    let squared = direction.length_squared();
+    if squared == 0.0 {
+        return Some((f64::NEG_INFINITY, f64::INFINITY));
+    }
+    // From the point of the line that is nearest: the difference of squares of large numbers would lose all digits.
+    let middle = -origin.dot(direction) / squared;
+    let away = (origin + direction * middle).length_squared();
+    let distance = distance * (1.0 + 1e-9) + origin.length() * 1e-12;
+    let half = ((distance * distance - away) / squared).sqrt();
+    (half >= 0.0).then_some((middle - half, middle + half))
+}
+
+/// Where a line is within a distance of the y axis, or a little farther.
+fn near_axis(ray: &Ray, distance: f64) -> Option<(f64, f64)> {
+    let across = |v: DVec3| DVec3::new(v.x, 0.0, v.z);
+    let (origin, direction) = (across(ray.origin), across(ray.direction));
+    if direction == DVec3::ZERO {
+        return (origin.length() <= distance * (1.0 + 1e-9)).then_some((f64::NEG_INFINITY, f64::INFINITY));
+    }
+    near_origin(origin, direction, distance)
+}
+
+/// Where a line is on the side of a plane that its normal points away from.
+fn beyond_plane(ray: &Ray, normal: DVec3, offset: f64) -> Option<(f64, f64)> {
+    let (height, slope) = (ray.origin.dot(normal) - offset, ray.direction.dot(normal));
+    if slope == 0.0 {
+        return (height <= 0.0).then_some((f64::NEG_INFINITY, f64::INFINITY));
+    }
+    let at = -height / slope;
+    Some(if slope > 0.0 { (f64::NEG_INFINITY, at) } else { (at, f64::INFINITY) })
 }
 
 /// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its gradient.
@@ -203,6 +255,10 @@ impl Procedural for Solid {
         self.form.bounds().inflated(0.5 * self.edge)
     }
 
+    fn span(&self, ray: &Ray) -> Option<(f64, f64)> {
+        self.form.span(ray, 0.5 * self.edge)
+    }
+
     fn detail(&self) -> f64 {
         // Silhouettes of hard edges are only as accurate as the step.
         let hard = self.form.thickness() / 16.0;
@@ -277,6 +333,39 @@ mod tests {
             } else {
                 prop_assume!((numeric.length() - 1.0).abs() < 1e-4);
                 prop_assert!((gradient - numeric).length() < 1e-3, "{gradient} {numeric}");
+            }
+        }
+
+        #[test]
+        fn a_solid_is_transparent_outside_its_span_along_a_ray(
+            form in forms(),
+            edge in prop::sample::select(vec![0.0, 0.3]),
+            origin in prop::array::uniform3(-3.0_f64..3.0),
+            through in prop::array::uniform3(-1.0_f64..1.0),
+            far in prop::sample::select(vec![1.0, 1e6]),
+            axis in 0_usize..6,
+        ) {
+            let solid = Solid { edge, ..Solid::new(form) };
+            let through = DVec3::from_array(through);
+            // In any direction, or along an axis.
+            let mut direction = through - DVec3::from_array(origin);
+            if axis < 3 {
+                direction = DVec3::AXES[axis];
+            }
+            let direction = direction * 0.7;
+            let ray = Ray { origin: through - direction * far, direction };
+            let span = solid.span(&ray);
+            for i in 0..400 {
+                // A ray begins at 0.
+                let t = (far + (f64::from(i) - 200.0) * 0.02).max(0.0);
+                // The rounding error of positions so far away.
+                let slack = 1e-9 * far;
+                let inside = span.is_some_and(|(enter, exit)| (enter - slack..=exit + slack).contains(&t));
+                let place = ray.at(t);
+                let opacity = solid.sample(place).opacity;
+                // Outside its bounds nothing is ever sampled: the distance of a soft ellipsoid is not exact there.
+                let bounded = solid.bounds().contains(place);
+                prop_assert!(inside || opacity <= 1e-3 || !bounded, "{opacity} at {t}, {span:?}");
             }
         }
 

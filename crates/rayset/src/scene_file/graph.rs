@@ -218,7 +218,9 @@ impl<'a> GraphReader<'a> {
                 (object, Shape::Grid(made))
             }
             Type::Operator(operator) => {
-                let object = with(&["children"])?;
+                let own: &[&str] =
+                    if operator == Operator::Difference { &["children", "cap"] } else { &["children"] };
+                let object = with(own)?;
                 let at = object.require("children")?;
                 let least = if operator == Operator::Difference { 2 } else { 1 };
                 let children = at.list(MOST_CHILDREN)?;
@@ -362,6 +364,7 @@ fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> 
     if let Some(at) = object.get("material") {
         node.material = Some(material(&at)?);
     }
+    node.cap = object.get("cap").map(|at| at.color()).transpose()?;
     Ok(node)
 }
 

@@ -45,6 +45,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
             "shadowResolution",
             "maxDepth",
             "ambientOcclusion",
+            "capResolution",
         ];
         let rendering = at.object(&known)?;
         settings.step = step(&rendering)?;
@@ -56,6 +57,8 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
         settings.max_depth = rendering.read_or("maxDepth", settings.max_depth, |at| at.whole(0, 16))?;
         let occlusion = rendering.read_or("ambientOcclusion", 0.0, |at| at.number(0.0, 4.0))?;
         settings.ambient_occlusion = occlusion as f32;
+        settings.cap_resolution =
+            rendering.read_or("capResolution", settings.cap_resolution, |at| at.whole(8, 1024))?;
         let resolution = rendering.read_or("shadowResolution", 512, |at| at.whole(16, 16384))?;
         let kinds = [("exact", Shadows::Exact), ("cached", Shadows::Cached { resolution })];
         settings.shadows =

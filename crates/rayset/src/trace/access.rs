@@ -1,11 +1,11 @@
 //! How one attempt at a tile obtains its pages: it either waits for absent pages, or is deferred until they are
 //! resident.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 
 use super::RenderError;
-use crate::working_set::{Object, PageClient, PageGuard};
+use crate::working_set::{Object, PageClient, PageGuard, Reuse};
 
 /// A page that a tile waits for.
 #[derive(Clone)]
@@ -39,6 +39,8 @@ pub(super) struct Access<'a> {
     pub(super) follows_lines: bool,
     /// Bytes of the pages requested so far.
     pub(super) asked_bytes: &'a Cell<u64>,
+    /// What this thread knows about when pages are used again.
+    pub(super) reuse: &'a RefCell<Reuse>,
 }
 
 impl Access<'_> {
@@ -54,7 +56,7 @@ impl Access<'_> {
         self.check()?;
         self.asked_bytes.set(self.asked_bytes.get() + object.bytes());
         if self.waits {
-            return Ok(self.pages.retain(object, page)?);
+            return Ok(self.pages.retain_knowing(object, page, Some(self.reuse))?);
         }
         match self.pages.retain_resident(object, page) {
             Some(outcome) => Ok(outcome?),
@@ -63,5 +65,20 @@ impl Access<'_> {
                 Err(Halt::Deferred(Lacking { object: object.clone(), page }))
             }
         }
+    }
+
+    /// Retains one of the pages that a slab goes through in turn; `sample` is the slab's first, `again` whether the slabs
+    /// after it need the page, too.
+    pub(super) fn retain_in_turn(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        sample: u64,
+        again: bool,
+    ) -> Result<PageGuard, Halt> {
+        self.pages.come_to(sample, &mut self.reuse.borrow_mut());
+        let guard = self.retain_page(object, page)?;
+        self.pages.used_in_turn(object, page, &guard, again, &mut self.reuse.borrow_mut());
+        Ok(guard)
     }
 }

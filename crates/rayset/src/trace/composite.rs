@@ -1,10 +1,12 @@
 //! Front-to-back compositing: from the optical depths of samples to the contribution of each sample to its ray.
 
-use fearless_simd::dispatch;
+use fearless_simd::prelude::*;
+use fearless_simd::{dispatch, f32x8};
 
-use super::math::absorbed;
-use super::node_samples::{NodeSamples, each_lane};
-use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
+use super::cloud::Remaining;
+use super::math::{absorbed, ln};
+use super::node_samples::{NodeSamples, Rows, each_lane};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 
 /// What a ray has accumulated so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +56,25 @@ pub(super) struct Absorption {
     pub(super) simd: SimdLevel,
 }
 
+/// Least transmittance at which rays end for which it is foreseen where: far more than what absorption is rounded to.
+const LEAST_FORESEEN: f64 = 1e-4;
+
 impl Absorption {
+    /// How much is left of rays; `None` if that cannot be said.
+    pub(super) fn remaining(&self, packet: &Packet, states: &[RayState; LANES]) -> Option<Remaining> {
+        if self.stop_transmittance < LEAST_FORESEEN {
+            return None;
+        }
+        let mut depth = [0.0; LANES];
+        for (depth, state) in depth.iter_mut().zip(states) {
+            *depth = (state.transmittance / self.stop_transmittance) as f32;
+        }
+        dispatch!(self.simd.level(), _simd => logarithms(&mut depth));
+        // More than all that is rounded on the way to the ray's end.
+        let per_unit = (self.unit_distance / packet.step_world()) as f32 * 1.001;
+        Some(Remaining { depth: depth.map(|depth| (depth + 1e-5) * per_unit) })
+    }
+
     /// Advances the rays in `lanes` through a slab. Returns the lanes of rays that continue.
     pub(super) fn absorb(
         &self,
@@ -68,11 +88,12 @@ impl Absorption {
         let step_units = (packet.step_world() / self.unit_distance) as f32;
         let mut going = lanes;
         shares.samples.fill(0);
-        each_lane(lanes & node.touched, |lane| {
-            let optical_depth = &node.opacity[lane];
-            let taken = dispatch!(self.simd.level(), _simd => taken(optical_depth, step_units));
+        let taking = lanes & node.touched;
+        dispatch!(self.simd.level(), simd => taken(simd, taking, &node.opacity, step_units, shares));
+        each_lane(taking, |lane| {
+            let opaque = shares.samples[lane] & u32::MAX >> (SLAB_SAMPLES - slab.samples);
             let rows = (&mut shares.share[lane], &mut shares.behind[lane]);
-            let (samples, ends) = self.through(&taken, slab, &mut states[lane].transmittance, rows);
+            let (samples, ends) = self.through(opaque, &mut states[lane].transmittance, rows);
             shares.samples[lane] = samples;
             if ends {
                 going &= !(1 << lane);
@@ -81,26 +102,22 @@ impl Absorption {
         going
     }
 
-    /// Advances one ray through the samples of a slab, front to back. Returns a bit for each contributing sample, and
-    /// whether the ray ends.
+    /// Advances one ray through the opaque samples of a slab, front to back, whose shares are yet what each absorbs.
+    /// Returns a bit for each contributing sample, and whether the ray ends.
     fn through(
         &self,
-        taken: &SampleRow,
-        slab: Slab,
+        mut opaque: u32,
         transmittance: &mut f64,
         (share, behind): (&mut SampleRow, &mut SampleRow),
     ) -> (u32, bool) {
-        let mut opaque = 0_u32;
-        for (j, &a) in taken.0[..slab.samples].iter().enumerate() {
-            opaque |= u32::from(a > 0.0) << j;
-        }
         let mut samples = 0;
         while opaque != 0 {
             let j = opaque.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
             opaque &= opaque - 1;
             samples |= 1 << j;
-            share.0[j] = *transmittance as f32 * taken.0[j];
-            *transmittance *= 1.0 - f64::from(taken.0[j]);
+            let taken = share.0[j];
+            share.0[j] = *transmittance as f32 * taken;
+            *transmittance *= 1.0 - f64::from(taken);
             behind.0[j] = *transmittance as f32;
             if *transmittance < self.stop_transmittance {
                 return (samples, true);
@@ -110,12 +127,31 @@ impl Absorption {
     }
 }
 
-/// The fraction of light that each sample absorbs over its step.
 #[inline(always)]
-fn taken(optical_depth: &SampleRow, step_units: f32) -> SampleRow {
-    let mut taken = SampleRow([0.0; SLAB_SAMPLES]);
-    for (a, &t) in taken.0.iter_mut().zip(&optical_depth.0) {
-        *a = absorbed(t * step_units);
+fn logarithms(values: &mut [f32; LANES]) {
+    values.iter_mut().for_each(|v| *v = ln(*v));
+}
+
+/// Sets the share of each sample to the fraction of light that it absorbs over its step, and its bit if that is any.
+/// Blocks without opacity are left as they are.
+#[inline(always)]
+fn taken<S: Simd>(simd: S, mut lanes: u64, optical_depth: &Rows, step_units: f32, shares: &mut Shares) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        let mut bits = 0;
+        for block in 0..SLAB_SAMPLES / BLOCK_SAMPLES {
+            let at = block * BLOCK_SAMPLES..(block + 1) * BLOCK_SAMPLES;
+            let depth = &optical_depth[lane].0[at.clone()];
+            if f32x8::from_slice(simd, depth).simd_gt(0.0).to_bitmask() == 0 {
+                continue;
+            }
+            let taken = &mut shares.share[lane].0[at.clone()];
+            for (a, &t) in taken.iter_mut().zip(depth) {
+                *a = absorbed(t * step_units);
+            }
+            bits |= (f32x8::from_slice(simd, taken).simd_gt(0.0).to_bitmask() as u32) << at.start;
+        }
+        shares.samples[lane] = bits;
     }
-    taken
 }

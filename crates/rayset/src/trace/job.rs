@@ -1,18 +1,18 @@
 //! One render: its tiles, the threads that trace them, and the tiles that wait to be handed out.
 
 use std::any::Any;
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 
 use super::access::Halt;
 use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
 use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
-use super::scheduler::{Task, Turn};
+use super::scheduler::{Tally, Task, Turn};
 use super::tiles::{Attempt, Deferred, TileQueue};
 use super::work::{Tile, TilePlace, Work};
 use super::{RenderCounts, RenderError};
@@ -20,10 +20,13 @@ use crate::cancel::CancelToken;
 use crate::field::LANES;
 use crate::image::LayerPixel;
 use crate::scene::{RayMaker, RenderSettings};
-use crate::working_set::PageClient;
+use crate::sync::{Condvar, Mutex, MutexGuard, lock_counting};
+use crate::working_set::{PageClient, Reuse};
 
 /// Most finished tiles that wait to be handed out; at this many, no further tiles are begun.
 const MOST_WAITING: usize = 32;
+/// With this many or fewer, threads that have left are called back.
+const FEW_WAITING: usize = MOST_WAITING / 2;
 
 pub(super) struct Job {
     prepared: Arc<Prepared>,
@@ -47,11 +50,12 @@ pub(super) struct Job {
 pub(super) struct Progress {
     state: Mutex<State>,
     changed: Condvar,
+    tally: Arc<Tally>,
 }
 
 impl Progress {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock_counting(&self.state, &self.tally.lock_waits)
     }
 
     /// A thread has left.
@@ -94,7 +98,12 @@ pub(super) struct Output {
 
 /// What a render returns to its caller next.
 pub(super) enum Next {
-    Tile(Box<Output>),
+    /// A finished tile. If threads may have left because too many waited, there is room for the tiles of so many again, which
+    /// are to be called back; otherwise 0.
+    Tile {
+        output: Box<Output>,
+        room: usize,
+    },
     Finished(Result<RenderCounts, RenderError>),
 }
 
@@ -126,7 +135,10 @@ impl Job {
             passes,
             earlier: (0..kept).map(|_| Mutex::new(None)).collect(),
             stop: stop.clone(),
-            progress: Arc::default(),
+            progress: Arc::new(Progress {
+                tally: prepared.engine.scheduler.tally().clone(),
+                ..Progress::default()
+            }),
             prepared,
         }
     }
@@ -151,7 +163,9 @@ impl Job {
         loop {
             let stopped = self.stop.is_cancelled();
             if !stopped && let Some(output) = state.outputs.pop_front() {
-                return Next::Tile(Box::new(output));
+                let calls = state.outputs.len() == FEW_WAITING;
+                let room = if calls { MOST_WAITING - FEW_WAITING } else { 0 };
+                return Next::Tile { output: Box::new(output), room };
             }
             let complete = state.pass == self.passes.len();
             if state.threads == 0 && (complete || stopped) {
@@ -185,23 +199,28 @@ impl Job {
     fn trace_tiles(&self, turn: &Turn<'_>) {
         let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, exec.slab_samples);
-        let asked_bytes = Cell::new(0);
-        let mut queue = TileQueue::new(&self.pages, &*exec.predictor, &asked_bytes);
+        let (asked_bytes, reuse) = (Cell::new(0), RefCell::default());
+        let pages = self.pages.for_thread();
+        let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse);
         while !self.stop.is_cancelled()
-            && let Some(attempt) = queue.next(self.lookahead().tiles_to_defer(), || self.take())
+            && let Some(attempt) = queue.next(self.lookahead_state.tiles_to_defer(), || self.take())
         {
-            exec.predictor.ahead(self.lookahead(), attempt.place.tile);
-            let before = tracer.counts();
+            exec.predictor.ahead(self.lookahead(&pages, &reuse), attempt.place.tile);
+            let (before, mut is_full) = (tracer.counts(), false);
             asked_bytes.set(0);
+            pages.begin_round(&mut reuse.borrow_mut());
             match self.trace(&attempt, &mut tracer) {
-                Ok(output) => self.finish(output, turn),
+                Ok(output) => {
+                    pages.end_round(&mut reuse.borrow_mut());
+                    is_full = self.finish(output, turn);
+                }
                 Err(Halt::Deferred(lacking)) => {
                     tracer.deferred(before);
                     queue.deferred(&attempt, lacking);
                 }
                 Err(Halt::Failed(error)) => self.fail(error),
             }
-            if turn.is_over() || self.lock().is_full() {
+            if is_full || turn.is_over() {
                 break;
             }
         }
@@ -229,9 +248,9 @@ impl Job {
         Some(Deferred::fresh(TilePlace { tile: state.next - 1, pass: state.pass }))
     }
 
-    fn lookahead(&self) -> Lookahead<'_> {
+    fn lookahead<'a>(&'a self, pages: &'a PageClient, reuse: &'a RefCell<Reuse>) -> Lookahead<'a> {
         let world = &self.prepared.world;
-        Lookahead { state: &self.lookahead_state, world, rays: &self.rays, pages: &self.pages }
+        Lookahead { state: &self.lookahead_state, world, rays: &self.rays, pages, reuse }
     }
 
     /// Traces the rays of a tile in one pass.
@@ -284,8 +303,9 @@ impl Job {
         sums
     }
 
-    /// Hands over a finished tile; after the last tile of a pass, begins the next pass.
-    fn finish(&self, output: Output, turn: &Turn<'_>) {
+    /// Hands over a finished tile; after the last tile of a pass, begins the next pass. Returns whether too many tiles
+    /// wait.
+    fn finish(&self, output: Output, turn: &Turn<'_>) -> bool {
         let mut state = self.lock();
         state.outputs.push_back(output);
         state.finished += 1;
@@ -293,18 +313,21 @@ impl Job {
         if next_pass {
             (state.pass, state.next, state.finished) = (state.pass + 1, 0, 0);
         }
+        let is_full = state.outputs.len() >= MOST_WAITING;
+        let calls = next_pass && state.pass < self.passes.len();
         drop(state);
         self.progress.changed.notify_all();
-        if next_pass {
+        if calls {
             turn.call_others();
         }
+        is_full
     }
 }
 
 impl Task for Job {
     fn has_work(&self) -> bool {
         let state = self.lock();
-        !self.stop.is_cancelled() && !state.is_full() && state.has_tiles(self)
+        !self.stop.is_cancelled() && !state.is_filling() && state.has_tiles(self)
     }
 
     fn entered(&self) {
@@ -325,8 +348,10 @@ impl Task for Job {
 }
 
 impl State {
-    fn is_full(&self) -> bool {
-        self.outputs.len() >= MOST_WAITING
+    /// Whether so many tiles wait that no thread joins: those that have left because too many waited come back together
+    /// when there is room for more than one tile, not for each that is handed out.
+    fn is_filling(&self) -> bool {
+        self.outputs.len() > FEW_WAITING
     }
 
     fn has_tiles(&self, job: &Job) -> bool {

@@ -1,11 +1,13 @@
 //! The march of one packet through the whole graph: its samples, slab after slab.
 
 use super::access::{Access, Halt};
-use super::cloud::{CloudMarch, CloudScratch, Request};
+use super::cloud::{CloudMarch, CloudScratch, Remaining, Request};
 use super::counts::RenderCounts;
+use super::grid::{GridMarch, GridRequest, GridScratch};
 use super::node_samples::{Live, Measure, NodeSamples};
+use super::procedural_volume::ProceduralRequest;
 use super::program::{Action, Instruction, Program};
-use crate::field::{Packet, SLAB_SAMPLES, Slab};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;
 
 /// The progress of a packet through a graph, with scratch memory.
@@ -16,10 +18,15 @@ pub(super) struct March<'p> {
     spans: Vec<Option<(u64, u64)>>,
     /// For each instruction that is a cloud: its march, and whether the packet has reached it.
     clouds: Vec<(Option<Box<CloudMarch>>, bool)>,
+    /// For each instruction that is a grid: its march, once the packet has reached it.
+    grids: Vec<Option<Box<GridMarch>>>,
     /// For each instruction with several uses: its block, once it has been computed for the current slab.
     shared: Vec<Option<NodeSamples>>,
     spare: Vec<NodeSamples>,
     scratch: CloudScratch,
+    grid_scratch: GridScratch,
+    /// Where the rays end, or `None` if that is not known beforehand.
+    remaining: Option<Remaining>,
 }
 
 /// What is requested of an instruction.
@@ -32,6 +39,17 @@ struct Asked<'a> {
     /// All samples of all lanes in `going`.
     all: &'a Live,
     going: u64,
+    /// `None` if rays do not end where this instruction alone would end them.
+    ends: Option<&'a Remaining>,
+}
+
+impl<'a> Asked<'a> {
+    /// For each ray, the sum of the optical depths of an instruction's samples with which it ends; `None` if that is not
+    /// known, or its samples have no optical depths.
+    fn ends_of(&self, instruction: &Instruction) -> Option<&'a [f32; LANES]> {
+        let depths = instruction.measures.0 == Measure::OpticalDepth && instruction.transfers.is_empty();
+        self.ends.filter(|_| depths).map(|ends| &ends.depth)
+    }
 }
 
 impl<'p> March<'p> {
@@ -42,9 +60,12 @@ impl<'p> March<'p> {
             slab_samples,
             spans: vec![None; count],
             clouds: (0..count).map(|_| (None, false)).collect(),
+            grids: (0..count).map(|_| None).collect(),
             shared: (0..count).map(|_| None).collect(),
             spare: Vec::new(),
             scratch: CloudScratch::new(),
+            grid_scratch: GridScratch::new(),
+            remaining: None,
         }
     }
 
@@ -66,13 +87,21 @@ impl<'p> March<'p> {
             *span = if bounds.is_empty() { None } else { packet.samples_in(&beam, bounds) };
         }
         self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);
+        self.grids.fill_with(|| None);
+    }
+
+    /// Says how much is left of the rays at the beginning of the next slab. Samples behind the end of a ray may then be
+    /// left empty.
+    pub(super) fn expect_ends(&mut self, remaining: Option<Remaining>) {
+        self.remaining = remaining;
     }
 
     /// The next slab, from sample `from` on, that may not be empty.
     pub(super) fn next_slab(&self, from: u64) -> Option<Slab> {
-        let samples = self.slab_samples as u64;
         let sample = self.next_sample(self.program.root(), from)?;
-        Some(Slab { first: sample / samples * samples, samples: self.slab_samples })
+        // From where there is something, so that it takes as few slabs as may be, but never back.
+        let block = BLOCK_SAMPLES as u64;
+        Some(Slab { first: (sample / block * block).max(from), samples: self.slab_samples })
     }
 
     /// The first sample, from `from` on, at which an instruction may not be empty.
@@ -112,7 +141,8 @@ impl<'p> March<'p> {
     ) -> Result<(), Halt> {
         access.check()?;
         let all = Live::of(going);
-        let asked = Asked { access, packet, slab, live: &all, all: &all, going };
+        let remaining = self.remaining.take();
+        let asked = Asked { access, packet, slab, live: &all, all: &all, going, ends: remaining.as_ref() };
         let outcome = self.run(self.program.root(), asked, Measure::OpticalDepth, counts, out);
         for node in self.shared.iter_mut().filter_map(Option::take) {
             self.spare.push(node);
@@ -146,7 +176,7 @@ impl<'p> March<'p> {
                 None => {
                     // Other users may need samples that do not matter here.
                     let mut node = self.node_samples();
-                    self.compute(at, Asked { live: asked.all, ..asked }, counts, &mut node)?;
+                    self.compute(at, Asked { live: asked.all, ends: None, ..asked }, counts, &mut node)?;
                     node
                 }
             };
@@ -177,20 +207,31 @@ impl<'p> March<'p> {
                     march.begin(asked.access, volume, asked.packet, program.simd)?;
                     *begun = true;
                 }
-                let Asked { access, slab, live, going, .. } = asked;
-                let request =
-                    Request { access, slab, live, going, measure: measures.0, required, simd: program.simd };
+                let Asked { access, slab, live, going, ends, .. } = asked;
+                let ends = ends.filter(|_| instruction.transfers.is_empty());
+                let (measure, simd) = (measures.0, program.simd);
+                let request = Request { access, slab, live, going, measure, required, simd, ends };
                 march.sample(volume, request, &mut self.scratch, counts, out)?;
             }
             Action::Grid(volume) => {
                 let Asked { access, packet, slab, live, .. } = asked;
-                volume.sample(access, packet, slab, live, measures.0, required, out)?;
+                let march = self.grids[at].get_or_insert_with(|| Box::new(volume.begin(packet)));
+                let (simd, measure, ends) = (program.simd, measures.0, asked.ends_of(instruction));
+                let request =
+                    GridRequest { access, march, slab, live, measure, required, simd, ends, grid: at };
+                volume.sample(&request, &mut self.grid_scratch, out)?;
             }
             Action::Procedural(volume) => {
-                volume.sample(asked.packet, asked.slab, asked.live, measures.0, required, out);
+                let Asked { packet, slab, live, .. } = asked;
+                let ends = asked.ends_of(instruction);
+                let request = ProceduralRequest { packet, slab, live, measure: measures.0, required, ends };
+                volume.sample(&request, out);
             }
             Action::Operator(operator, children) => {
-                self.combine(*operator, children, instruction, asked, counts, out)?;
+                // Only what a union or a blend has of one child, it has at least.
+                let keeps = matches!(operator, Operator::Union | Operator::Blend);
+                let ends = asked.ends.filter(|_| keeps && instruction.transfers.is_empty());
+                self.combine(*operator, children, instruction, Asked { ends, ..asked }, counts, out)?;
             }
         }
         for transfer in &instruction.transfers {

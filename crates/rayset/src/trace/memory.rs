@@ -4,6 +4,8 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::ambient_occlusion::apron;
+use super::interior::graph as caps;
+use super::leaves::Leaves;
 use super::node_samples::{NodeSamples, RequiredOutputs};
 use super::packet_tracer::tree_bytes;
 use super::program::PLACE_BYTES;
@@ -23,8 +25,6 @@ use crate::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
 const THREAD_BYTES: u64 = 640 << 10;
-/// What each cloud of a graph adds to that: a packet in the cloud's space and the part of its octree ahead.
-const CLOUD_BYTES: u64 = 48 << 10;
 /// What look-ahead stores per page of the files, though it never has most of them in view at a time.
 const LOOKAHEAD_BYTES: u64 = 24;
 /// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for everything else.
@@ -59,24 +59,21 @@ impl SceneNeeds {
     /// The needs of a scene that has been checked.
     #[must_use]
     pub fn of(scene: &Scene, settings: &RenderSettings) -> Self {
-        let (mut clouds, mut grids) = (Vec::new(), Vec::new());
-        let mut leaves = 0;
-        scene.root.for_each(&mut |node| match &node.shape {
-            Shape::Cloud(object) => {
-                leaves += 1;
-                if !clouds.iter().any(|known| Arc::ptr_eq(known, &object.cloud)) {
-                    clouds.push(object.cloud.clone());
-                }
-            }
-            Shape::Grid(object) if !grids.iter().any(|known| Arc::ptr_eq(known, &object.grid)) => {
-                grids.push(object.grid.clone());
-            }
-            Shape::Grid(_) | Shape::Procedural(_) | Shape::Operator(..) => {}
-        });
+        match caps::sized(scene, settings) {
+            Some((scene, inside_bytes)) => Self::of_graph(&scene, settings, true).with_loading(inside_bytes),
+            None => Self::of_graph(scene, settings, false),
+        }
+    }
+
+    /// The needs of a scene without caps, or of one in which something else takes their place.
+    fn of_graph(scene: &Scene, settings: &RenderSettings, has_caps: bool) -> Self {
+        let leaves = Leaves::of(scene);
         let turns = has(scene, |node| {
             node.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0)
         });
-        let required = largest_outputs(scene, settings, turns);
+        let mut required = largest_outputs(scene, settings, turns);
+        // To find out what is inside takes shading vectors.
+        required.normal |= has_caps;
         let census = Census::of(&scene.root);
         let most_held = node_samples_held(&scene.root) + census.shared;
         let picture = most_held * NodeSamples::bytes(required);
@@ -96,7 +93,7 @@ impl SceneNeeds {
         let in_shadow = lights.iter().filter(|light| light.throws_shadows()).count();
         let thread_bytes = THREAD_BYTES
             + (picture + 2 * shadow) as u64
-            + leaves * marches * CLOUD_BYTES
+            + marches * leaves.march_bytes()
             + tree
             + sums
             + marches * census.places * MARCH_BYTES
@@ -107,8 +104,8 @@ impl SceneNeeds {
             + 4 * size_of_val(lights) as u64;
         let shadow_tiles = DeepShadowMap::tiles_of(scene, settings.shadows);
         Self {
-            clouds,
-            grids,
+            clouds: leaves.clouds,
+            grids: leaves.grids,
             scene_bytes,
             thread_bytes,
             shadow_tiles,

@@ -91,12 +91,21 @@ pub(super) struct Constants {
 impl Constants {
     /// The colour of a sample of the root.
     pub(super) fn color_at(&self, root: &NodeSamples, lane: usize, j: usize) -> [f32; 3] {
-        self.color.unwrap_or_else(|| root.color.each_ref().map(|rows| rows[lane].0[j]))
+        match self.color {
+            Some(color) => color,
+            None => [root.color[0][lane].0[j], root.color[1][lane].0[j], root.color[2][lane].0[j]],
+        }
     }
 
     /// The material of a sample of the root.
     pub(super) fn material_at(&self, root: &NodeSamples, lane: usize, j: usize) -> [f32; MATERIAL] {
-        self.material.unwrap_or_else(|| root.material.each_ref().map(|rows| rows[lane].0[j]))
+        self.material.unwrap_or_else(|| {
+            let mut material = [0.0; MATERIAL];
+            for (value, rows) in material.iter_mut().zip(&root.material) {
+                *value = rows[lane].0[j];
+            }
+            material
+        })
     }
 }
 
@@ -163,7 +172,8 @@ impl NodeSamples {
 
     /// The shading vector of a sample.
     pub(super) fn normal_at(&self, lane: usize, j: usize) -> DVec3 {
-        DVec3::from_array(self.normal.each_ref().map(|rows| f64::from(rows[lane].0[j])))
+        let [x, y, z] = &self.normal;
+        DVec3::new(x[lane].0[j].into(), y[lane].0[j].into(), z[lane].0[j].into())
     }
 
     pub(super) fn copy_lane(&mut self, from: &Self, lane: usize, required: RequiredOutputs) {

@@ -11,6 +11,7 @@ use super::layers::Layers;
 use super::march::March;
 use super::node_samples::NodeSamples;
 use super::secondary::coherent_groups;
+use super::shade::Shown;
 use super::shadow::Shadows;
 use super::world::World;
 use crate::field::{LANES, Packet, Slab};
@@ -254,6 +255,7 @@ impl<'a> PacketTracer<'a> {
                 going &= !refraction.leave(packet, going, &self.states);
             }
             from = slab.end();
+            self.march.expect_ends(world.absorption.remaining(packet, &self.states));
             self.march.evaluate(access, packet, slab, going, &mut self.counts, node)?;
             self.counts.slabs += 1;
             self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
@@ -298,7 +300,8 @@ impl<'a> PacketTracer<'a> {
             }
             None => &none,
         };
-        shader.shade(packet, slab, node, &self.shares, shadows, refraction, &mut self.states);
+        let shown = Shown { packet, slab, node, shares: &self.shares, shadows };
+        shader.shade(shown, refraction, &mut self.states);
         Ok(())
     }
 }

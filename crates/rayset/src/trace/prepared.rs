@@ -16,6 +16,7 @@ pub struct PreparedScene(pub(super) Arc<Prepared>);
 pub(super) struct Prepared {
     pub(super) world: World,
     pub(super) settings: RenderSettings,
+    remarks: Vec<String>,
     // Declared before `engine`, and so released before it.
     _reservation: Option<Reservation>,
     pub(super) engine: Arc<Engine>,
@@ -33,7 +34,14 @@ impl PreparedScene {
         settings: RenderSettings,
         engine: Arc<Engine>,
         reservation: Option<Reservation>,
+        remarks: Vec<String>,
     ) -> Self {
-        Self(Arc::new(Prepared { world, settings, _reservation: reservation, engine }))
+        Self(Arc::new(Prepared { world, settings, remarks, _reservation: reservation, engine }))
+    }
+
+    /// What a person should know of the scene, a sentence each: caps that were left out, and why.
+    #[must_use]
+    pub fn remarks(&self) -> &[String] {
+        &self.0.remarks
     }
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::RenderError;
 use super::bounce::ScatterKinds;
 use super::cloud::CloudVolume;
-use super::grid_volume::GridVolume;
+use super::grid::GridVolume;
 use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
 use super::procedural_volume::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
@@ -53,6 +53,8 @@ pub(super) enum Purpose {
     Layers,
     /// Nothing but opacities, for shadows.
     Shadow,
+    /// Opacities and shading vectors: where a surface is, and which side of it is which.
+    Surface,
 }
 
 /// The whole graph.
@@ -330,6 +332,9 @@ impl Compiler<'_> {
         if purpose == Purpose::Shadow {
             return RequiredOutputs::default();
         }
+        if purpose == Purpose::Surface {
+            return RequiredOutputs { normal: true, ..RequiredOutputs::default() };
+        }
         let layers = purpose == Purpose::Layers;
         let lights = match &self.scene.lighting {
             Lighting::Unlit if layers => &Vec::new(),
@@ -395,7 +400,7 @@ fn used_materials(instructions: &[Instruction]) -> Vec<[f32; MATERIAL]> {
     for instruction in instructions {
         let mut material = match &instruction.action {
             Action::Cloud(volume) => volume.shading.material,
-            Action::Grid(volume) => volume.material,
+            Action::Grid(volume) => *volume.material(),
             Action::Procedural(volume) => volume.material,
             Action::Operator(..) => continue,
         };

@@ -3,10 +3,14 @@
 //! A thread works on one render at a time, tile by tile. It joins the render with the fewest threads, and after a while
 //! leaves it if another render has work and no thread: so two renders on one thread take turns.
 
+use std::cell::Cell;
 use std::io;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use crate::sync::atomic::{AtomicU64, Ordering};
+use crate::sync::{Condvar, Mutex, MutexGuard, lock_counting};
 
 /// How long a thread stays with a render while another has no thread: long compared to the cost of starting again.
 const TURN: Duration = Duration::from_millis(20);
@@ -34,6 +38,18 @@ pub(super) struct Scheduler {
 struct Shared {
     state: Mutex<State>,
     changed: Condvar,
+    tally: Arc<Tally>,
+}
+
+/// What threads do besides tracing, counted since the start.
+#[derive(Default)]
+pub(super) struct Tally {
+    /// How often a thread had to wait for the lock of the scheduler, or of a render.
+    pub(super) lock_waits: AtomicU64,
+    /// How often a thread has joined a render.
+    pub(super) joined: AtomicU64,
+    /// How often an idle thread has been woken.
+    pub(super) woken: AtomicU64,
 }
 
 #[derive(Default)]
@@ -52,12 +68,14 @@ struct Entry {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock_counting(&self.state, &self.tally.lock_waits)
     }
 
-    fn call_threads(&self) {
-        let state = self.lock();
-        if state.idle > 0 {
+    fn call_threads(&self, most: usize) {
+        let idle = self.lock().idle;
+        if idle > most {
+            (0..most).for_each(|_| self.changed.notify_one());
+        } else if idle > 0 {
             self.changed.notify_all();
         }
     }
@@ -66,7 +84,8 @@ impl Shared {
 impl Scheduler {
     /// Starts threads that wait for work.
     pub(super) fn start(threads: usize) -> io::Result<Self> {
-        let shared = Arc::new(Shared { state: Mutex::default(), changed: Condvar::new() });
+        let shared =
+            Arc::new(Shared { state: Mutex::default(), changed: Condvar::new(), tally: Arc::default() });
         let mut scheduler = Self { shared: shared.clone(), threads: Vec::new() };
         for _ in 0..threads {
             let shared = shared.clone();
@@ -79,6 +98,10 @@ impl Scheduler {
             }
         }
         Ok(scheduler)
+    }
+
+    pub(super) fn tally(&self) -> &Arc<Tally> {
+        &self.shared.tally
     }
 
     /// Lets the threads work on a render until the returned value is dropped.
@@ -109,9 +132,9 @@ pub(super) struct Scheduled<'a> {
 }
 
 impl Scheduled<'_> {
-    /// Wakes idle threads: there may be work for them again.
-    pub(super) fn call_threads(&self) {
-        self.shared.call_threads();
+    /// Wakes idle threads, at most so many: there may be work for them again.
+    pub(super) fn call_threads(&self, most: usize) {
+        self.shared.call_threads(most);
     }
 }
 
@@ -124,25 +147,29 @@ impl Drop for Scheduled<'_> {
 /// A thread's turn at a render.
 pub(super) struct Turn<'a> {
     shared: &'a Shared,
-    since: Instant,
+    /// When it began, or was last found not to be over.
+    since: Cell<Instant>,
 }
 
 impl Turn<'_> {
     /// Whether the thread is to leave: its turn has been long enough, and another render has work but no thread.
     pub(super) fn is_over(&self) -> bool {
-        self.since.elapsed() > TURN
-            && self.shared.lock().tasks.iter().any(|entry| entry.threads == 0 && entry.task.has_work())
+        if self.since.get().elapsed() <= TURN {
+            return false;
+        }
+        self.since.set(Instant::now());
+        self.shared.lock().tasks.iter().any(|entry| entry.threads == 0 && entry.task.has_work())
     }
 
     /// Wakes idle threads: there is work for them again.
     pub(super) fn call_others(&self) {
-        self.shared.call_threads();
+        self.shared.call_threads(usize::MAX);
     }
 }
 
 fn work(shared: &Shared) {
     while let Some(task) = next_task(shared) {
-        task.work(&Turn { shared, since: Instant::now() });
+        task.work(&Turn { shared, since: Cell::new(Instant::now()) });
         let mut state = shared.lock();
         if let Some(entry) = state.tasks.iter_mut().find(|entry| Arc::ptr_eq(&entry.task, &task)) {
             entry.threads -= 1;
@@ -165,10 +192,12 @@ fn next_task(shared: &Shared) -> Option<Arc<dyn Task>> {
         if let Some(entry) = waiting.min_by_key(|entry| entry.threads) {
             entry.threads += 1;
             entry.task.entered();
+            shared.tally.joined.fetch_add(1, Ordering::Relaxed);
             return Some(entry.task.clone());
         }
         state.idle += 1;
         state = shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         state.idle -= 1;
+        shared.tally.woken.fetch_add(1, Ordering::Relaxed);
     }
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::engine::{Engine, ExecSettings};
+use super::interior;
 use super::predict::Prediction;
 use super::prepared::PreparedScene;
 use super::sink::Picture;
@@ -149,19 +150,25 @@ impl Session {
     }
 
     /// Compiles a scene: checks it, opens those of its files that are not open yet, and prepares everything that does
-    /// not depend on the camera. The size in `settings` is the default for views.
+    /// not depend on the camera. The size in `settings` is the default for views. A scene with caps takes about as long as
+    /// a picture; [`PreparedScene::remarks`] says which of them were left out.
     ///
     /// # Errors
     /// [`RenderError`] if the scene or a setting is invalid, a file cannot be opened, or the session's memory is too
     /// small.
     pub fn prepare(&self, scene: &Scene, settings: &RenderSettings) -> Result<PreparedScene, RenderError> {
         check(scene, settings)?;
-        let mut files = self.0.files();
-        files.drop_unused();
-        open_all(&scene.root, &mut files, self.0.exec.direct)?;
+        let files = {
+            let mut files = self.0.files();
+            files.drop_unused();
+            open_all(&scene.root, &mut files, self.0.exec.direct)?;
+            // Others may prepare their scenes meanwhile: caps take a while.
+            files.clone()
+        };
         let reservation = self.0.reserve(scene, settings)?;
-        let world = World::compile(scene, settings, self.0.exec.simd, &files)?;
-        Ok(PreparedScene::new(world, *settings, self.0.clone(), reservation))
+        let (capped, remarks) = interior::with_caps(scene, settings, &self.0, &files)?;
+        let world = World::compile(&capped, settings, self.0.exec.simd, &files)?;
+        Ok(PreparedScene::new(world, *settings, self.0.clone(), reservation, remarks))
     }
 
     /// How pages are read, as text.
@@ -203,6 +210,19 @@ impl Session {
     #[must_use]
     pub fn simd(&self) -> SimdLevel {
         self.0.exec.simd
+    }
+
+    /// What threads have done besides tracing since the session was created: how often they waited for a lock, joined a
+    /// render, and were woken.
+    #[cfg(feature = "internals")]
+    #[doc(hidden)]
+    #[must_use]
+    pub fn serial_work(&self) -> [u64; 3] {
+        let tally = self.0.scheduler.tally();
+        let pages = self.0.pages.lock_waits();
+        let [lock_waits, joined, woken] = [&tally.lock_waits, &tally.joined, &tally.woken]
+            .map(|count| count.load(crate::sync::atomic::Ordering::Relaxed));
+        [lock_waits + pages, joined, woken]
     }
 
     /// The pages in memory.
@@ -249,6 +269,9 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
             "samples",
             format!("{} is not between 1 and 64 along a side of a pixel", settings.samples),
         );
+    }
+    if !(8..=1024).contains(&settings.cap_resolution) {
+        return wrong("cap resolution", format!("{} is not between 8 and 1024", settings.cap_resolution));
     }
     if !(0.0..=4.0).contains(&settings.ambient_occlusion) {
         return wrong("ambient occlusion", format!("{} is not between 0 and 4", settings.ambient_occlusion));

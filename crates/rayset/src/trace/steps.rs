@@ -16,7 +16,7 @@ use super::RenderError;
 use super::access::{Access, Halt};
 use super::cloud::{CloudPlacement, each_own_page, run_bounds};
 use super::program::{Action, Program};
-use crate::field::RayColumns;
+use crate::field::{LANES, RayColumns};
 use crate::geometry::{Aabb, Beam, DVec3, Ray};
 use crate::octree::layout::RUN_POINTS;
 use crate::octree::node::{Node, NodePage};
@@ -140,7 +140,7 @@ impl StepRule {
         rays: &[(Ray, f64)],
     ) -> Result<Vec<StepGroup>, Halt> {
         let Some(longest) = self.longest.filter(|_| self.varies) else {
-            return Ok(vec![StepGroup { step: self.coarsest, members: (0..rays.len()).collect() }]);
+            return Ok(vec![StepGroup { step: self.coarsest, members: in_order(rays.len()).collect() }]);
         };
         let mut exponents = Exponents {
             longest,
@@ -159,10 +159,17 @@ impl StepRule {
         Ok((distinct.into_iter())
             .map(|k| StepGroup {
                 step: self.coarsest * 2_f64.powi(k),
-                members: (0..rays.len()).filter(|&i| exponents[i] == k).collect(),
+                members: in_order(rays.len()).filter(|&i| exponents[i] == k).collect(),
             })
             .collect())
     }
+}
+
+/// The indices of rays, such that neighbours follow each other: 64 rays are those of a tile of 8 × 8 pixels, row after
+/// row, and come in the order of a Z curve.
+fn in_order(rays: usize) -> impl Iterator<Item = usize> {
+    let even_bits = |i: usize| i & 1 | i >> 1 & 2 | i >> 2 & 4;
+    (0..rays).map(move |i| if rays == LANES { even_bits(i) + 8 * even_bits(i >> 1) } else { i })
 }
 
 /// The largest detail of an object along any ray: the length that steps are to be a fraction of.

@@ -1,13 +1,13 @@
 //! The order in which a thread processes its tiles: a tile that needs an absent page is deferred, and traced again from
 //! its beginning when the page is resident.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 
 use super::access::{Access, Lacking};
 use super::predict::Predictor;
 use super::work::TilePlace;
-use crate::working_set::PageClient;
+use crate::working_set::{PageClient, Reuse};
 
 /// Number of attempts at a tile without waiting. The next attempt waits for every page, so that even with a budget that
 /// keeps none of them between attempts the tile is finished.
@@ -47,6 +47,7 @@ pub(super) struct TileQueue<'a> {
     pages: &'a PageClient,
     predictor: &'a dyn Predictor,
     asked_bytes: &'a Cell<u64>,
+    reuse: &'a RefCell<Reuse>,
     /// The longest waiting first.
     deferred: VecDeque<Deferred>,
 }
@@ -56,8 +57,9 @@ impl<'a> TileQueue<'a> {
         pages: &'a PageClient,
         predictor: &'a dyn Predictor,
         asked_bytes: &'a Cell<u64>,
+        reuse: &'a RefCell<Reuse>,
     ) -> Self {
-        Self { pages, predictor, asked_bytes, deferred: VecDeque::new() }
+        Self { pages, predictor, asked_bytes, reuse, deferred: VecDeque::new() }
     }
 
     /// A tile whose page has become resident, otherwise what `take` returns, otherwise the tile deferred first, which
@@ -101,6 +103,7 @@ impl<'a> TileQueue<'a> {
             slabs_on_a_miss: self.predictor.slabs_on_a_miss(),
             follows_lines: self.predictor.follows_lines(),
             asked_bytes: self.asked_bytes,
+            reuse: self.reuse,
         };
         Attempt { place: deferred.place, access, number: deferred.attempts + 1 }
     }

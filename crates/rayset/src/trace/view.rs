@@ -142,9 +142,10 @@ impl View {
         let scheduled = self.prepared.engine.scheduler.add(job.clone());
         loop {
             match job.next() {
-                Next::Tile(tile) => {
-                    // Threads may have left because too many tiles waited.
-                    scheduled.call_threads();
+                Next::Tile { output: tile, room } => {
+                    if room > 0 {
+                        scheduled.call_threads(room);
+                    }
                     let pixels = tile.tile.pixels();
                     let finished = FinishedTile {
                         tile: tile.tile,

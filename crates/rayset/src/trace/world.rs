@@ -36,7 +36,7 @@ impl World {
     ) -> Result<Self, RenderError> {
         let purpose = if settings.records_layers() { Purpose::Layers } else { Purpose::Picture };
         let program = Program::compile(scene, purpose, simd, paged)?;
-        let shader = Shader::new(&scene.lighting, program.constants);
+        let shader = Shader::new(&scene.lighting, program.constants, simd);
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
             stop_transmittance: f64::from(settings.stop_transmittance),

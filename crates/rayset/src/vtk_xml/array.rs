@@ -103,7 +103,8 @@ impl DataArray<'_> {
             None => self.uncompressed(encoded),
             Some("vtkZLibDataCompressor") => self.compressed(encoded),
             Some(_) => {
-                Err(file.wrong("compressor", "expected vtkZLibDataCompressor, or none; others are not read"))
+                Err(file.wrong("compressor", "expected vtkZLibDataCompressor, or none; others are not read: ParaView's File, Save Data writes it so with \
+                 Compressor Type ZLib"))
             }
         }
     }

@@ -1,11 +1,14 @@
 //! One user of a working set, such as a render: it retains pages, hints those that it will need, retires those that it
 //! will not, and has its share of the budget. Its hints and retirements affect only its own pages.
 
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use super::guard::PageGuard;
 use super::hints::Hints;
 use super::object::{HintMark, Object, Resident, Slot};
+use super::own::Own;
+use super::reuse::Reuse;
 use super::shared::Shared;
 use crate::cancel::CancelToken;
 use crate::sync::atomic::Ordering;
@@ -15,16 +18,33 @@ use crate::sync::lock;
 /// including those that are still loading.
 pub struct PageClient {
     pub(super) shared: Arc<Shared>,
+    pub(super) own: Arc<Own>,
     pub(super) number: u32,
     pub(super) cancel: CancelToken,
     hints: Arc<Hints>,
+    /// Whether this is only a part of a client, for one of its threads.
+    is_part: bool,
 }
 
 impl PageClient {
     pub(super) fn new(shared: Arc<Shared>, cancel: CancelToken) -> Self {
         let hints = Arc::new(Hints::default());
         let number = lock(&shared.clients).enter(&hints);
-        Self { shared, number, cancel, hints }
+        Self { own: Own::new(shared.clone()), shared, number, cancel, hints, is_part: false }
+    }
+
+    /// The same client, for the use of one of its threads: it has the same hints and the same share of the budget, but shares no
+    /// counters with other threads.
+    #[must_use]
+    pub fn for_thread(&self) -> Self {
+        Self {
+            shared: self.shared.clone(),
+            own: Own::new(self.shared.clone()),
+            number: self.number,
+            cancel: self.cancel.clone(),
+            hints: self.hints.clone(),
+            is_part: true,
+        }
     }
 
     /// The token that cancels what this client waits for.
@@ -47,10 +67,39 @@ impl PageClient {
             return found.ok().map(PageGuard::from);
         }
         let slot = object.slot(page);
-        if let Slot::Resident(resident) = &*slot {
-            Some(PageGuard::new(resident, &self.shared))
-        } else {
-            None
+        if let Slot::Resident(resident) = &*slot { Some(PageGuard::new(resident, &self.own)) } else { None }
+    }
+
+    /// Says that a round of requests begins that will be much like the last: a tile.
+    pub fn begin_round(&self, reuse: &mut Reuse) {
+        reuse.begin_round(self.own.now());
+    }
+
+    /// Says that a round is complete.
+    pub fn end_round(&self, reuse: &mut Reuse) {
+        reuse.end_round();
+    }
+
+    /// Says that the slab that begins with a sample of its rays is about to use one of the pages that it goes through in turn.
+    /// Nothing is noted as long as no page has ever been evicted.
+    pub fn come_to(&self, sample: u64, reuse: &mut Reuse) {
+        if self.shared.pool.evicts() {
+            reuse.come_to(sample, self.own.now());
+        }
+    }
+
+    /// Says that the slab uses the page, `again` if the slabs after it will, too.
+    pub fn used_in_turn(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        guard: &PageGuard,
+        again: bool,
+        reuse: &mut Reuse,
+    ) {
+        if let Some(resident) = guard.resident().filter(|_| self.shared.pool.evicts()) {
+            let last_use = resident.last_use.load(Ordering::Relaxed);
+            reuse.used(object, page, (last_use, resident.serial), again);
         }
     }
 
@@ -60,6 +109,17 @@ impl PageClient {
     /// evicted like released pages: if they stayed longer than what is used meanwhile, wrong hints would fill a small
     /// budget. Returns how many of `pages`, from the first, were handled.
     pub fn hint(&self, object: &Arc<Object>, pages: &[u32], most_bytes: u64) -> usize {
+        self.hint_knowing(object, pages, most_bytes, None)
+    }
+
+    /// Hints pages as [`hint`](Self::hint) does; room is made by evicting what `reuse` says is needed last.
+    pub fn hint_knowing(
+        &self,
+        object: &Arc<Object>,
+        pages: &[u32],
+        most_bytes: u64,
+        reuse: Option<&RefCell<Reuse>>,
+    ) -> usize {
         if object.is_in_place() {
             return pages.len();
         }
@@ -86,7 +146,7 @@ impl PageClient {
             }
             drop(slot);
             let kind = object.kind(page);
-            let (room, evicted) = self.shared.pool.try_reserve(kind, object);
+            let (room, evicted) = self.shared.pool.try_reserve(kind, object, reuse);
             self.shared.count_evictions(&evicted);
             match room {
                 Some(buffer) => {
@@ -112,7 +172,7 @@ impl PageClient {
     /// Keeps a hinted page that is resident already, like those that are read for a hint. Returns whether the hint was
     /// recorded: not if the page is retained or has been hinted before. The caller holds the lock of its slot.
     fn keep(&self, resident: &Arc<Resident>) -> bool {
-        resident.last_use.store(self.shared.pool.tick(), Ordering::Relaxed);
+        resident.last_use.store(self.own.time_of_use(), Ordering::Relaxed);
         if Arc::strong_count(resident) > 1 {
             return false;
         }
@@ -151,7 +211,10 @@ impl PageClient {
 
 impl Drop for PageClient {
     fn drop(&mut self) {
-        lock(&self.shared.clients).leave(self.number);
-        self.forget_hints();
+        self.own.settle();
+        if !self.is_part {
+            lock(&self.shared.clients).leave(self.number);
+            self.forget_hints();
+        }
     }
 }

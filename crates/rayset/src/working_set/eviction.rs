@@ -1,4 +1,5 @@
-//! Which page is evicted: retired pages first, then the least recently used.
+//! Which page is evicted: retired pages first, then the least recently used, unless the thread that asks knows which pages are
+//! needed last ([`Reuse`]).
 //!
 //! Every page in memory has an entry in the queue of its kind, with the time of its last use when it was entered. A use
 //! does not touch the queue: it only makes the page younger than its entry says. An eviction takes the front of the
@@ -11,7 +12,9 @@ use std::sync::Arc;
 
 use super::budget::Obstacle;
 use super::buffer::PageBuffer;
-use super::object::{Object, Resident, Slot};
+use super::entry::{Entry, Outcome};
+use super::object::{Object, Resident};
+use super::reuse::Reuse;
 use super::source::{KINDS, Kind};
 use crate::sync::atomic::Ordering;
 
@@ -20,15 +23,6 @@ use crate::sync::atomic::Ordering;
 const MOST_LOOKED_AT: usize = 64;
 /// With at most this many pages, an eviction searches all of them.
 const FEW: usize = 128;
-
-/// A page in memory, with the time of its last use when it was entered.
-#[derive(Clone)]
-struct Entry {
-    last_use: u64,
-    serial: u32,
-    page: u32,
-    object: Arc<Object>,
-}
 
 /// An evicted page.
 pub(super) struct Evicted {
@@ -41,58 +35,6 @@ impl Evicted {
     /// Takes its memory, for the page that replaces it.
     pub(super) fn take_buffer(&mut self) -> PageBuffer {
         std::mem::replace(&mut self.resident.buffer, PageBuffer::new(0))
-    }
-}
-
-/// The outcome of an attempt to evict a page.
-enum Outcome {
-    Evicted(Resident),
-    /// It has been used since it was entered, last at this time.
-    Younger(u64),
-    Retained,
-    /// The entry belongs to an earlier stay in memory.
-    Stale,
-}
-
-impl Entry {
-    /// Evicts the page unless it is retained or, with `only_unused`, has been used since it was entered.
-    fn evict(&self, only_unused: bool) -> Outcome {
-        let mut slot = self.object.slot(self.page);
-        let Slot::Resident(resident) = &*slot else { return Outcome::Stale };
-        if resident.serial != self.serial {
-            return Outcome::Stale;
-        }
-        let last_use = resident.last_use.load(Ordering::Relaxed);
-        if only_unused && last_use > self.last_use {
-            return Outcome::Younger(last_use);
-        }
-        let Slot::Resident(resident) = std::mem::replace(&mut *slot, Slot::Absent) else {
-            return Outcome::Stale;
-        };
-        match Arc::try_unwrap(resident) {
-            Ok(resident) => Outcome::Evicted(resident),
-            Err(retained) => {
-                *slot = Slot::Resident(retained);
-                Outcome::Retained
-            }
-        }
-    }
-
-    /// When the page was last used, and whether it is retained; `None` if the entry belongs to an earlier stay in
-    /// memory.
-    fn last_use_if_current(&self) -> Option<(u64, bool)> {
-        match &*self.object.slot(self.page) {
-            Slot::Resident(resident) if resident.serial == self.serial => {
-                Some((resident.last_use.load(Ordering::Relaxed), Arc::strong_count(resident) > 1))
-            }
-            _ => None,
-        }
-    }
-
-    /// Whether the page is still retired.
-    fn is_retired(&self) -> bool {
-        let slot = self.object.slot(self.page);
-        matches!(&*slot, Slot::Resident(r) if r.serial == self.serial && r.retired.load(Ordering::Relaxed))
     }
 }
 
@@ -147,9 +89,36 @@ impl EvictionQueue {
         queue.drop_stale();
     }
 
-    /// Evicts one page of the kinds that `obstacle` names; `None` if all of them are retained.
-    pub(super) fn evict(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
-        self.evict_retired(obstacle).or_else(|| self.evict_oldest(obstacle, now))
+    /// Evicts one page of the kinds that `obstacle` names; `None` if all of them are retained. `reuse` is what the thread
+    /// that needs the room knows, if it knows anything.
+    pub(super) fn evict(
+        &mut self,
+        obstacle: Obstacle,
+        now: u64,
+        reuse: Option<&mut Reuse>,
+    ) -> Option<Evicted> {
+        let retired = self.evict_retired(obstacle);
+        if retired.is_some() {
+            return retired;
+        }
+        let known = reuse.and_then(|reuse| {
+            let stale = self.evict_oldest(obstacle, reuse.stale_before(), now);
+            stale.or_else(|| self.evict_needed_last(obstacle, reuse))
+        });
+        known.or_else(|| self.evict_oldest(obstacle, u64::MAX, now))
+    }
+
+    fn evict_needed_last(&mut self, obstacle: Obstacle, reuse: &mut Reuse) -> Option<Evicted> {
+        while let Some(entry) = reuse.needed_last() {
+            let kind = entry.object.kind(entry.page);
+            if obstacle.kinds().any(|other| other == kind)
+                && let Outcome::Evicted(resident) = entry.evict(true)
+            {
+                self.queues[kind.index()].resident -= 1;
+                return Some(Evicted { object: entry.object, kind, resident });
+            }
+        }
+        None
     }
 
     fn evict_retired(&mut self, obstacle: Obstacle) -> Option<Evicted> {
@@ -167,18 +136,22 @@ impl EvictionQueue {
         None
     }
 
-    fn evict_oldest(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
+    /// Evicts the oldest page that was last used before a time.
+    fn evict_oldest(&mut self, obstacle: Obstacle, before: u64, now: u64) -> Option<Evicted> {
         let pages: usize = obstacle.kinds().map(|kind| self.queues[kind.index()].by_age.len()).sum();
-        let found =
-            if pages <= FEW { self.take_oldest(obstacle) } else { self.take_in_turn(obstacle, pages, now) };
+        let found = if pages <= FEW {
+            self.take_oldest(obstacle, before)
+        } else {
+            self.take_in_turn(obstacle, before, pages, now)
+        };
         found.map(|(kind, entry, resident)| {
             self.queues[kind.index()].resident -= 1;
             Evicted { object: entry.object, kind, resident }
         })
     }
 
-    /// Searches all pages for the oldest that is not retained.
-    fn take_oldest(&mut self, obstacle: Obstacle) -> Option<(Kind, Entry, Resident)> {
+    /// Searches all pages for the oldest that is not retained, and was last used before a time.
+    fn take_oldest(&mut self, obstacle: Obstacle, before: u64) -> Option<(Kind, Entry, Resident)> {
         loop {
             let mut oldest: Option<(u64, Kind, usize)> = None;
             for kind in obstacle.kinds() {
@@ -186,7 +159,7 @@ impl EvictionQueue {
                 queue.retain(|entry| entry.last_use_if_current().is_some());
                 for (at, entry) in queue.iter().enumerate() {
                     if let Some((last_use, false)) = entry.last_use_if_current()
-                        && oldest.is_none_or(|(other, ..)| last_use < other)
+                        && last_use < oldest.map_or(before, |(other, ..)| other)
                     {
                         oldest = Some((last_use, kind, at));
                     }
@@ -203,10 +176,12 @@ impl EvictionQueue {
         }
     }
 
-    /// Takes the first page, from the front of the queues, that has not been used since it was entered.
+    /// Takes the first page, from the front of the queues, that has not been used since it was entered, and was last used
+    /// before a time.
     fn take_in_turn(
         &mut self,
         obstacle: Obstacle,
+        before: u64,
         pages: usize,
         now: u64,
     ) -> Option<(Kind, Entry, Resident)> {
@@ -214,13 +189,13 @@ impl EvictionQueue {
         let mut looked_at = 0;
         // Every page once as entered, and once more after its second chance.
         for _ in 0..2 * pages {
-            let (kind, entry) = self.pop_front(obstacle)?;
+            let (kind, entry) = self.pop_front(obstacle, before)?;
             let queue = &mut self.queues[kind.index()].by_age;
             match entry.evict(true) {
                 Outcome::Evicted(resident) => return Some((kind, entry, resident)),
                 Outcome::Younger(last_use) => {
                     let entry = Entry { last_use, ..entry };
-                    if oldest_younger.as_ref().is_none_or(|(_, other)| last_use < other.last_use) {
+                    if last_use < oldest_younger.as_ref().map_or(before, |(_, other)| other.last_use) {
                         oldest_younger = Some((kind, entry.clone()));
                     }
                     queue.push_back(entry);
@@ -229,9 +204,8 @@ impl EvictionQueue {
                 Outcome::Retained => queue.push_back(Entry { last_use: now, ..entry }),
                 Outcome::Stale => {}
             }
-            if looked_at >= MOST_LOOKED_AT
-                && let Some((kind, entry)) = oldest_younger.take()
-            {
+            if looked_at >= MOST_LOOKED_AT {
+                let (kind, entry) = oldest_younger.take()?;
                 looked_at = 0;
                 if let Outcome::Evicted(resident) = entry.evict(false) {
                     return Some((kind, entry, resident));
@@ -241,11 +215,13 @@ impl EvictionQueue {
         None
     }
 
-    fn pop_front(&mut self, obstacle: Obstacle) -> Option<(Kind, Entry)> {
+    /// The first entry of the queues, if it was entered before a time.
+    fn pop_front(&mut self, obstacle: Obstacle, before: u64) -> Option<(Kind, Entry)> {
         let fronts = obstacle
             .kinds()
             .filter_map(|kind| Some((self.queues[kind.index()].by_age.front()?.last_use, kind)));
-        let (_, kind) = fronts.min_by_key(|&(last_use, _)| last_use)?;
+        let (_, kind) =
+            fronts.min_by_key(|&(last_use, _)| last_use).filter(|&(entered, _)| entered < before)?;
         self.queues[kind.index()].by_age.pop_front().map(|entry| (kind, entry))
     }
 

@@ -4,7 +4,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 
 use super::object::{PageInPlace, Resident};
-use super::shared::Shared;
+use super::own::Own;
 use crate::sync::atomic::{Ordering, fence};
 
 /// A retained page; its bytes stay in memory while the guard lives.
@@ -17,12 +17,22 @@ enum Held {
 }
 
 /// Notifies threads that wait for room that a page has been released.
-struct Release(Arc<Shared>);
+struct Release(Arc<Own>);
 
 impl PageGuard {
     /// The caller holds the lock of the page's slot.
-    pub(super) fn new(resident: &Arc<Resident>, shared: &Arc<Shared>) -> Self {
-        Self(Held::Resident(resident.clone(), Release(shared.clone())))
+    pub(super) fn new(resident: &Arc<Resident>, own: &Arc<Own>) -> Self {
+        Self(Held::Resident(resident.clone(), Release(own.clone())))
+    }
+}
+
+impl PageGuard {
+    /// The page in the working set; `None` if it lies in memory anyway.
+    pub(super) fn resident(&self) -> Option<&Resident> {
+        match &self.0 {
+            Held::Resident(resident, _) => Some(resident),
+            Held::InPlace(_) => None,
+        }
     }
 }
 
@@ -47,6 +57,6 @@ impl Drop for Release {
     fn drop(&mut self) {
         // Either this thread sees the waiting one, or that one sees that the page is free: see `PagePool::reserve`.
         fence(Ordering::SeqCst);
-        self.0.pool.released();
+        self.0.shared.pool.released();
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! A [`WorkingSet`] loads pages of any number of objects, for any number of threads and [clients](PageClient). A page
 //! is *absent*, *loading* or *resident*; a resident page is *retained* by guards, or merely kept until its room is
-//! needed. Room is made by evicting retired pages first, then the least recently used; retained pages stay, and a
-//! release never evicts.
+//! needed. Room is made by evicting retired pages first, then the least recently used, unless the thread that asks
+//! knows that another is needed later ([`Reuse`]); retained pages stay, and a release never evicts.
 //!
 //! Invariants, for any interleaving of threads:
 //! 1. The bytes of all pages, loading ones included, never exceed the budget, nor those of a kind the budget of that
@@ -12,24 +12,29 @@
 //! 3. A lookup of a resident page takes one lock, that of its own slot, which is never held across a read, a wait or a
 //!    search.
 //!
-//! `request` brings a page into memory, `eviction` chooses the page to evict, `pool` defines the locks and their order;
+//! `request` brings a page into memory, `eviction` and `reuse` choose the page to evict, `pool` defines the locks and their order;
 //! `object` has the states of pages, `guard` what retains them, `client` and `hints` who requests them.
 
 mod budget;
 mod buffer;
 mod client;
 mod cloud;
+mod entry;
 mod eviction;
 mod files;
 mod grid;
 mod guard;
 mod hints;
+#[cfg(feature = "internals")]
+mod log;
 #[cfg(all(test, feature = "model"))]
 mod models;
 mod object;
+mod own;
 mod pool;
 pub mod read;
 mod request;
+mod reuse;
 mod shared;
 mod source;
 mod stats;
@@ -46,14 +51,18 @@ pub use self::cloud::CloudPages;
 pub use self::files::PagedFiles;
 pub use self::grid::GridPages;
 pub use self::guard::PageGuard;
+#[cfg(feature = "internals")]
+pub use self::log::{Requested, least_reads};
 pub use self::object::Object;
 use self::read::ReadBackend;
+pub use self::reuse::Reuse;
 use self::shared::Shared;
 pub use self::source::{Kind, PageFault, PageSource};
 use self::stats::Counters;
 pub use self::stats::{KindStatistics, Statistics};
 use crate::cancel::CancelToken;
 use crate::sync::atomic::Ordering;
+use crate::sync::lock;
 
 /// How long a thread waits for room, or for a page, while no page is loading: long enough for any release to happen,
 /// short enough not to hang forever.
@@ -86,7 +95,7 @@ impl WorkingSet {
     /// storage is in memory, its pages are used in place and do not count towards any budget.
     #[must_use]
     pub fn add(&self, source: Arc<dyn PageSource>) -> Arc<Object> {
-        Arc::new(Object::new(source))
+        Arc::new(Object::new(source, self.shared.lock_waits.clone()))
     }
 
     /// Bytes that the set itself needs for an object of `pages` pages, outside the budget.
@@ -117,7 +126,10 @@ impl WorkingSet {
     /// Statistics since the set was created, or since [`reset_statistics`](Self::reset_statistics).
     #[must_use]
     pub fn statistics(&self) -> Statistics {
-        Statistics::collect(&self.shared.counters, self.shared.pool.peaks())
+        let hits = lock(&self.shared.hits);
+        let mut statistics = Statistics::collect(&self.shared.counters, self.shared.pool.peaks());
+        hits.iter().for_each(|hits| statistics.add_hits(hits));
+        statistics
     }
 
     /// Bytes of the pages that are retained now. Looks at every page in memory.
@@ -129,8 +141,36 @@ impl WorkingSet {
     /// Sets all counters to zero; peaks start again from what is in memory now.
     pub fn reset_statistics(&self) {
         self.shared.counters.iter().for_each(Counters::reset);
+        lock(&self.shared.hits).iter().for_each(|hits| hits.reset());
         self.shared.period.fetch_add(1, Ordering::Relaxed);
         self.shared.pool.reset_peaks();
+    }
+
+    /// How often a thread had to wait for a lock of the set, since it was created.
+    #[cfg(feature = "internals")]
+    #[must_use]
+    pub fn lock_waits(&self) -> u64 {
+        self.shared.lock_waits.load(Ordering::Relaxed)
+    }
+
+    /// Records requests for pages from now on.
+    #[cfg(feature = "internals")]
+    pub fn record_requests(&self) {
+        self.shared.log.begin();
+    }
+
+    /// Number of requests recorded so far.
+    #[cfg(feature = "internals")]
+    #[must_use]
+    pub fn recorded_requests(&self) -> usize {
+        self.shared.log.len()
+    }
+
+    /// Ends recording; returns the requests in the order in which they were made.
+    #[cfg(feature = "internals")]
+    #[must_use]
+    pub fn take_requests(&self) -> Vec<Requested> {
+        self.shared.log.end()
     }
 
     /// Evicts everything that is not retained.

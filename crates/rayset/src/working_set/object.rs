@@ -17,7 +17,7 @@ use std::sync::Arc;
 use super::buffer::PageBuffer;
 use super::source::{Kind, PageFault, PageSource};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
-use crate::sync::{Mutex, MutexGuard, lock};
+use crate::sync::{Mutex, MutexGuard, lock_counting};
 
 /// A page in memory. It is retained as long as anything but its slot refers to it; references are only added under the
 /// lock of the slot.
@@ -96,6 +96,8 @@ pub struct Object {
     /// For each page, the period of the statistics in which it was last read.
     touched: Vec<AtomicU32>,
     in_place: Option<InPlace>,
+    /// How often a thread had to wait for a lock of the working set.
+    lock_waits: Arc<AtomicU64>,
 }
 
 /// Memory that contains pages.
@@ -128,7 +130,7 @@ impl std::fmt::Debug for Object {
 }
 
 impl Object {
-    pub(super) fn new(source: Arc<dyn PageSource>) -> Self {
+    pub(super) fn new(source: Arc<dyn PageSource>, lock_waits: Arc<AtomicU64>) -> Self {
         let pages = source.pages() as usize;
         let in_place = source
             .storage()
@@ -140,6 +142,7 @@ impl Object {
             slots: (0..counted).map(|_| Mutex::new(Slot::Absent)).collect(),
             touched: (0..counted).map(|_| AtomicU32::new(0)).collect(),
             in_place,
+            lock_waits,
         }
     }
 
@@ -153,13 +156,19 @@ impl Object {
     }
 
     pub(super) fn slot(&self, page: u32) -> MutexGuard<'_, Slot> {
-        lock(&self.slots[page as usize])
+        lock_counting(&self.slots[page as usize], &self.lock_waits)
     }
 
     /// Whether a page can be retained now without waiting.
     #[must_use]
     pub fn is_resident(&self, page: u32) -> bool {
         self.is_in_place() || matches!(&*self.slot(page), Slot::Resident(_))
+    }
+
+    /// Whether a page is neither resident nor being loaded.
+    #[must_use]
+    pub fn is_absent(&self, page: u32) -> bool {
+        !self.is_in_place() && matches!(&*self.slot(page), Slot::Absent)
     }
 
     pub(super) fn kind(&self, page: u32) -> Kind {

@@ -6,6 +6,7 @@
 //! is too small (to say by how much), or to remove entries of pages that have been evicted, at a cost proportional to
 //! the entries added since the last time.
 
+use std::cell::RefCell;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -13,11 +14,15 @@ use super::budget::{Budget, Limits, Obstacle};
 use super::buffer::PageBuffer;
 use super::eviction::{Evicted, EvictionQueue};
 use super::object::{Object, Resident, Slot};
+use super::reuse::Reuse;
 use super::source::{KINDS, Kind};
 use crate::cancel::CancelToken;
-use crate::sync::atomic::{AtomicU64, AtomicUsize, Ordering, fence};
+use crate::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
 use crate::sync::thread::{self, ThreadId};
-use crate::sync::{Condvar, Mutex, MutexGuard, lock, wait_timeout};
+use crate::sync::{Condvar, Mutex, MutexGuard, lock_counting, wait_timeout};
+
+/// How far the clock goes on at a time: uses of pages in between have times of their own, thread by thread.
+const TICK: u64 = 1 << 20;
 
 /// A waiting thread checks its condition again after this, whether it was notified or not.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
@@ -40,12 +45,15 @@ pub(super) struct PagePool {
     state: Mutex<State>,
     changed: Condvar,
     clock: AtomicU64,
+    /// Whether any page has been evicted: as long as everything fits, nobody needs to know when it is used again.
+    evicts: AtomicBool,
     /// Number of threads that wait for room, and (`waiting`) of all that wait. Notifying costs a system call even if no
     /// thread waits.
     waiting_for_room: AtomicUsize,
     waiting: AtomicUsize,
     /// How long a thread waits for room, or for a page, while no page is loading.
     patience: Duration,
+    lock_waits: Arc<AtomicU64>,
 }
 
 /// Why a wait ended without a result.
@@ -63,7 +71,7 @@ pub(super) struct Computing<'a> {
 
 impl Drop for Computing<'_> {
     fn drop(&mut self) {
-        let mut state = lock(&self.pool.state);
+        let mut state = self.pool.lock();
         let at = state.computing.iter().position(|&thread| thread == self.thread);
         at.map(|at| state.computing.swap_remove(at));
         state.loading += 1;
@@ -71,7 +79,7 @@ impl Drop for Computing<'_> {
 }
 
 impl PagePool {
-    pub(super) fn new(limits: Limits, patience: Duration) -> Self {
+    pub(super) fn new(limits: Limits, patience: Duration, lock_waits: Arc<AtomicU64>) -> Self {
         let state = State {
             budget: Budget::new(limits),
             queue: EvictionQueue::default(),
@@ -84,26 +92,49 @@ impl PagePool {
         Self {
             state: Mutex::new(state),
             changed: Condvar::new(),
-            clock: AtomicU64::new(1),
+            clock: AtomicU64::new(TICK),
+            evicts: AtomicBool::new(false),
             waiting_for_room: AtomicUsize::new(0),
             waiting: AtomicUsize::new(0),
             patience,
+            lock_waits,
         }
     }
 
-    /// A new time stamp for a use of a page.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        lock_counting(&self.state, &self.lock_waits)
+    }
+
+    /// A new time, later than any before.
     pub(super) fn tick(&self) -> u64 {
-        self.clock.fetch_add(1, Ordering::Relaxed)
+        self.clock.fetch_add(TICK, Ordering::Relaxed) + TICK
+    }
+
+    /// The current time.
+    pub(super) fn now(&self) -> u64 {
+        self.clock.load(Ordering::Relaxed)
+    }
+
+    /// The time of a use of a page by a thread whose last use was at `last`: later than that, and than all reservations and
+    /// loads before it. The clock stands still as long as pages are only used: threads do not write it for every request.
+    pub(super) fn time_of_use(&self, last: u64) -> u64 {
+        let now = self.now();
+        (now.max(last) + 1).min(now + TICK - 1)
+    }
+
+    /// Whether any page has been evicted so far.
+    pub(super) fn evicts(&self) -> bool {
+        self.evicts.load(Ordering::Relaxed)
     }
 
     pub(super) fn limits(&self) -> Limits {
-        lock(&self.state).budget.limits.clone()
+        self.lock().budget.limits.clone()
     }
 
     /// Sets new limits and evicts pages that are neither retained nor loading until the limits hold, if possible.
     /// Returns what was evicted.
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         state.budget.limits = limits;
         state.recycled.clear();
         let evicted = state.evict_excess(self.tick());
@@ -115,9 +146,9 @@ impl PagePool {
 
     /// Evicts everything that is neither retained nor loading. Returns what was evicted.
     pub(super) fn evict_all(&self) -> Vec<Evicted> {
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         let mut evicted = Vec::new();
-        while let Some(page) = state.evict(Obstacle::Total, self.tick()) {
+        while let Some(page) = state.evict(Obstacle::Total, self.tick(), None) {
             evicted.push(page);
         }
         state.recycled.clear();
@@ -126,7 +157,7 @@ impl PagePool {
 
     /// Evicts the pages of one object that are neither retained nor loading. Returns what was evicted.
     pub(super) fn evict_object(&self, object: &Object) -> Vec<Evicted> {
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         let evicted = state.queue.evict_object(object);
         for page in &evicted {
             state.budget.give_back(page.kind, page.object.bytes());
@@ -139,17 +170,30 @@ impl PagePool {
 
     /// Records that a page has been retired.
     pub(super) fn retire(&self, object: &Arc<Object>, page: u32, serial: u32) {
-        lock(&self.state).queue.retire(object.clone(), page, serial);
+        self.lock().queue.retire(object.clone(), page, serial);
     }
 
     /// Reserves room for one page, if evicting pages that are not retained makes enough. Also returns what was evicted.
-    pub(super) fn try_reserve(&self, kind: Kind, object: &Object) -> (Option<PageBuffer>, Vec<Evicted>) {
-        let mut evicted = Vec::new();
-        let room = lock(&self.state).reserve(kind, object.bytes(), self.tick(), &mut evicted);
+    pub(super) fn try_reserve(
+        &self,
+        kind: Kind,
+        object: &Object,
+        reuse: Option<&RefCell<Reuse>>,
+    ) -> (Option<PageBuffer>, Vec<Evicted>) {
+        let (mut evicted, mut known) = (Vec::new(), reuse.map(RefCell::borrow_mut));
+        let known = known.as_deref_mut();
+        let room = self.lock().reserve(kind, object.bytes(), self.tick(), known, &mut evicted);
+        self.has_evicted(&evicted);
         (room, evicted)
     }
 
-    /// Reserves room for one page that a thread waits for. Waits for releases if it must, but not longer than its
+    fn has_evicted(&self, evicted: &[Evicted]) {
+        if !evicted.is_empty() && !self.evicts() {
+            self.evicts.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Reserves room for one page that a thread waits for, by evicting what `reuse` says is needed last. Waits for releases if it must, but not longer than its
     /// patience while no page is loading: a page that is loading can be evicted once it is resident, however slow the
     /// disk.
     pub(super) fn reserve(
@@ -157,17 +201,24 @@ impl PagePool {
         kind: Kind,
         object: &Object,
         cancel: &CancelToken,
+        reuse: Option<&RefCell<Reuse>>,
         evicted: &mut Vec<Evicted>,
     ) -> Result<PageBuffer, WaitError> {
         let bytes = object.bytes();
-        if let Some(room) = lock(&self.state).reserve(kind, bytes, self.tick(), evicted) {
+        let mut known = reuse.map(RefCell::borrow_mut);
+        let mut try_now = |state: &mut State| {
+            let room = state.reserve(kind, bytes, self.tick(), known.as_deref_mut(), evicted);
+            self.has_evicted(evicted);
+            room
+        };
+        if let Some(room) = try_now(&mut self.lock()) {
             return Ok(room);
         }
         // A thread that releases a page from now on notifies; what was released before is seen by the next search.
         self.waiting_for_room.fetch_add(1, Ordering::SeqCst);
         fence(Ordering::SeqCst);
         let room = self.wait_for(cancel, |state| {
-            let room = state.reserve(kind, bytes, self.tick(), evicted).map(Ok);
+            let room = try_now(state).map(Ok);
             room.or_else(|| (!state.budget.could_hold(kind, bytes)).then_some(Err(WaitError::Hopeless)))
         });
         self.waiting_for_room.fetch_sub(1, Ordering::SeqCst);
@@ -191,7 +242,7 @@ impl PagePool {
         mut ready: impl FnMut(&mut State) -> Option<T>,
     ) -> Result<T, WaitError> {
         let mut deadline = Instant::now() + self.patience;
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         loop {
             if let Some(result) = ready(&mut state) {
                 return Ok(result);
@@ -227,7 +278,7 @@ impl PagePool {
     /// while it waits for anything meanwhile, its own page does not count as loading.
     pub(super) fn computing(&self) -> Computing<'_> {
         let thread = thread::current().id();
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         state.loading -= 1;
         state.computing.push(thread);
         Computing { pool: self, thread }
@@ -242,7 +293,7 @@ impl PagePool {
         mut resident: Resident,
         hold: impl FnOnce(&Arc<Resident>) -> T,
     ) -> (T, Vec<Evicted>) {
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         state.loading -= 1;
         state.last_serial = state.last_serial.wrapping_add(1);
         resident.serial = state.last_serial;
@@ -258,7 +309,7 @@ impl PagePool {
 
     /// Reports that a page will not become resident: its slot says why, and its room is free again.
     pub(super) fn failed(&self, object: &Object, page: u32, slot: Slot, buffer: PageBuffer) {
-        let mut state = lock(&self.state);
+        let mut state = self.lock();
         state.loading -= 1;
         *object.slot(page) = slot;
         state.budget.give_back(object.kind(page), object.bytes());
@@ -270,7 +321,7 @@ impl PagePool {
 
     /// Reports that a slot has changed: wakes all waiting threads.
     pub(super) fn notify(&self) {
-        drop(lock(&self.state));
+        drop(self.lock());
         self.notify_waiting();
     }
 
@@ -284,26 +335,26 @@ impl PagePool {
     pub(super) fn released(&self) {
         if self.waiting_for_room.load(Ordering::SeqCst) > 0 {
             // A thread that has searched in vain holds the lock until it waits.
-            drop(lock(&self.state));
+            drop(self.lock());
             self.changed.notify_all();
         }
     }
 
     pub(super) fn retained_bytes(&self) -> u64 {
-        lock(&self.state).queue.retained_bytes()
+        self.lock().queue.retained_bytes()
     }
 
     #[cfg(test)]
     pub(super) fn entries(&self) -> usize {
-        lock(&self.state).queue.entries()
+        self.lock().queue.entries()
     }
 
     pub(super) fn peaks(&self) -> (u64, [u64; KINDS]) {
-        lock(&self.state).budget.peaks()
+        self.lock().budget.peaks()
     }
 
     pub(super) fn reset_peaks(&self) {
-        lock(&self.state).budget.reset_peaks();
+        self.lock().budget.reset_peaks();
     }
 }
 
@@ -334,8 +385,8 @@ impl State {
         at.map(|at| self.halted.swap_remove(at));
     }
 
-    fn evict(&mut self, obstacle: Obstacle, now: u64) -> Option<Evicted> {
-        let evicted = self.queue.evict(obstacle, now)?;
+    fn evict(&mut self, obstacle: Obstacle, now: u64, reuse: Option<&mut Reuse>) -> Option<Evicted> {
+        let evicted = self.queue.evict(obstacle, now, reuse)?;
         self.budget.give_back(evicted.kind, evicted.object.bytes());
         Some(evicted)
     }
@@ -343,7 +394,7 @@ impl State {
     /// Evicts pages that are neither retained nor loading until the limits hold, if possible.
     fn evict_excess(&mut self, now: u64) -> Vec<Evicted> {
         let mut evicted = Vec::new();
-        while let Some(page) = self.budget.excess().and_then(|obstacle| self.evict(obstacle, now)) {
+        while let Some(page) = self.budget.excess().and_then(|obstacle| self.evict(obstacle, now, None)) {
             evicted.push(page);
         }
         if !evicted.is_empty() {
@@ -358,10 +409,11 @@ impl State {
         kind: Kind,
         bytes: u64,
         now: u64,
+        mut reuse: Option<&mut Reuse>,
         evicted: &mut Vec<Evicted>,
     ) -> Option<PageBuffer> {
         while let Some(obstacle) = self.budget.obstacle(kind, bytes) {
-            let mut page = self.evict(obstacle, now)?;
+            let mut page = self.evict(obstacle, now, reuse.as_deref_mut())?;
             self.recycled.push(page.take_buffer());
             evicted.push(page);
         }

@@ -3,6 +3,7 @@
 //! (`complete`); and threads that waited (`wait_for_page`) retain it. [`retain_computed`](PageClient::retain_computed)
 //! computes a page instead of reading it.
 
+use std::cell::RefCell;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
@@ -14,6 +15,7 @@ use super::guard::PageGuard;
 use super::object::{HintMark, Object, Resident, Slot};
 use super::pool::WaitError;
 use super::read::Read;
+use super::reuse::Reuse;
 use super::shared::Shared;
 use super::source::PageFault;
 use super::stats::Counters;
@@ -27,29 +29,45 @@ impl PageClient {
     /// [`PageFault`] if the page cannot be read or is damaged, if there is no room for it although nothing is loading,
     /// or if the client is cancelled while it waits.
     pub fn retain(&self, object: &Arc<Object>, page: u32) -> Result<PageGuard, PageFault> {
+        self.retain_knowing(object, page, None)
+    }
+
+    /// Retains a page as [`retain`](Self::retain) does; if another has to make room for it, the one that `reuse` says is needed
+    /// last.
+    ///
+    /// # Errors
+    /// As for [`retain`](Self::retain).
+    pub fn retain_knowing(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        reuse: Option<&RefCell<Reuse>>,
+    ) -> Result<PageGuard, PageFault> {
         if let Some(found) = object.in_place(page) {
             return found.map(PageGuard::from);
         }
+        #[cfg(feature = "internals")]
+        self.shared.log.note(object, page);
         let counters = self.shared.counters_of(object, page);
         let mut slot = object.slot(page);
         match &*slot {
             Slot::Resident(resident) => {
-                counters.hits.fetch_add(1, Ordering::Relaxed);
-                Ok(self.shared.guard(object, resident, self.number, counters))
+                self.own.hits.count(object.kind(page));
+                Ok(self.guard(object, resident, counters))
             }
             Slot::Failed(fault) => Err((**fault).clone()),
             Slot::Loading => {
                 drop(slot);
                 counters.late.fetch_add(1, Ordering::Relaxed);
-                self.wait_for_page(object, page, Instant::now())
+                self.wait_for_page(object, page, reuse, Instant::now())
             }
             Slot::Absent => {
                 *slot = Slot::Loading;
                 drop(slot);
                 counters.misses.fetch_add(1, Ordering::Relaxed);
                 let started = Instant::now();
-                self.read(object, page)?;
-                self.wait_for_page(object, page, started)
+                self.read(object, page, reuse)?;
+                self.wait_for_page(object, page, reuse, started)
             }
         }
     }
@@ -65,8 +83,8 @@ impl PageClient {
         match &*object.slot(page) {
             Slot::Resident(resident) => {
                 let counters = self.shared.counters_of(object, page);
-                counters.hits.fetch_add(1, Ordering::Relaxed);
-                Some(Ok(self.shared.guard(object, resident, self.number, counters)))
+                self.own.hits.count(object.kind(page));
+                Some(Ok(self.guard(object, resident, counters)))
             }
             Slot::Failed(fault) => Some(Err((**fault).clone())),
             Slot::Absent | Slot::Loading => None,
@@ -74,18 +92,23 @@ impl PageClient {
     }
 
     /// Makes room for a page that this thread has set to loading, and submits its read.
-    fn read(&self, object: &Arc<Object>, page: u32) -> Result<(), PageFault> {
-        let buffer = self.make_room(object, page)?;
+    fn read(&self, object: &Arc<Object>, page: u32, reuse: Option<&RefCell<Reuse>>) -> Result<(), PageFault> {
+        let buffer = self.make_room(object, page, reuse)?;
         let read = self.shared.read_of(object, page, buffer, self.number, None);
         self.shared.backend.submit(vec![read]);
         Ok(())
     }
 
     /// Reserves room for a page that this thread has set to loading; if there is none, the page becomes absent again.
-    fn make_room(&self, object: &Arc<Object>, page: u32) -> Result<PageBuffer, PageFault> {
+    fn make_room(
+        &self,
+        object: &Arc<Object>,
+        page: u32,
+        reuse: Option<&RefCell<Reuse>>,
+    ) -> Result<PageBuffer, PageFault> {
         let mut evicted = Vec::new();
         let _woken = self.registered();
-        let room = self.shared.pool.reserve(object.kind(page), object, &self.cancel, &mut evicted);
+        let room = self.shared.pool.reserve(object.kind(page), object, &self.cancel, reuse, &mut evicted);
         self.shared.count_evictions(&evicted);
         room.map_err(|error| {
             self.shared.give_up(object, page);
@@ -104,6 +127,7 @@ impl PageClient {
         &self,
         object: &Arc<Object>,
         page: u32,
+        reuse: Option<&RefCell<Reuse>>,
         started: Instant,
     ) -> Result<PageGuard, PageFault> {
         let counters = self.shared.counters_of(object, page);
@@ -111,9 +135,7 @@ impl PageClient {
         let result = loop {
             let outcome = self.shared.pool.wait_until(&self.cancel, || match &*object.slot(page) {
                 Slot::Loading => None,
-                Slot::Resident(resident) => {
-                    Some(Some(Ok(self.shared.guard(object, resident, self.number, counters))))
-                }
+                Slot::Resident(resident) => Some(Some(Ok(self.guard(object, resident, counters)))),
                 Slot::Failed(fault) => Some(Some(Err((**fault).clone()))),
                 // The page was loaded and evicted again before this thread woke up, or a hint found no room for it.
                 Slot::Absent => Some(None),
@@ -129,7 +151,7 @@ impl PageClient {
                     if matches!(&*slot, Slot::Absent) {
                         *slot = Slot::Loading;
                         drop(slot);
-                        self.read(object, page)?;
+                        self.read(object, page, reuse)?;
                     }
                 }
             }
@@ -159,8 +181,8 @@ impl PageClient {
             let mut slot = object.slot(page);
             match &*slot {
                 Slot::Resident(resident) => {
-                    counters.hits.fetch_add(1, Ordering::Relaxed);
-                    return Ok(self.shared.guard(object, resident, self.number, counters));
+                    self.own.hits.count(object.kind(page));
+                    return Ok(self.guard(object, resident, counters));
                 }
                 Slot::Failed(fault) => return Err((**fault).clone().into()),
                 Slot::Loading => {
@@ -172,7 +194,7 @@ impl PageClient {
                     *slot = Slot::Loading;
                     drop(slot);
                     counters.misses.fetch_add(1, Ordering::Relaxed);
-                    let buffer = self.make_room(object, page)?;
+                    let buffer = self.make_room(object, page, None)?;
                     return self.compute(object, page, buffer, &mut compute);
                 }
             }
@@ -212,7 +234,7 @@ impl PageClient {
                     counters.computed_unique.fetch_add(1, Ordering::Relaxed);
                 }
                 let resident = self.shared.resident(buffer, self.number, HintMark::None, false);
-                let hold = |resident: &Arc<Resident>| PageGuard::new(resident, &self.shared);
+                let hold = |resident: &Arc<Resident>| PageGuard::new(resident, &self.own);
                 let (guard, evicted) = self.shared.pool.loaded(object, page, resident, hold);
                 self.shared.count_evictions(&evicted);
                 Ok(guard)
@@ -230,6 +252,27 @@ impl PageClient {
         }
     }
 
+    /// A guard on a page that has been requested. The caller holds the lock of its slot.
+    fn guard(&self, object: &Object, resident: &Arc<Resident>, counters: &Counters) -> PageGuard {
+        match resident.hint_mark() {
+            // Whoever requested it takes it for the first time.
+            HintMark::Requested if resident.user.load(Ordering::Relaxed) == self.number => {
+                resident.hint.store(HintMark::None.word(), Ordering::Relaxed);
+            }
+            mark => {
+                resident.last_use.store(self.own.time_of_use(), Ordering::Relaxed);
+                if mark != HintMark::None && self.shared.settle_hint(resident, object.bytes()) {
+                    counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        }
+        resident.user.store(self.number, Ordering::Relaxed);
+        if resident.retired.load(Ordering::Relaxed) {
+            resident.retired.store(false, Ordering::Relaxed);
+        }
+        PageGuard::new(resident, &self.own)
+    }
+
     /// While this lives, a cancellation wakes the threads that wait in the pool.
     fn registered(&self) -> Registered<'_> {
         let shared = self.shared.clone();
@@ -238,33 +281,6 @@ impl PageClient {
 }
 
 impl Shared {
-    /// A guard on a page that has been requested. The caller holds the lock of its slot.
-    fn guard(
-        self: &Arc<Self>,
-        object: &Object,
-        resident: &Arc<Resident>,
-        client: u32,
-        counters: &Counters,
-    ) -> PageGuard {
-        match resident.hint_mark() {
-            // Whoever requested it takes it for the first time.
-            HintMark::Requested if resident.user.load(Ordering::Relaxed) == client => {
-                resident.hint.store(HintMark::None.word(), Ordering::Relaxed);
-            }
-            mark => {
-                resident.last_use.store(self.pool.tick(), Ordering::Relaxed);
-                if mark != HintMark::None && self.settle_hint(resident, object.bytes()) {
-                    counters.hinted_in_time.fetch_add(1, Ordering::Relaxed);
-                }
-            }
-        }
-        resident.user.store(client, Ordering::Relaxed);
-        if resident.retired.load(Ordering::Relaxed) {
-            resident.retired.store(false, Ordering::Relaxed);
-        }
-        PageGuard::new(resident, self)
-    }
-
     /// Makes a page that was to be loaded absent again.
     pub(super) fn give_up(&self, object: &Object, page: u32) {
         *object.slot(page) = Slot::Absent;

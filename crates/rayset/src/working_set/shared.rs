@@ -10,8 +10,8 @@ use super::object::{HintMark, Object, Resident, Slot};
 use super::pool::PagePool;
 use super::read::ReadBackend;
 use super::source::KINDS;
-use super::stats::Counters;
-use crate::sync::atomic::{AtomicU32, Ordering};
+use super::stats::{Counters, Hits};
+use crate::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use crate::sync::{Mutex, lock};
 
 /// The state that all clients share.
@@ -22,16 +22,27 @@ pub(super) struct Shared {
     /// Number of the current period of the statistics; pages of period 0 were never read.
     pub(super) period: AtomicU32,
     pub(super) counters: [Counters; KINDS],
+    /// Hits of the clients that there are.
+    pub(super) hits: Mutex<Vec<Arc<Hits>>>,
+    /// How often a thread had to wait for the lock of the pool or of a slot.
+    pub(super) lock_waits: Arc<AtomicU64>,
+    #[cfg(feature = "internals")]
+    pub(super) log: super::log::RequestLog,
 }
 
 impl Shared {
     pub(super) fn new(limits: Limits, backend: Arc<dyn ReadBackend>, patience: Duration) -> Self {
+        let lock_waits = Arc::new(AtomicU64::new(0));
         Self {
-            pool: PagePool::new(limits, patience),
+            pool: PagePool::new(limits, patience, lock_waits.clone()),
             backend,
             clients: Mutex::default(),
             period: AtomicU32::new(1),
             counters: Default::default(),
+            hits: Mutex::default(),
+            lock_waits,
+            #[cfg(feature = "internals")]
+            log: Default::default(),
         }
     }
 

@@ -51,6 +51,29 @@ impl Counters {
     }
 }
 
+/// Requests for resident pages, by kind, of one thread. In lines of the processor's caches that no other thread writes:
+/// there may be millions of requests a second, by any number of threads.
+#[derive(Debug, Default)]
+#[repr(align(128))]
+pub(super) struct Hits([AtomicU64; KINDS]);
+
+impl Hits {
+    pub(super) fn count(&self, kind: Kind) {
+        self.0[kind.index()].fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn reset(&self) {
+        self.0.iter().for_each(|hits| hits.store(0, Ordering::Relaxed));
+    }
+
+    /// Adds what was counted to the counters of all kinds.
+    pub(super) fn settle(&self, counters: &[Counters; KINDS]) {
+        for (hits, counters) in self.0.iter().zip(counters) {
+            counters.hits.fetch_add(hits.load(Ordering::Relaxed), Ordering::Relaxed);
+        }
+    }
+}
+
 /// Statistics of the pages of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
@@ -118,6 +141,12 @@ impl Statistics {
             }
         });
         Self { by_kind, peak_bytes }
+    }
+
+    pub(super) fn add_hits(&mut self, hits: &Hits) {
+        for (statistics, hits) in self.by_kind.iter_mut().zip(&hits.0) {
+            statistics.hits += hits.load(Ordering::Relaxed);
+        }
     }
 
     /// The numbers of one kind.

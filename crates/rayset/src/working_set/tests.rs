@@ -264,7 +264,7 @@ fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
 fn a_page_takes_at_most_32_bytes_outside_the_budget() {
     assert!(WorkingSet::overhead_bytes(1) <= 32, "{} bytes", WorkingSet::overhead_bytes(1));
     assert_eq!(WorkingSet::overhead_bytes(200_000), 200_000 * WorkingSet::overhead_bytes(1));
-    let object = Object::new(Arc::new(Source(zeros(1000, PAGE, 0))));
+    let object = Object::new(Arc::new(Source(zeros(1000, PAGE, 0))), Arc::default());
     assert!(object.bytes_kept() <= WorkingSet::overhead_bytes(1000) as usize + 64, "{}", object.bytes_kept());
 }
 

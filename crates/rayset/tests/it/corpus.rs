@@ -17,10 +17,10 @@ use crate::las_writer::{Chunks, LasFile};
 use crate::volume_fixtures::{fixtures as volume_fixtures, unzipped};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 24] = [
+const POINTS: [&str; 26] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
     "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu", "p.e57",
-    "p.pcd", "p.ptx", "p.csv.gz",
+    "p.pcd", "p.ptx", "p.csv.gz", "m.off", "p.bin",
 ];
 const VOLUMES: [&str; 12] = [
     "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
@@ -149,15 +149,17 @@ fn splats_and_meshes() -> Vec<(&'static str, Vec<u8>)> {
         ("m.stl", "meshes/ball.stl"),
         ("m.stl", "meshes/ball-ascii.stl"),
     ];
-    files.into_iter().map(read).collect()
+    let off = b"OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 1\n3 0 1 2\n4 0 1 2 3 255 0 0\n".to_vec();
+    let scan = (0..40_u16).flat_map(|i| f32::from(i % 7 * (i + 1) % 11).to_le_bytes()).collect();
+    files.into_iter().map(read).chain([("m.off", off), ("p.bin", scan)]).collect()
 }
 
 /// Files that other programs wrote: the name of the input, their folder, and they.
 const FIXTURES: &[(&str, &str, &[&str])] = &[
-    ("p.hdf5", "snapshots", &["gadget.hdf5", "swift.hdf5", "eagle.hdf5"]),
+    ("p.hdf5", "snapshots", &["gadget.hdf5", "swift.hdf5", "eagle.hdf5", "halves.hdf5"]),
     ("p.gadget", "gadget", &["format1", "format2_big"]),
-    ("p.npy", "npy", &["four_big.npy", "fortran.npy", "structured.npy"]),
-    ("p.npz", "npy", &["stored.npz", "deflated.npz"]),
+    ("p.npy", "npy", &["four_big.npy", "fortran.npy", "structured.npy", "halves.npy"]),
+    ("p.npz", "npy", &["stored.npz", "deflated.npz", "halves.npz"]),
     ("p.vtk", "vtk", &["poly_text_42.vtk", "poly_binary_51.vtk", "grid_binary_42.vtk"]),
     ("p.vtp", "vtk", &["ascii.vtp", "binary_zlib.vtp", "pieces.vtp"]),
     ("p.vtu", "vtk", &["raw_big.vtu", "base64_zlib.vtu"]),

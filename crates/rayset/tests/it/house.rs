@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 26] = [
+const ORDER: [&str; 27] = [
     "parse",
     "setters",
     "sync",
@@ -11,6 +11,7 @@ const ORDER: [&str; 26] = [
     "geometry",
     "regular_file",
     "text_numbers",
+    "numbers",
     "array_file",
     "storage",
     "output",

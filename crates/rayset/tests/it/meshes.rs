@@ -61,6 +61,31 @@ fn a_mesh_gives_the_same_points_in_whatever_format_trimesh_writes_it() {
 }
 
 #[test]
+fn points_of_a_mesh_lie_evenly_so_that_its_surface_has_no_pores() {
+    const POINTS: u64 = 10_000;
+    let found = sample(&fixture("square.obj"), POINTS).expect("points").position;
+    // Among as many random points the largest hole that is found has a radius of 1.57 spacings.
+    let spacing = 1.0 / (POINTS as f64).sqrt();
+    let nearest = |x: f64, y: f64| {
+        let squares = found.iter().map(|p| (p[0] - x).powi(2) + (p[1] - y).powi(2));
+        squares.fold(f64::INFINITY, f64::min).sqrt()
+    };
+    let places = (0..40_u32).flat_map(|i| (0..40).map(move |j| [i, j].map(|k| (f64::from(k) + 0.5) / 40.0)));
+    let hole = places.map(|[x, y]| nearest(x, y)).fold(0.0, f64::max);
+    assert!(hole < 1.1 * spacing, "{} spacings", hole / spacing);
+    // Both halves have as many, in batches of any size.
+    let above = found.iter().filter(|p| p[1] > p[0]).count() as u64;
+    assert!(above.abs_diff(POINTS / 2) <= 1, "{above}");
+    let (mut batch, mut parts) = (PointBatch::default(), Vec::new());
+    let mut source = points::open(&fixture("square.obj"), &with_points(POINTS)).expect("a mesh");
+    while parts.len() < found.len() {
+        source.fill(&mut batch, 777).expect("points");
+        parts.extend_from_slice(&batch.position);
+    }
+    assert_eq!(parts, found);
+}
+
+#[test]
 fn colours_of_vertices_are_interpolated() {
     for (name, largest) in [("square.ply", 255.0), ("square.obj", 1.0)] {
         let schema = points::open(&fixture(name), &with_points(1)).expect("a mesh").schema().clone();

@@ -210,3 +210,26 @@ fn a_checksum_of_an_archive_that_is_wrong_is_an_error() {
         assert!(what.contains("checksum"), "{what}");
     }
 }
+
+#[test]
+fn arrays_whose_last_axis_has_colours_or_coordinates_are_no_volumes_and_axes_of_one_do_not_count() {
+    let folder = folder();
+    let path = folder.path().join("a.npy");
+    for (shape, is_volume) in [
+        ("(20, 30, 3)", false),
+        ("(2, 2048, 3)", false),
+        ("(4, 5, 3)", true),
+        ("(1, 4, 5, 6, 1)", true),
+        ("(2, 4, 5, 6)", false),
+        ("(1, 4, 5)", false),
+    ] {
+        let header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}\n");
+        let count: usize =
+            shape.trim_matches(['(', ')']).split(", ").map(|n| n.parse::<usize>().unwrap_or(0)).product();
+        let length = (header.len() as u16).to_le_bytes();
+        let bytes = [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), &vec![7; count]].concat();
+        std::fs::write(&path, bytes).expect("a write");
+        assert_eq!(VolumeSource::is_volume(&path).expect("it reads"), is_volume, "{shape}");
+        assert_eq!(VolumeSource::open(&path).is_ok(), is_volume, "{shape}");
+    }
+}

@@ -53,6 +53,37 @@ fn files_without_a_mark_are_recognized_by_their_names() {
 }
 
 #[test]
+fn kinds_that_others_bring_are_refused_with_what_converts_them() {
+    let folder = folder();
+    for (name, bytes, what, way) in [
+        ("dem.asc", &b"ncols 3\nnrows 2\n1 2 3\n4 5 6\n"[..], "a grid of heights", "gdal2xyz.py"),
+        ("ethanol.xyz", b"2\na remark\nC 0.1 0.2 0.3\nH 1 2 3\n", "a molecule", "MDAnalysis"),
+        ("emd.map", b"\0\0", "a density map of microscopy", "mrcfile.read"),
+        ("orig.mgh", b"\0\0\0\x01", "FreeSurfer", "mri_convert"),
+        ("points3D.bin", b"\0\0\0", "COLMAP", "model_converter"),
+        ("a.fits", b"SIMPLE  =   T", "FITS", "astropy"),
+        ("a.sog", b"PK\x03\x04", "SOG", "splat-transform"),
+        ("a.pth", b"PK\x03\x04", "PyTorch", "torch.load"),
+        ("a.geojson", b"{\"type\"", "a map of vectors", "ogr2ogr"),
+        ("a.ifc", b"ISO-10303-21;", "CAD", "STL or OBJ"),
+        ("a.3mf", b"PK\x03\x04", "a mesh in 3MF", "trimesh.load"),
+        ("a.drc", b"DRACO\x02", "a mesh in 3MF", "trimesh.load"),
+        ("tileset.json", b"{}", "3D Tiles", "made of"),
+        ("a.bag", b"#ROSBAG V2.0\n", "recordings of ROS", "bag_to_pcd"),
+        ("a.mtl", b"newmtl a\n", "materials of an OBJ", "OBJ"),
+        ("a.pvm", b"PVM3\n", "Amira, Inrimage", "--raw"),
+        ("plt/Header", b"HyperCLaw-V1.1\n", "AMR code", "yt.load"),
+        ("readme.md", b"# Words\n", "a document", "PLY, LAS or CSV"),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        std::fs::write(&path, bytes).expect("a write");
+        let said = said(&path);
+        assert!(said.contains(what) && said.contains(way), "{said}");
+    }
+}
+
+#[test]
 fn folders_of_potree_and_zarr_are_recognized_and_others_are_folders() {
     let folder = folder();
     assert!(said(folder.path()).contains("this is a folder"), "{}", said(folder.path()));

@@ -2,8 +2,8 @@
 
 use rayset::field::reference::ReferenceField;
 use rayset::field::{
-    AttributeColumns, Channels, DecodedRun, FieldSamples, Kernel, Packet, RunDecoder, SLAB_SAMPLES,
-    SimdLevel, Slab, SplatCounts, Splatter,
+    AttributeColumns, Channels, FieldSamples, Kernel, Packet, RunBatch, RunDecoder, SLAB_SAMPLES, SimdLevel,
+    Slab, SplatCounts, Splatter,
 };
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
@@ -52,13 +52,16 @@ fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     for slab in 0..(4.0 * unit / step) as u64 / 32 + 2 {
         let slab = Slab { first: first + 32 * slab, samples: SLAB_SAMPLES };
         let mut samples = FieldSamples::new(channels);
-        let mut run = DecodedRun::default();
+        let mut batch = RunBatch::default();
         cloud
             .for_each_run(|_, raw| {
-                decoder.decode(&raw, header, step, simd, &mut run);
-                counts += splatter.splat(&run, &packet, slab, packet.all(), &mut samples);
+                if batch.is_full() {
+                    counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);
+                }
+                decoder.decode(&raw, header, step, simd, batch.append().expect("room for a run"));
             })
             .expect("the cloud reads");
+        counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);
         for (lane, (ray, _)) in rays.iter().enumerate().filter(|(l, _)| samples.touched >> l & 1 != 0) {
             let near = reference_renderer.near(ray);
             for j in (0..SLAB_SAMPLES).step_by(3) {

@@ -6,12 +6,15 @@ use std::sync::Arc;
 
 use rayset::cancel::CancelToken;
 use rayset::field::Kernel;
-use rayset::geometry::DVec3;
+use rayset::geometry::{DAffine3, DVec3};
 use rayset::octree::Cloud;
-use rayset::scene::{Light, LightKind, Lighting, Material, RenderSettings, Scene, Shadows};
+use rayset::scene::{
+    Form, Light, LightKind, Lighting, Material, Node, Operator, RenderSettings, Scene, Shadows,
+};
 use rayset::trace::{FinishedTile, RenderError, Session, Work};
 
 use crate::common::{camera, folder, scene, settings, workload_cloud};
+use crate::graph::solid;
 
 /// Says which cloud and what multiple of the least memory the child is to render with.
 const JOB: &str = "RAYSET_SESSION_MEMORY";
@@ -23,8 +26,8 @@ fn status(name: &str) -> Option<u64> {
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// Bare, and with everything that takes memory: shadows from tables, mirrors, glass, layers.
-fn scenes(cloud: &Arc<Cloud>) -> [(Scene, RenderSettings); 2] {
+/// Bare, with everything that takes memory (shadows from tables, mirrors, glass, layers), and cut, with a cap.
+fn scenes(cloud: &Arc<Cloud>) -> [(Scene, RenderSettings); 3] {
     let bare = scene(cloud, Kernel::Wyvill, true);
     let kind = LightKind::Directional { direction: DVec3::new(0.3, -1.0, -0.4) };
     let mut rich = Scene {
@@ -33,9 +36,14 @@ fn scenes(cloud: &Arc<Cloud>) -> [(Scene, RenderSettings); 2] {
     };
     let glass = Material { reflectance: 0.3, refractive_index: 1.2, ..Material::default() };
     rich.root = Arc::new((*rich.root).clone().of(glass));
+    let quarter = solid(Form::Box { size: DVec3::splat(4.0) }, [1.0; 3])
+        .moved(DAffine3::from_translation(DVec3::splat(2.0)));
+    let cut = Node::operator(Operator::Difference, [(*bare.root).clone(), quarter]).capped([1.0, 0.0, 0.0]);
+    let cut = Scene { root: Arc::new(cut), ..bare.clone() };
     let settings = settings(64, 64);
     let shadows = Shadows::Cached { resolution: 512 };
-    [(bare, settings), (rich, RenderSettings { shadows, layers: true, max_depth: 2, ..settings })]
+    let all = RenderSettings { shadows, layers: true, max_depth: 2, ..settings };
+    [(bare, settings), (rich, all), (cut, settings.with_cap_resolution(300))]
 }
 
 /// The least memory that a session must be given for a scene.

@@ -1,6 +1,6 @@
 //! Snapshots of simulations in HDF5: every column as h5py and numpy see it, radii by each code's convention, several files.
 
-use rayset::points::{self, ReadOptions};
+use rayset::points::{self, ColumnType, ReadOptions};
 
 use crate::common::{folder, real_data};
 use crate::fixture::{attempt, check_all, damage, fixtures, options, read_all};
@@ -32,6 +32,17 @@ fn a_snapshot_says_what_it_is_and_how_its_radii_were_made() {
         gadget.contains("30 particles of type gas") && gadget.contains("20 particles of type dark"),
         "{gadget}"
     );
+}
+
+#[test]
+fn numbers_of_half_precision_are_columns_of_single_precision_and_bfloat16_is_none() {
+    let source = points::open(&fixtures("snapshots").join("halves.hdf5"), &ReadOptions::default())
+        .expect("a snapshot");
+    let schema = source.schema();
+    for name in ["Edges", "Velocities_x"] {
+        assert_eq!(schema.columns[schema.find(name).expect(name)].kind, ColumnType::F32, "{name}");
+    }
+    assert!(schema.find("Brain").is_none(), "{:?}", schema.names().collect::<Vec<_>>());
 }
 
 #[test]
@@ -96,7 +107,8 @@ fn a_small_snapshot_needs_little_memory() {
 
 #[test]
 fn damaged_snapshots_are_errors_and_never_panics() {
-    for (name, step) in [("gadget.hdf5", 151), ("swift.hdf5", 167), ("eagle.hdf5", 53)] {
+    for (name, step) in [("gadget.hdf5", 151), ("swift.hdf5", 167), ("eagle.hdf5", 53), ("halves.hdf5", 149)]
+    {
         let refused = damage(&fixtures("snapshots").join(name), step);
         assert!(refused > 20, "{name}: {refused} of the shortened files were refused");
     }

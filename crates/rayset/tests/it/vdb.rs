@@ -1,6 +1,7 @@
 //! OpenVDB files, as its own library writes them.
 
 use rayset::build::BuildControl;
+use rayset::geometry::DVec3;
 use rayset::grid::build::{GridBuildError, GridBuildOptions, build};
 use rayset::grid::read::VolumeSource;
 
@@ -86,11 +87,37 @@ fn a_build_counts_the_memory_of_the_window_of_voxels() {
 }
 
 #[test]
+fn in_files_that_houdini_has_signed_y_is_up() {
+    /// Where the named values of a file begin; there are none.
+    const METADATA: usize = 8 + 4 + 8 + 1 + 36;
+    let folder = folder();
+    let path = folder.path().join("s.vdb");
+    // A file without places of its grids, so that it can be added to.
+    let bytes = unzipped("vdb", "stream.vdb");
+    let up = |creator: &str| {
+        let mut metadata = 1_u32.to_le_bytes().to_vec();
+        for text in ["creator", "string", creator] {
+            metadata.extend((text.len() as u32).to_le_bytes());
+            metadata.extend(text.bytes());
+        }
+        assert_eq!(bytes[METADATA..METADATA + 4], [0; 4]);
+        let signed = [&bytes[..METADATA], &metadata, &bytes[METADATA + 4..]].concat();
+        std::fs::write(&path, signed).expect("a write");
+        VolumeSource::open(&path).expect("a volume").up
+    };
+    assert_eq!(up("Houdini/SOP_OpenVDB_Write"), Some(DVec3::Y));
+    assert_eq!(up("Blender/OpenVDBWriter"), None);
+    std::fs::write(&path, &bytes).expect("a write");
+    assert_eq!(VolumeSource::open(&path).expect("a volume").up, None);
+}
+
+#[test]
 fn smoke_of_houdini_is_read() {
     let Some(path) = real_data("volume/smoke.vdb") else { return };
     let (source, numbers) = read(&path).expect("smoke");
     // The active voxels are (1, 2, 1) to (111, 223, 112), of single values in half precision.
     assert_eq!(source.size, [114, 224, 113]);
+    assert_eq!(source.up, Some(DVec3::Y));
     assert_eq!(numbers.iter().copied().fold(0.0, f32::max), 5.714_843_8);
     assert_eq!(numbers.iter().filter(|v| **v != 0.0).count(), 1_049_275);
 }

@@ -1,5 +1,6 @@
 //! The working set by itself: budgets, eviction, single flight, faults.
 
+use std::cell::RefCell;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -7,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use rayset::cancel::CancelToken;
 use rayset::working_set::read::{MemoryStorage, Pool, Storage};
-use rayset::working_set::{Kind, Limits, Object, PageClient, PageSource, WorkingSet};
+use rayset::working_set::{Kind, Limits, Object, PageClient, PageSource, Reuse, WorkingSet};
 
 use crate::common::Random;
 
@@ -158,6 +159,32 @@ fn eviction_follows_the_order_of_uses_exactly_where_pages_are_few() {
         let mut expected = by_use.clone();
         expected.sort_unstable();
         assert_eq!(resident(&object, 40), expected);
+    }
+}
+
+/// Rounds of slabs that go through five pages each, of which the next slab needs the last two again.
+#[test]
+fn rounds_that_need_more_pages_than_fit_keep_pages_from_round_to_round() {
+    for (all, fit) in [(32, 16), (400, 200)] {
+        let (set, client, object, _) = set(Numbers::new(all), pages(fit));
+        let mut reuse = RefCell::new(Reuse::default());
+        let reads_of_round = || {
+            set.reset_statistics();
+            client.begin_round(reuse.get_mut());
+            for first in (0..all - 4).step_by(3) {
+                for page in first..first + 5 {
+                    client.come_to(u64::from(first), reuse.get_mut());
+                    let guard = client.retain_knowing(&object, page, Some(&reuse)).expect("a page");
+                    client.used_in_turn(&object, page, &guard, page >= first + 3, reuse.get_mut());
+                }
+            }
+            client.end_round(reuse.get_mut());
+            set.statistics().total(|kind| kind.reads)
+        };
+        let reads: Vec<u64> = std::iter::repeat_with(reads_of_round).take(8).collect();
+        // The first rounds show what a round needs. Then those that do not fit are read, and a few that gave way to them.
+        let most = u64::from(all) - fit + 8;
+        assert!(reads[3..].iter().all(|&reads| reads <= most), "{fit} of {all}: {reads:?}, at most {most}");
     }
 }
 

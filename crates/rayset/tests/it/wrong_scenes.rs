@@ -49,6 +49,8 @@ pub(crate) fn mistakes() -> Vec<(&'static str, String)> {
         ("a colour by name", in_ball(r#""color": "red""#)),
         ("a colour of three digits", in_ball(r##""color": "#fff""##)),
         ("a checker of three colours", in_ball(r##""color": {"type": "checker", "colors": ["#000000", "#ffffff", "#ff0000"], "size": 1}"##)),
+        ("a cap of a union", with_root(&format!(r##"{{"type": "union", "cap": "#ff0000", "children": [{ball}]}}"##))),
+        ("a cap without a colour", with_root(&format!(r#"{{"type": "difference", "cap": true, "children": [{ball}, {ball}]}}"#))),
         ("a difference of one", with_root(&format!(r#"{{"type": "difference", "children": [{ball}]}}"#))),
         ("a union of none", operator("[]")),
         ("children that are no list", operator(ball)),

@@ -8,7 +8,7 @@ use std::path::Path;
 use flate2::read::MultiGzDecoder;
 
 use super::data::io_error;
-use super::refused::refused;
+use super::refused::{refused, refused_by_content};
 use super::{ReadError, VolumeSource, dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
 
 /// Bytes from the start of a file by which its format is recognized.
@@ -107,6 +107,9 @@ fn kind_of(path: &Path) -> Result<Kind, ReadError> {
             return Ok(Kind::Refused(what.to_owned()));
         }
         return Ok(Kind::Read(format));
+    }
+    if let Some(what) = refused_by_content(&head) {
+        return Ok(Kind::Refused(what.to_owned()));
     }
     let refused = refused(path, &head, is_named).map(|what| Kind::Refused(what.to_owned()));
     Ok(match FORMATS.iter().find(|format| is_named(format.extensions)) {

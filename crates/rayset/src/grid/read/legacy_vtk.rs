@@ -7,8 +7,8 @@ use super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
+use crate::numbers::Stored;
 use crate::text_numbers::{Behind, TextNumbers};
 
 const FIRST_LINE: &str = "# vtk DataFile Version";

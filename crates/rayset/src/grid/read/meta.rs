@@ -12,8 +12,8 @@ use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
 use super::orientation::Orientation;
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
+use crate::numbers::Stored;
 
 #[derive(Default)]
 struct Header {

@@ -13,8 +13,8 @@ use super::data::{Begin, Compression, Place, data_at};
 use super::error::ReadError;
 use super::orientation::Orientation;
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
+use crate::numbers::Stored;
 
 const HEADER_BYTES: usize = 348;
 

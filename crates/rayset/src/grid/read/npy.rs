@@ -1,7 +1,7 @@
 //! Arrays of NumPy of three dimensions (`.npy`), alone or in an archive (`.npz`).
 //!
 //! An array is indexed as `a[z, y, x]`, as imageio and scikit-image do. In an archive, the only array of three dimensions
-//! is read, or that of a usual name; `spacing` or `sampling`, and `origin`, are three numbers in the order of its axes.
+//! is read, or that of a usual name; axes of length one besides these three do not count; `spacing` or `sampling`, and `origin`, are three numbers in the order of its axes.
 
 use std::io::Read;
 use std::path::Path;
@@ -9,12 +9,12 @@ use std::path::Path;
 use super::data::{Place, Voxels, data_at, io_error, regular_file_bytes};
 use super::error::ReadError;
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
-use crate::array_file::{Array, Fault, Header, MAGIC, Member, Scalar, is_archive, text_place};
+use crate::array_file::{Array, Fault, Header, MAGIC, Member, is_archive, text_place};
 use crate::geometry::{DAffine3, DMat3, DVec3};
+use crate::numbers::Stored;
 
 /// The arrays that are read if several have three dimensions, the first first.
-const USUAL_NAMES: [&str; 4] = ["volume", "data", "vol", "arr_0"];
+const USUAL_NAMES: [&str; 9] = ["volume", "data", "vol", "image", "img", "density", "scan", "ct", "arr_0"];
 const SPACINGS: [&str; 2] = ["spacing", "sampling"];
 const ORIGIN: &str = "origin";
 
@@ -43,7 +43,20 @@ pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
 
 /// One slice is a picture.
 fn is_volume_array(header: &Header) -> bool {
-    header.shape.len() == 3 && header.shape.iter().all(|n| *n > 1) && stored(header).is_some()
+    three_axes(header).is_some_and(|shape| shape.iter().all(|n| *n > 1) && !is_pictures(shape))
+        && stored(header).is_some()
+}
+
+/// The three axes of an array, which may have others of length one, as those of batches and channels are.
+fn three_axes(header: &Header) -> Option<[u64; 3]> {
+    let longer: Vec<u64> = header.shape.iter().copied().filter(|n| *n > 1).collect();
+    let shape = if header.shape.len() > 3 { longer } else { header.shape.clone() };
+    shape.try_into().ok()
+}
+
+/// Whether the last axis has colours or coordinates: the array is a picture, a grid of points, or several clouds.
+fn is_pictures([planes, rows, last]: [u64; 3]) -> bool {
+    last <= 4 && (planes > 16 || rows > 16)
 }
 
 pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
@@ -142,8 +155,8 @@ fn described(header: &Header, place: &str, spacing: [f64; 3], origin: [f64; 3]) 
         let kind = if header.is_structured { "records" } else { header.descr.as_str() };
         format!("elements of the type `{kind}`; numbers of i1 to i8, u1 to u8 and f2 to f8 are read")
     })?;
-    let [nz, ny, nx] = <[u64; 3]>::try_from(&*header.shape)
-        .map_err(|_| format!("an array of the shape {:?}; a volume has three dimensions", header.shape))?;
+    let [nz, ny, nx] = three_axes(header)
+        .ok_or_else(|| format!("an array of the shape {:?}; a volume has three dimensions", header.shape))?;
     let [dz, dy, dx] = spacing;
     let [x, y, z] = [DVec3::X * dx, DVec3::Y * dy, DVec3::Z * dz];
     let (size, axes) = if header.fortran { ([nz, ny, nx], [z, y, x]) } else { ([nx, ny, nz], [x, y, z]) };
@@ -166,20 +179,5 @@ fn described(header: &Header, place: &str, spacing: [f64; 3], origin: [f64; 3]) 
 /// The type of elements, and whether they are big-endian. `None` if they are no real numbers.
 fn stored(header: &Header) -> Option<(Stored, bool)> {
     let field = header.fields.first().filter(|_| !header.is_structured)?;
-    let Scalar { letter, bytes, big_endian } = field.scalar;
-    let stored = match (letter, bytes) {
-        ('b' | 'u', 1) => Stored::U8,
-        ('i', 1) => Stored::I8,
-        ('u', 2) => Stored::U16,
-        ('i', 2) => Stored::I16,
-        ('u', 4) => Stored::U32,
-        ('i', 4) => Stored::I32,
-        ('u', 8) => Stored::U64,
-        ('i', 8) => Stored::I64,
-        ('f', 2) => Stored::F16,
-        ('f', 4) => Stored::F32,
-        ('f', 8) => Stored::F64,
-        _ => return None,
-    };
-    Some((stored, big_endian))
+    Some((field.scalar.stored, field.scalar.big_endian))
 }

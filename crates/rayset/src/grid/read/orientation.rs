@@ -24,6 +24,11 @@ impl Orientation {
         // A patient is seen from the front, which is anterior.
         Some(Self { up: Some(along('S', 'I')?), facing: Some(along('P', 'A')?) })
     }
+
+    /// Of the space of a program, by the name with which it signs its files: in Houdini y is up.
+    pub(super) fn of_program(creator: &str) -> Self {
+        Self { up: creator.starts_with("Houdini").then_some(DVec3::Y), facing: None }
+    }
 }
 
 #[cfg(test)]

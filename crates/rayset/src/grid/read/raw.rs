@@ -6,8 +6,8 @@ use std::str::FromStr;
 use super::data::Place;
 use super::error::ReadError;
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DVec3};
+use crate::numbers::Stored;
 use crate::parse::ParseError;
 
 /// The layout of a raw file: `256x256x128,u16`, then optionally `be` or `le`, `skip=512` (bytes), `spacing=1x1x2.5`. The

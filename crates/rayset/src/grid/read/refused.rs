@@ -41,7 +41,7 @@ const REFUSED: [Refused; 5] = [
             [&b"II*\0"[..], b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| head.starts_with(magic))
         },
         what: "this is TIFF, which is not read; from Python, `numpy.save(\"volume.npy\", tifffile.imread(\"FILE\"))` makes \
-               an array that is, of one channel and time",
+               an array that is, of one channel and time; of a map of heights, `gdal2xyz.py FILE points.xyz` makes points",
     },
     Refused {
         extensions: &["hdr", "img"],
@@ -67,8 +67,13 @@ pub(super) fn refused(path: &Path, head: &[u8], is_named: impl Fn(&[&str]) -> bo
     if path.is_dir() {
         return folder(path).or_else(|| is_named(ZARR.extensions).then_some(ZARR.what));
     }
-    let found = REFUSED.iter().find(|refused| (refused.begins)(head));
-    found.or_else(|| REFUSED.iter().find(|refused| is_named(refused.extensions))).map(|refused| refused.what)
+    let named = || REFUSED.iter().find(|refused| is_named(refused.extensions)).map(|refused| refused.what);
+    refused_by_content(head).or_else(named)
+}
+
+/// What a file is by its first bytes, whatever its name.
+pub(super) fn refused_by_content(head: &[u8]) -> Option<&'static str> {
+    REFUSED.iter().find(|refused| (refused.begins)(head)).map(|refused| refused.what)
 }
 
 /// What a folder is: the files of Zarr, or slices of DICOM.

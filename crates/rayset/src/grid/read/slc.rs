@@ -9,8 +9,8 @@ use std::path::Path;
 use super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::error::ReadError;
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DVec3};
+use crate::numbers::Stored;
 
 const MAGIC: &str = "11111";
 /// Longest header in bytes.

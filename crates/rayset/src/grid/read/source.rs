@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use super::data::{Voxels, what_of};
 use super::error::ReadError;
 use super::orientation::Orientation;
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DVec3};
 use crate::grid::format::VoxelKind;
+use crate::numbers::Stored;
 
 /// Largest number of voxels along an axis.
 const MOST_VOXELS: u64 = 1 << 24;

@@ -7,8 +7,8 @@ use super::data::{Place, Voxels, regular_file_bytes};
 use super::error::ReadError;
 use super::fields::{numbers, parsed};
 use super::source::{Described, VolumeSource};
-use super::stored::Stored;
 use crate::geometry::{DAffine3, DMat3, DVec3};
+use crate::numbers::Stored;
 use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Opened, Piece, Tag, Words};
 
 fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {

@@ -264,8 +264,10 @@ impl<'a> Tally<'a> {
         if layout.has_weight {
             extend(&mut self.weight_range, record::float(record, layout.weight_at()));
         }
-        for (index, range) in self.attribute_ranges.iter_mut().enumerate() {
-            let v = layout.attributes[index].decode(&record[layout.attribute_at(index)..]);
+        let mut at = layout.attribute_at(0);
+        for (kind, range) in layout.attributes.iter().zip(&mut self.attribute_ranges) {
+            let v = kind.decode(&record[at..]);
+            at += kind.bytes();
             if v.is_finite() {
                 *range = (range.0.min(v), range.1.max(v));
             }

@@ -97,7 +97,10 @@ impl LasSource {
         let fields = fields::of_file(&header, records.extra_bytes.as_deref());
         // The specification requires 16-bit colours, but many writers store 8-bit ones.
         let schema = Schema {
-            crs: words::reference_system(&header, &records),
+            crs: match words::reference_system(&header, &records) {
+                crs if crs.is_empty() && is_in_degrees(&header) => "EPSG:4326".to_owned(),
+                crs => crs,
+            },
             description: words::description(&header),
             ..Schema::new(fields.iter().map(|f| f.info.clone()).collect(), ColorDepth::Guess)
         };
@@ -168,6 +171,13 @@ fn plain_points(path: &Path, file: &Arc<File>, header: &Header) -> Result<Stretc
         return Err(ReadError::malformed(path, Place::Byte(end), what));
     }
     Ok(Stretch::new(file, start, end))
+}
+
+/// Whether coordinates are degrees, though no reference system says so: they are stored in millionths or less, and heights are
+/// not.
+fn is_in_degrees(header: &Header) -> bool {
+    let ([x, y, z], offset) = (header.scale, header.offset);
+    x.max(y) <= 1e-6 && z >= 1e-5 && offset[0].abs() <= 180.0 && offset[1].abs() <= 90.0
 }
 
 impl PointSource for LasSource {

@@ -3,11 +3,13 @@
 mod obj;
 mod obj_points;
 mod obj_reader;
+mod off;
 mod ply;
 mod sample;
 mod stl;
 mod triangles;
 
 pub(super) use self::obj_points::ObjSource;
+pub(super) use self::off::begins as begins_as_off;
 pub(super) use self::sample::MeshFormat;
 pub use self::sample::MeshSource;

@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::triangles::{Description, Mesh, Sink, Survey};
-use super::{obj, ply, stl};
+use super::{obj, off, ply, stl};
 use crate::cancel::CancelToken;
-use crate::points::synthetic::SplitMix;
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema};
 
 /// Points on a triangle, on average, where their number is not given.
@@ -20,6 +19,7 @@ const MOST_POINTS: u64 = 20_000_000;
 pub(in crate::points) enum MeshFormat {
     Ply,
     Obj,
+    Off,
     Stl,
 }
 
@@ -29,6 +29,7 @@ impl MeshFormat {
         let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
         match extension.to_str() {
             Some("obj") => Self::Obj,
+            Some("off") => Self::Off,
             Some("stl") => Self::Stl,
             _ => Self::Ply,
         }
@@ -38,13 +39,18 @@ impl MeshFormat {
         match self {
             Self::Ply => ply::read(path, sink),
             Self::Obj => obj::read(path, sink),
+            Self::Off => off::read(path, sink),
             Self::Stl => stl::read(path, sink),
         }
     }
 }
 
-/// Random points on the surface of a mesh, uniformly distributed by area; the same for the same mesh and number. The mesh is
-/// held in memory: 24 bytes per vertex, with a colour 36, and 20 bytes per triangle.
+/// Points on the surface of a mesh, evenly distributed by area; the same for the same mesh and number. The mesh is held in
+/// memory: 24 bytes per vertex, with a colour 36, and 20 bytes per triangle.
+///
+/// Equal shares of the area, triangle after triangle, have a point each. Where in its triangle it lies follows from its
+/// number by a sequence of low discrepancy, of which any part in a row is spread evenly; random points would leave holes of
+/// several spacings.
 pub struct MeshSource {
     path: PathBuf,
     format: MeshFormat,
@@ -53,8 +59,9 @@ pub struct MeshSource {
     mesh: Mesh,
     /// Cumulative area of the triangles, up to and including each.
     area: Vec<f64>,
-    random: SplitMix,
-    left: u64,
+    /// Number of points, and of those that have been delivered.
+    points: u64,
+    next: u64,
     schema: Schema,
     selected: Vec<usize>,
     /// Stops loading the mesh.
@@ -62,7 +69,7 @@ pub struct MeshSource {
 }
 
 impl MeshSource {
-    /// Reads the vertices and faces of a PLY, OBJ or STL file. Colours of vertices, if all have them, are interpolated.
+    /// Reads the vertices and faces of a PLY, OBJ, OFF or STL file. Colours of vertices, if all have them, are interpolated.
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be read, has no faces with an area, or a face refers to a vertex that does not exist.
@@ -86,7 +93,7 @@ impl MeshSource {
         let description = format.read(path, &mut survey)?;
         let by_triangles =
             survey.triangles.saturating_mul(POINTS_PER_TRIANGLE).clamp(FEWEST_POINTS, MOST_POINTS);
-        let left = points.unwrap_or(by_triangles);
+        let points_wanted = points.unwrap_or(by_triangles);
         let colors = ["red", "green", "blue"].map(|name| ColumnInfo::new(name, ColumnType::F32));
         let (columns, depth) = if survey.has_colors() {
             (colors.to_vec(), description.depth)
@@ -95,8 +102,10 @@ impl MeshSource {
         };
         let mut schema = Schema { description: description.text, ..Schema::new(columns, depth) };
         if points.is_none() {
-            schema.warnings =
-                vec![format!("{left} points are sampled on the {} triangles of a mesh", survey.triangles)];
+            schema.warnings = vec![format!(
+                "{points_wanted} points are sampled on the {} triangles of a mesh",
+                survey.triangles
+            )];
         }
         Ok(Self {
             path: path.to_owned(),
@@ -104,8 +113,8 @@ impl MeshSource {
             survey,
             mesh: Mesh::default(),
             area: Vec::new(),
-            random: SplitMix(42),
-            left,
+            points: points_wanted,
+            next: 0,
             schema,
             selected: Vec::new(),
             cancel: CancelToken::new(),
@@ -154,7 +163,7 @@ impl PointSource for MeshSource {
     }
 
     fn count_hint(&self) -> Option<u64> {
-        Some(self.left)
+        Some(self.points - self.next)
     }
 
     fn path(&self) -> Option<&Path> {
@@ -179,16 +188,18 @@ impl PointSource for MeshSource {
         if self.area.is_empty() {
             self.load()?;
         }
-        let count = self.left.min(limit as u64);
+        let end = self.points.min(self.next.saturating_add(limit as u64));
         let whole = self.area.last().copied().unwrap_or(0.0);
-        for _ in 0..count {
-            let at = self.random.unit() * whole + self.random.unit() * whole / f64::from(1 << 24);
-            let triangle = self.area.partition_point(|&a| a <= at).min(self.mesh.triangles.len() - 1);
+        let last = self.mesh.triangles.len() - 1;
+        let place = |number: u64| (number as f64 + 0.5) / self.points as f64 * whole;
+        let mut triangle = self.area.partition_point(|&area| area <= place(self.next)).min(last);
+        for number in self.next..end {
+            while self.area[triangle] <= place(number) && triangle < last {
+                triangle += 1;
+            }
             let corners = self.mesh.triangles[triangle];
             let [a, b, c] = corners.map(|corner| self.mesh.vertices[corner as usize]);
-            // Uniform over the triangle (Osada et al. 2002).
-            let (u, v) = (self.random.unit().sqrt(), self.random.unit());
-            let shares = [1.0 - u, u * (1.0 - v), u * v];
+            let shares = shares(number);
             let p = a * shares[0] + b * shares[1] + c * shares[2];
             batch.position.push(p.to_array());
             for (column, &channel) in batch.columns.iter_mut().zip(&self.selected) {
@@ -196,7 +207,17 @@ impl PointSource for MeshSource {
                 column.push(shares.iter().zip(of_corner).map(|(share, color)| share * color).sum());
             }
         }
-        self.left -= count;
+        self.next = end;
         Ok(())
     }
+}
+
+/// The shares of the corners of a triangle in the point of this number: Roberts's sequence R2 in a square, which is folded
+/// to a triangle such that areas remain and neighbours stay near each other (Heitz 2019).
+fn shares(number: u64) -> [f64; 3] {
+    /// 1/g and 1/g², where g³ = g + 1, in units of 2⁻⁶⁴.
+    const STEPS: [u64; 2] = [0xc13f_a9a9_02a6_328f, 0x91e1_0da5_c79e_7b1c];
+    let [u, v] = STEPS.map(|step| number.wrapping_mul(step) as f64 / 2_f64.powi(64));
+    let (u, v) = if v > u { (0.5 * u, v - 0.5 * u) } else { (u - 0.5 * v, 0.5 * v) };
+    [1.0 - u - v, u, v]
 }

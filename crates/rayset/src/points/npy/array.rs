@@ -3,32 +3,12 @@
 use std::io::{self, Read};
 use std::path::Path;
 
-use crate::array_file::{self, Header, Member, Scalar};
+use crate::array_file::{Array, Member, Scalar};
+use crate::numbers::{Stored, half};
 use crate::points::ColumnType;
 
 /// Largest number of numbers in a row of an array that is not structured.
 pub(super) const MOST_WIDTH: u64 = 64;
-
-/// A number, or several in a row, of each element.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Field {
-    /// Empty if the array is not structured.
-    pub(super) name: String,
-    /// Its byte in the element.
-    pub(super) offset: usize,
-    pub(super) kind: ColumnType,
-    pub(super) big_endian: bool,
-    pub(super) components: usize,
-}
-
-/// An array with its header.
-#[derive(Clone, Debug)]
-pub(super) struct Array {
-    pub(super) member: Member,
-    pub(super) header: Header,
-    /// Of the elements, those that are numbers of a type that columns have.
-    pub(super) fields: Vec<Field>,
-}
 
 /// How the rows of an array lie in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,38 +20,21 @@ pub(super) struct Rows {
     pub(super) apart: bool,
 }
 
-/// The type of a column for a number; `None` if no column holds it.
-fn column_type(scalar: Scalar) -> Option<ColumnType> {
-    Some(match (scalar.letter, scalar.bytes) {
-        ('f', 4) => ColumnType::F32,
-        ('f', 8) => ColumnType::F64,
-        ('u' | 'b', 1) => ColumnType::U8,
-        ('i', 1) => ColumnType::I8,
-        ('u', 2) => ColumnType::U16,
-        ('i', 2) => ColumnType::I16,
-        ('u', 4) => ColumnType::U32,
-        ('i', 4) => ColumnType::I32,
-        ('u', 8) => ColumnType::U64,
-        ('i', 8) => ColumnType::I64,
-        _ => return None,
-    })
+/// A number as a column holds it, little-endian; half precision becomes single precision.
+pub(super) fn column_bytes(scalar: Scalar, number: &[u8]) -> [u8; 8] {
+    let mut bytes = [0; 8];
+    bytes[..number.len()].copy_from_slice(number);
+    if scalar.big_endian {
+        bytes[..number.len()].reverse();
+    }
+    if scalar.stored == Stored::F16 {
+        let single = half::from_le_bytes([bytes[0], bytes[1]]);
+        bytes[..4].copy_from_slice(&single.to_le_bytes());
+    }
+    bytes
 }
 
 impl Array {
-    pub(super) fn new(array: array_file::Array) -> Self {
-        let array_file::Array { member, header } = array;
-        let fields = header.fields.iter().filter_map(|field| {
-            Some(Field {
-                name: field.name.clone(),
-                offset: field.offset,
-                kind: column_type(field.scalar)?,
-                big_endian: field.scalar.big_endian,
-                components: field.components,
-            })
-        });
-        Self { fields: fields.collect(), member, header }
-    }
-
     /// The rows of an array of one or two dimensions. With two, three rows of more than 64 numbers are three axes. `None`
     /// if it has other dimensions, or rows that are too long.
     pub(super) fn rows(&self) -> Option<Rows> {
@@ -84,9 +47,33 @@ impl Array {
         }
     }
 
-    /// The number of an array that is not structured. `None` if its elements are none.
-    pub(super) fn number(&self) -> Option<&Field> {
-        self.fields.first().filter(|_| !self.header.is_structured)
+    /// Numbers of the first rows, up to `most`.
+    pub(super) fn first_rows(
+        &self,
+        path: &Path,
+        rows: Rows,
+        scalar: Scalar,
+        most: usize,
+    ) -> io::Result<Vec<Vec<f64>>> {
+        let (count, width) = (rows.rows.min(most as u64) as usize, rows.width as usize);
+        let (size, kind) = (scalar.stored.bytes(), ColumnType::of(scalar.stored));
+        let mut numbers = vec![Vec::with_capacity(width); count];
+        let together = if rows.apart { 1 } else { width };
+        for component in (0..width).step_by(together.max(1)) {
+            let start = if rows.apart { rows.rows.saturating_mul((component * size) as u64) } else { 0 };
+            let mut strand = Strand::new(self, start, size * together);
+            strand.load(path, 0, count)?;
+            for (row, bytes) in numbers.iter_mut().zip(strand.bytes.chunks_exact(size * together)) {
+                let of_row = bytes.chunks_exact(size);
+                row.extend(of_row.map(|number| kind.decode(&column_bytes(scalar, number))));
+            }
+        }
+        Ok(numbers)
+    }
+
+    /// The type of the numbers of an array that is not structured. `None` if its elements are none.
+    pub(super) fn number(&self) -> Option<Scalar> {
+        self.header.fields.first().filter(|_| !self.header.is_structured).map(|field| field.scalar)
     }
 }
 

@@ -1,7 +1,12 @@
 //! Which numbers of the arrays of a file are positions, and which are columns.
 
-use super::array::{Array, Field, MOST_WIDTH, Rows, Strand};
-use crate::points::{ColorDepth, ColumnInfo, ColumnType, Schema, roles};
+use std::io;
+use std::path::Path;
+
+use super::array::{MOST_WIDTH, Rows, Strand};
+use crate::array_file::{Array, Fault, Scalar};
+use crate::numbers::Stored;
+use crate::points::{ColorDepth, ColumnInfo, ColumnType, Schema, roles, unnamed};
 
 /// A number of each row.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,8 +14,13 @@ pub(super) struct Source {
     /// Index of the strand, and the byte in its rows.
     pub(super) strand: usize,
     pub(super) offset: usize,
-    pub(super) kind: ColumnType,
-    pub(super) big_endian: bool,
+    pub(super) scalar: Scalar,
+}
+
+impl Source {
+    pub(super) fn column_type(&self) -> ColumnType {
+        ColumnType::of(self.scalar.stored)
+    }
 }
 
 /// What a file has for each point.
@@ -32,8 +42,8 @@ struct Named {
 
 impl Named {
     /// Adds the numbers of each row of an array that is not structured.
-    fn add_plain(&mut self, array: &Array, rows: Rows, field: &Field, names: &[String]) {
-        let size = field.kind.bytes();
+    fn add_plain(&mut self, array: &Array, rows: Rows, scalar: Scalar, names: &[String]) {
+        let size = scalar.stored.bytes();
         let first = self.strands.len();
         if rows.apart {
             let starts = (0..rows.width).map(|i| rows.rows.saturating_mul(i * size as u64));
@@ -44,7 +54,7 @@ impl Named {
         for (i, name) in names.iter().enumerate() {
             let (strand, offset) = if rows.apart { (first + i, 0) } else { (first, i * size) };
             self.names.push(name.clone());
-            self.sources.push(Source { strand, offset, kind: field.kind, big_endian: field.big_endian });
+            self.sources.push(Source { strand, offset, scalar });
         }
     }
 
@@ -52,14 +62,14 @@ impl Named {
     fn add_fields(&mut self, array: &Array) {
         let strand = self.strands.len();
         self.strands.push(Strand::new(array, 0, array.header.element_bytes));
-        for field in &array.fields {
+        for field in &array.header.fields {
             if field.components > MOST_WIDTH as usize {
                 continue;
             }
             for (i, name) in roles::components(&field.name, field.components).into_iter().enumerate() {
-                let offset = field.offset + i * field.kind.bytes();
+                let offset = field.offset + i * field.scalar.stored.bytes();
                 self.names.push(name);
-                self.sources.push(Source { strand, offset, kind: field.kind, big_endian: field.big_endian });
+                self.sources.push(Source { strand, offset, scalar: field.scalar });
             }
         }
     }
@@ -72,13 +82,14 @@ impl Named {
             if [x, y, z].contains(&place) || name.is_empty() || name == "-" {
                 continue;
             }
-            let info = ColumnInfo::new(name, source.kind);
+            let info = ColumnInfo::new(name, source.column_type());
             infos.push(if roles::is_class(name) { info.of_classes() } else { info });
             columns.push(*source);
         }
         let mut schema = Schema::new(infos, ColorDepth::Guess);
         schema.roles = roles::colors(&schema.columns);
-        let kinds = ["red", "green", "blue"].map(|name| schema.find(name).map(|column| columns[column].kind));
+        let kinds =
+            ["red", "green", "blue"].map(|name| schema.find(name).map(|column| schema.columns[column].kind));
         schema.color_depth = match kinds {
             [Some(ColumnType::U8), Some(ColumnType::U8), Some(ColumnType::U8)] => ColorDepth::Byte,
             _ => ColorDepth::Guess,
@@ -89,16 +100,15 @@ impl Named {
     }
 }
 
-/// Names of the numbers of a plain row, as in text files.
-fn plain_names(width: usize) -> Vec<String> {
-    let known: &[&str] = match width {
-        4 => &["x", "y", "z", "intensity"],
-        6 => &["x", "y", "z", "red", "green", "blue"],
-        7 => &["x", "y", "z", "intensity", "red", "green", "blue"],
-        _ => &["x", "y", "z"],
-    };
-    let more = (known.len()..width).map(|i| format!("column_{i}"));
-    known.iter().map(|name| (*name).to_owned()).chain(more).collect()
+/// Names of the numbers of a plain row, by those of the first rows.
+fn plain_names(path: &Path, array: &Array, rows: Rows, scalar: Scalar) -> io::Result<Vec<String>> {
+    let sample = array.first_rows(path, rows, scalar, unnamed::ROWS)?;
+    let names = unnamed::names(rows.width as usize, &sample).into_iter().enumerate();
+    Ok(names.map(|(i, name)| if name.starts_with("column") { format!("column_{i}") } else { name }).collect())
+}
+
+fn no_points(what: String) -> Fault {
+    Fault::Wrong { at: 0, what }
 }
 
 /// Why an array is no points.
@@ -106,9 +116,26 @@ fn wrong(array: &Array) -> String {
     let shape = array.header.shape_text();
     let found = match array.number() {
         None if !array.header.is_structured => format!("its elements are of the type {}", array.header.descr),
-        _ if array.header.shape.len() > 2 => format!("it has {shape} elements: a volume, or several clouds"),
+        _ if array.header.shape.len() > 2 => {
+            // Rows of a few numbers, and many of them.
+            let last = array.header.shape.last().copied().unwrap_or(0);
+            let rows = array.header.shape.iter().rev().nth(1).is_some_and(|&rows| rows > 16);
+            let way = match (last * u64::from(rows), array.number().map(|scalar| scalar.stored)) {
+                (3 | 4, Some(Stored::U8)) => ": a picture, or several clouds",
+                (3..=7, Some(_)) => {
+                    ": several clouds, of which `numpy.save(\"points.npy\", a[0])` writes the first, or a grid of points, \
+                     which `a.reshape(-1, a.shape[-1])` makes rows of"
+                }
+                _ => ": a volume, or several clouds; `numpy.save(\"volume.npy\", a[0])` writes the first",
+            };
+            format!("it has {shape} elements{way}")
+        }
+        None | Some(_) if array.header.shape.len() == 2 && array.header.shape[1] > MOST_WIDTH => {
+            format!("it has {shape} numbers: a depth map, or a picture; a depth map becomes points in Open3D")
+        }
         _ if array.header.is_structured => {
-            let names: Vec<String> = array.fields.iter().take(12).map(|f| roles::excerpt(&f.name)).collect();
+            let names: Vec<String> =
+                array.header.fields.iter().take(12).map(|f| roles::excerpt(&f.name)).collect();
             format!("it has {shape} elements with the fields {}", names.join(", "))
         }
         _ => format!("it has {shape} numbers"),
@@ -121,7 +148,7 @@ fn wrong(array: &Array) -> String {
 
 impl Layout {
     /// The layout of a file that is one array. The error says why it is no points.
-    pub(super) fn of_array(array: &Array, names: Option<&[String]>) -> Result<Self, String> {
+    pub(super) fn of_array(path: &Path, array: &Array, names: Option<&[String]>) -> Result<Self, Fault> {
         let mut named = Named::default();
         let description = format!("array of NumPy, {}", array.header.shape_text());
         if array.header.is_structured {
@@ -131,28 +158,29 @@ impl Layout {
                     return Ok(layout);
                 }
             }
-            return Err(wrong(array));
+            return Err(no_points(wrong(array)));
         }
-        let (Some(rows), Some(field)) = (array.rows().filter(|rows| rows.width >= 3), array.number()) else {
-            return Err(wrong(array));
+        let (Some(rows), Some(scalar)) = (array.rows().filter(|rows| rows.width >= 3), array.number()) else {
+            return Err(no_points(wrong(array)));
         };
         let names = match names {
-            None => plain_names(rows.width as usize),
+            None => plain_names(path, array, rows, scalar)?,
             Some(names) if names.len() as u64 == rows.width => names.to_vec(),
             Some(names) => {
-                return Err(format!(
+                return Err(no_points(format!(
                     "{} names of columns are given for rows of {} numbers",
                     names.len(),
                     rows.width
-                ));
+                )));
             }
         };
-        named.add_plain(array, rows, field, &names);
-        named.finish(rows.rows, description).ok_or_else(|| "the names of columns have no x, y and z".into())
+        named.add_plain(array, rows, scalar, &names);
+        let nameless = || no_points("the names of columns have no x, y and z".into());
+        named.finish(rows.rows, description).ok_or_else(nameless)
     }
 
     /// The layout of an archive. The error says what it has instead of points.
-    pub(super) fn of_archive(arrays: &[Array]) -> Result<Self, String> {
+    pub(super) fn of_archive(path: &Path, arrays: &[Array]) -> Result<Self, Fault> {
         let base =
             |array: &Array| array.member.name.rsplit('/').next().unwrap_or_default().to_ascii_lowercase();
         let is_plain =
@@ -177,23 +205,23 @@ impl Layout {
         let mut rows = None;
         if let Some(array) = position.map(|index| &arrays[index]) {
             if array.header.is_structured {
-                return Self::of_array(array, None);
+                return Self::of_array(path, array, None);
             }
-            if let (Some(of), Some(field)) = (array.rows(), array.number()) {
-                named.add_plain(array, of, field, &plain_names(of.width as usize));
+            if let (Some(of), Some(scalar)) = (array.rows(), array.number()) {
+                named.add_plain(array, of, scalar, &plain_names(path, array, of, scalar)?);
                 rows = Some(of.rows);
             }
         }
         let is_x = |array: &&Array| roles::axes(&[base(array)])[0].is_some();
         let rows = rows.or_else(|| arrays.iter().find(is_x).map(|array| array.header.count()));
-        let Some(rows) = rows else { return Err(refused(arrays)) };
+        let Some(rows) = rows else { return Err(no_points(refused(arrays))) };
         let mut left_out = Vec::new();
         for (index, array) in arrays.iter().enumerate().filter(|(index, _)| Some(*index) != position) {
             let of = array.rows().filter(|of| of.rows == rows && of.width > 0);
             match (of, array.number()) {
-                (Some(of), Some(field)) => {
+                (Some(of), Some(scalar)) => {
                     let name = arrays[index].member.name.clone();
-                    named.add_plain(array, of, field, &roles::components(&name, of.width as usize));
+                    named.add_plain(array, of, scalar, &roles::components(&name, of.width as usize));
                 }
                 _ => left_out.push(format!(
                     "{} ({})",
@@ -207,7 +235,7 @@ impl Layout {
             left_out.truncate(8);
             description.push_str(&format!("; left out for their shapes or types: {}", left_out.join(", ")));
         }
-        named.finish(rows, description).ok_or_else(|| refused(arrays))
+        named.finish(rows, description).ok_or_else(|| no_points(refused(arrays)))
     }
 }
 

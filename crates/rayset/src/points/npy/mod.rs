@@ -7,7 +7,8 @@
 //! array with as many rows is a column. Of fields of three numbers the columns are `name_x`, `name_y`, `name_z`; of those with
 //! a name of colours, red, green and blue.
 //!
-//! Numbers are integers and floating-point numbers of up to 64 bits but `float16`, in both byte orders.
+//! Numbers are integers and floating-point numbers of 8 to 64 bits, in both byte orders; of `float16` the columns are of single
+//! precision.
 
 mod array;
 mod layout;
@@ -15,10 +16,10 @@ mod layout;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use self::array::{Array, Strand};
+use self::array::{Strand, column_bytes};
 use self::layout::{Layout, Source};
 use super::{ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values};
-use crate::array_file::{self, Fault, Header, MAGIC, Member, begins_with_array, text_place};
+use crate::array_file::{Array, Fault, Header, MAGIC, Member, begins_with_array, text_place};
 
 /// Bytes that are read at once, of all strands together; one row of each where that is more.
 const STEP_BYTES: usize = 512 << 10;
@@ -62,14 +63,13 @@ impl NpySource {
         let mut magic = Vec::new();
         (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
         let layout = if magic == *MAGIC {
-            let array = array_file::Array::open(path, Member::whole(bytes)).map_err(of_fault)?;
-            Layout::of_array(&Array::new(array), names)
+            let array = Array::open(path, Member::whole(bytes)).map_err(of_fault)?;
+            Layout::of_array(path, &array, names)
         } else {
-            let arrays = array_file::Array::all(path).map_err(of_fault)?;
-            Layout::of_archive(&arrays.into_iter().map(Array::new).collect::<Vec<_>>())
+            let arrays = Array::all(path).map_err(of_fault)?;
+            Layout::of_archive(path, &arrays)
         };
-        let layout = layout.map_err(|what| ReadError::malformed(path, Place::Byte(0), what))?;
-        let Layout { strands, axes, columns, schema, rows } = layout;
+        let Layout { strands, axes, columns, schema, rows } = layout.map_err(of_fault)?;
         Ok(Self {
             path: path.to_owned(),
             strands,
@@ -92,16 +92,11 @@ impl NpySource {
     }
 }
 
-/// Appends a number of each row, exactly if `out` is of its type.
+/// Appends a number of each row, exactly if `out` is of the type of its column.
 fn append(strand: &Strand, source: &Source, out: &mut Values) {
+    let end = source.offset + source.scalar.stored.bytes();
     for row in strand.bytes.chunks_exact(strand.row_bytes) {
-        let mut bytes = [0; 8];
-        let number = &mut bytes[..source.kind.bytes()];
-        number.copy_from_slice(&row[source.offset..source.offset + source.kind.bytes()]);
-        if source.big_endian {
-            number.reverse();
-        }
-        out.push_le_bytes(&bytes);
+        out.push_le_bytes(&column_bytes(source.scalar, &row[source.offset..end]));
     }
 }
 
@@ -141,8 +136,8 @@ impl PointSource for NpySource {
             let first = batch.len();
             batch.position.resize(first + count, [0.0; 3]);
             for (axis, source) in self.axes.iter().enumerate() {
-                if axis_values.kind() != source.kind {
-                    axis_values = Values::empty(source.kind);
+                if axis_values.kind() != source.column_type() {
+                    axis_values = Values::empty(source.column_type());
                 }
                 axis_values.clear();
                 append(&self.strands[source.strand], source, &mut axis_values);

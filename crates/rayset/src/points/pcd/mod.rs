@@ -7,7 +7,6 @@
 
 mod columns;
 mod header;
-mod lzf;
 mod text;
 mod transposed;
 

@@ -3,15 +3,28 @@
 //! Every field has a decoder of its own, which starts where the field begins. To find these places all data are decoded once
 //! when the file is opened; memory then depends on the number of fields alone.
 
-use std::io::Read;
+use std::fs::File;
+use std::io::{BufReader, Read};
 use std::path::Path;
 use std::sync::Arc;
 
 use super::header::{Field, Header};
-use super::lzf::{DECODER_BYTES, Damage, Lzf, MOST_FOR_A_BYTE};
+use crate::points::lzf::{self, Damage, MOST_FOR_A_BYTE};
 use crate::points::stretch::Stretch;
 use crate::points::{Place, ReadError};
 use crate::regular_file;
+
+/// Buffer of the input of a decoder, in bytes.
+const BUFFER_BYTES: usize = 8 << 10;
+/// Memory in bytes of a decoder with its input.
+const DECODER_BYTES: usize = lzf::DECODER_BYTES + BUFFER_BYTES;
+
+type Lzf = lzf::Lzf<BufReader<Stretch>>;
+
+/// The bytes of a file from `start` to `end`.
+fn input(file: &Arc<File>, start: u64, end: u64) -> BufReader<Stretch> {
+    BufReader::with_capacity(BUFFER_BYTES, Stretch::new(file, start, end))
+}
 
 /// The numbers of a field.
 struct Numbers {
@@ -59,11 +72,12 @@ impl Transposed {
             );
             return Err(bad(header.bytes, what));
         }
-        let mut decoder = Lzf::new(&file, start, start + packed);
+        let mut decoder = Lzf::new(input(&file, start, start + packed), start, start + packed);
         let mut fields = Vec::new();
         for field in &header.fields {
             let bytes = field.bytes();
-            fields.push(Numbers { decoder: decoder.fork(), bytes, passed: 0, now: Vec::new() });
+            let fork = decoder.fork(input(&file, decoder.byte(), start + packed));
+            fields.push(Numbers { decoder: fork, bytes, passed: 0, now: Vec::new() });
             let all = decoder.skip(header.points * bytes as u64);
             all.map_err(|damage| read_error(path, &decoder, damage))?;
         }

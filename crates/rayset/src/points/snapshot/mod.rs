@@ -7,7 +7,6 @@
 mod hdf5;
 mod header;
 mod layout;
-mod lzf;
 mod other;
 mod table;
 mod units;

@@ -1,15 +1,17 @@
 //! A dataset of a snapshot: one row a particle, of one number or a few.
 
 use hdf5_reader::group::Group;
-use hdf5_reader::{Dataset, Datatype, SliceInfo, SliceInfoElem};
+use hdf5_reader::{Dataset, H5Type, SliceInfo, SliceInfoElem};
 
-use super::hdf5::{Attributes, File, MOST_CHUNK_BYTES};
+use super::hdf5::{Attributes, File, Half, MOST_CHUNK_BYTES, stored};
+use crate::numbers::Stored;
 use crate::points::{ColumnType, ReadError, Values};
 
 /// Largest number of numbers in a row.
 const MOST_COMPONENTS: u64 = 64;
-/// Rows that are read at once of a dataset that is not chunked.
-const PLAIN_ROWS: u64 = 1 << 14;
+/// Bytes that are read at once of a dataset that is not chunked: so few that allocators keep the memory for the next ones
+/// instead of asking the system for it each time.
+const PLAIN_BYTES: u64 = 48 << 10;
 
 /// A dataset of numbers that has a row for each particle.
 pub(super) struct Table {
@@ -20,10 +22,12 @@ pub(super) struct Table {
     /// Numbers in a row, and the rank of the dataset: 1 or 2.
     pub(super) width: usize,
     rank: usize,
+    /// The type of the numbers, and that of the columns that they become.
+    stored: Stored,
     pub(super) kind: ColumnType,
     /// Rows of a chunk; `None` if the dataset is not chunked.
     chunk_rows: Option<u64>,
-    /// Bytes of a chunk.
+    /// Bytes of the numbers of a chunk in memory.
     pub(super) chunk_bytes: u64,
 }
 
@@ -37,14 +41,14 @@ impl Table {
             [rows, width @ 1..=MOST_COMPONENTS] => (rows, width as usize),
             _ => return Ok(None),
         };
-        let Some(kind) = column_type(data.dtype()) else { return Ok(None) };
+        let Some(stored) = file.guarded(data.address(), &full, || stored(&data))? else { return Ok(None) };
+        let kind = ColumnType::of(stored);
         let row_bytes = (width * kind.bytes()) as u64;
         let chunks = data.chunks();
         let chunk_rows = chunks.as_ref().map(|dims| u64::from(dims.first().copied().unwrap_or(1)).max(1));
-        let chunk_bytes = chunks.map_or(0, |dims| {
-            let numbers = dims.iter().fold(1_u64, |all, &n| all.saturating_mul(u64::from(n)));
-            numbers.saturating_mul(kind.bytes() as u64)
-        });
+        let numbers =
+            chunks.map_or(0, |dims| dims.iter().fold(1_u64, |all, &n| all.saturating_mul(n.into())));
+        let chunk_bytes = numbers.saturating_mul(stored.bytes() as u64);
         if chunk_bytes > MOST_CHUNK_BYTES as u64 {
             return Err(file.wrong(
                 data.address(),
@@ -54,9 +58,10 @@ impl Table {
                 ),
             ));
         }
+        let chunk_bytes = numbers.saturating_mul(kind.bytes() as u64);
         let rank = data.ndim();
         debug_assert!(row_bytes > 0);
-        Ok(Some(Self { data, name: full, rows, width, rank, kind, chunk_rows, chunk_bytes }))
+        Ok(Some(Self { data, name: full, rows, width, rank, kind, chunk_rows, chunk_bytes, stored }))
     }
 
     /// The byte of the file at which the dataset is described.
@@ -75,7 +80,7 @@ impl Table {
     /// The number of rows that are best read at once, in at most about `bytes` bytes.
     fn block_rows(&self, bytes: u64) -> u64 {
         let most = (bytes / self.row_bytes()).max(1);
-        self.chunk_rows.unwrap_or(PLAIN_ROWS).min(most)
+        self.chunk_rows.unwrap_or((PLAIN_BYTES / self.row_bytes()).max(1)).min(most)
     }
 
     /// Bytes that reading with blocks of at most `bytes` bytes keeps.
@@ -89,17 +94,19 @@ impl Table {
             selections.push(SliceInfoElem::Slice { start: 0, end: self.width as u64, step: 1 });
         }
         let selection = SliceInfo { selections };
-        macro_rules! read {
-            ($($kind:ident: $t:ty),*) => {
-                match self.kind {
-                    $(ColumnType::$kind => file.guarded(self.address(), &self.name, || {
-                        self.data.read_slice::<$t>(&selection)
-                    })
-                    .map(|array| Values::$kind(array.into_raw_vec_and_offset().0)),)*
-                }
-            };
-        }
-        let values = read!(U8: u8, I8: i8, U16: u16, I16: i16, U32: u32, I32: i32, U64: u64, I64: i64, F32: f32, F64: f64)?;
+        let values = match self.stored {
+            Stored::U8 => Values::U8(self.numbers(file, &selection)?),
+            Stored::I8 => Values::I8(self.numbers(file, &selection)?),
+            Stored::U16 => Values::U16(self.numbers(file, &selection)?),
+            Stored::I16 => Values::I16(self.numbers(file, &selection)?),
+            Stored::U32 => Values::U32(self.numbers(file, &selection)?),
+            Stored::I32 => Values::I32(self.numbers(file, &selection)?),
+            Stored::U64 => Values::U64(self.numbers(file, &selection)?),
+            Stored::I64 => Values::I64(self.numbers(file, &selection)?),
+            Stored::F16 => Values::F32(Half::singles(self.numbers(file, &selection)?)),
+            Stored::F32 => Values::F32(self.numbers(file, &selection)?),
+            Stored::F64 => Values::F64(self.numbers(file, &selection)?),
+        };
         let expected = count * self.width as u64;
         if values.len() as u64 != expected {
             return Err(file.wrong(
@@ -109,23 +116,11 @@ impl Table {
         }
         Ok(values)
     }
-}
 
-/// The type of a column of these numbers. `None` if they are none that columns hold.
-fn column_type(datatype: &Datatype) -> Option<ColumnType> {
-    Some(match *datatype {
-        Datatype::FixedPoint { size: 1, signed: false, .. } => ColumnType::U8,
-        Datatype::FixedPoint { size: 1, signed: true, .. } => ColumnType::I8,
-        Datatype::FixedPoint { size: 2, signed: false, .. } => ColumnType::U16,
-        Datatype::FixedPoint { size: 2, signed: true, .. } => ColumnType::I16,
-        Datatype::FixedPoint { size: 4, signed: false, .. } => ColumnType::U32,
-        Datatype::FixedPoint { size: 4, signed: true, .. } => ColumnType::I32,
-        Datatype::FixedPoint { size: 8, signed: false, .. } => ColumnType::U64,
-        Datatype::FixedPoint { size: 8, signed: true, .. } => ColumnType::I64,
-        Datatype::FloatingPoint { size: 4, .. } => ColumnType::F32,
-        Datatype::FloatingPoint { size: 8, .. } => ColumnType::F64,
-        _ => return None,
-    })
+    fn numbers<T: H5Type>(&self, file: &File, selection: &SliceInfo) -> Result<Vec<T>, ReadError> {
+        let array = file.guarded(self.address(), &self.name, || self.data.read_slice::<T>(selection))?;
+        Ok(array.into_raw_vec_and_offset().0)
+    }
 }
 
 /// A table, and a block of its rows in memory.

@@ -92,8 +92,12 @@ impl GaussianColumns {
             ColumnInfo::new(*name, if index < 3 { of_color } else { ColumnType::F32 })
         };
         let mut schema = Schema::new(NAMES.iter().enumerate().map(column).collect(), depth);
-        schema.description =
-            format!("{what}; Gaussian splats as round points, y {}", if up[1] < 0.0 { "down" } else { "up" });
+        let axis = match up {
+            [_, y, _] if y < 0.0 => "y down",
+            [_, y, _] if y > 0.0 => "y up",
+            _ => "z up",
+        };
+        schema.description = format!("{what}; Gaussian splats as round points, {axis}");
         let colors = if view_dependent { ", and colours do not change with the view" } else { "" };
         schema.warnings = vec![format!(
             "Gaussian splats are read as round points of the same mean shadow: their ellipsoids are lost{colors}"

@@ -6,10 +6,10 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::gaussian::{Gaussian, GaussianColumns};
-use super::half;
 use super::ksplat_header::{KsplatHeader, Level, Section};
 use super::ply::UP;
 use super::splat::floats;
+use crate::numbers::half;
 use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 use crate::regular_file;
 
@@ -154,7 +154,7 @@ impl KsplatSource {
             let steps = |axis: usize| f64::from(short(2 * axis)) - f64::from(section.range);
             (
                 [0, 1, 2].map(|axis| self.bucket.center[axis] + section.step * steps(axis)),
-                [0, 1, 2].map(|axis| half::from_bits(short(6 + 2 * axis))),
+                [0, 1, 2].map(|axis| f64::from(half::from_bits(short(6 + 2 * axis)))),
             )
         };
         self.done += 1;

@@ -2,7 +2,6 @@
 
 mod compressed_ply;
 mod gaussian;
-mod half;
 mod ksplat;
 mod ksplat_header;
 mod ply;

@@ -12,7 +12,7 @@ use crate::points::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
 const CHUNK: usize = 4096;
 /// Columns of the file that a Gaussian is made of. The last may be missing.
 const PARTS: [&str; 7] = ["f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
-/// Up in files of INRIA's trainer, whose cameras look along z with y down.
+/// Up in files of INRIA's trainer, whose cameras look along z with y down, if a file does not say otherwise.
 pub(super) const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
 /// The Gaussians of a PLY file.
@@ -50,8 +50,9 @@ impl GaussianPlySource {
         let others: Vec<usize> =
             (0..names.len()).filter(|index| !parts.contains(index) && is_own(names[*index])).collect();
         let what = file.schema().description.clone();
-        let mut columns =
-            GaussianColumns::new(&what, ColorDepth::Unit, names.iter().any(|name| is_harmonic(name)), UP);
+        let view_dependent = names.iter().any(|name| is_harmonic(name));
+        let up = file.schema().up.unwrap_or(UP);
+        let mut columns = GaussianColumns::new(&what, ColorDepth::Unit, view_dependent, up);
         columns.schema.columns.extend(others.iter().map(|&index| file.schema().columns[index].clone()));
         let mut source = Self { file, parts, others, columns, raw: PointBatch::default() };
         source.select(&[]);

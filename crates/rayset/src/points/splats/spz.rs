@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use flate2::read::GzDecoder;
 
 use super::gaussian::{Gaussian, GaussianColumns, color_of_harmonic};
-use super::half;
 use super::spz_header::{HEADER_BYTES, MAGIC, SpzHeader, StreamPlace};
 use super::spz_plane::{Packing, Plane, READER_BYTES};
 use crate::cancel::CancelToken;
+use crate::numbers::half;
 use crate::points::packed::{WINDOW_LIMIT, zstd_window};
 use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
 use crate::regular_file;
@@ -144,7 +144,7 @@ impl SpzSource {
             }
             None => {
                 let p = &positions[6 * index..][..6];
-                [0, 1, 2].map(|axis| half::from_bits(u16::from_le_bytes([p[2 * axis], p[2 * axis + 1]])))
+                [0, 1, 2].map(|axis| f64::from(half::from_le_bytes([p[2 * axis], p[2 * axis + 1]])))
             }
         };
         let color = |channel: usize| {

@@ -1,9 +1,9 @@
 //! Detects the layout of a text file: what precedes its points, and how its rows are read.
 
-use super::number::DecimalMark;
+use super::number::{DecimalMark, NotANumber};
 use super::rows::{Separator, Splitter};
 use crate::points::lines::Lines;
-use crate::points::{ReadError, roles};
+use crate::points::{ReadError, roles, unnamed};
 
 /// How the rows of a file are read, determined from its header and its first row.
 pub(super) struct Layout {
@@ -18,7 +18,19 @@ pub(super) struct Layout {
     /// The first row and the line on which it begins.
     pub(super) first: Vec<u8>,
     pub(super) first_line: u64,
+    /// Whether rows may have more values than there are names.
+    pub(super) is_open_ended: bool,
 }
+
+/// Longest name of a column of a header that is a comment.
+const LONGEST_NAME: usize = 24;
+/// Most lines before the header, or the first row, that are neither.
+const MOST_PREAMBLE: usize = 32;
+/// Bytes of the rows that are looked at.
+const SAMPLE_BYTES: usize = 64 << 10;
+
+/// The columns of COLMAP's sparse points, as a comment of theirs names them; any number of others follows.
+const COLMAP: &[u8] = b"POINT3D_ID, X, Y, Z, R, G, B, ERROR, ";
 
 pub(super) const CARRIAGE_RETURN: &str = "a carriage return within a line; lines must end with \\n or \\r\\n";
 
@@ -54,10 +66,16 @@ impl Layout {
         }
         let mut header: Option<Header> = None;
         let mut count = None;
+        let mut is_open_ended = false;
         let mut record = Vec::new();
+        // Lines of a title, which are neither a header nor a row; the first is said to be wrong if nothing follows.
+        let mut preamble: Vec<(u64, Vec<u8>)> = Vec::new();
         loop {
             record.clear();
             if !lines.append(&mut record)? {
+                if let Some((line, first)) = preamble.first() {
+                    return Err(lines.fail_at(*line, no_row(None, names, first)));
+                }
                 return Err(lines.fail(match count {
                     Some((claimed, _)) => {
                         format!("no line of numbers found after the count of {claimed} points")
@@ -71,7 +89,11 @@ impl Layout {
             }
             if let Some(content) = comment(&record) {
                 let replaces = header.as_ref().is_none_or(|h| h.is_comment);
-                if names.is_none() && replaces && is_header(content, true) {
+                if names.is_none() && replaces && content.starts_with(COLMAP) {
+                    let text = COLMAP.trim_ascii_end().to_vec();
+                    header = Some(Header { line, text, is_comment: true });
+                    is_open_ended = true;
+                } else if names.is_none() && replaces && is_header(content, true) {
                     header = Some(Header { line, text: content.to_vec(), is_comment: true });
                 }
                 continue;
@@ -93,29 +115,28 @@ impl Layout {
                 continue;
             }
             if let Some((separator, found)) = settle(&record, names, header.as_ref()) {
+                // A line as wide as the first row names its columns, by names that are not known.
+                let width = |line: &[u8]| Splitter::whole(separator, line).map(|row| row.len());
+                let as_wide = |(_, line): &&(u64, Vec<u8>)| width(line) == width(&record);
+                if let (None, Some((line, text))) = (&header, preamble.iter().find(as_wide)) {
+                    return Err(lines.fail_at(*line, no_row(None, names, text)));
+                }
                 let header_line = header.filter(|_| names.is_none()).map(|h| h.line);
                 let first = std::mem::take(&mut record);
                 let layout = Self::checked(lines, separator, found, header_line, first, line)?;
-                return Ok(Self { count, ..layout });
+                return Ok(Self { count, is_open_ended, ..layout });
             }
             let may_be_header = if names.is_some() { header.is_none() } else { is_header(&record, false) };
             if has_header || !may_be_header {
-                let wanted = match (&header, names) {
-                    (Some(h), _) => {
-                        format!("expected numbers under x, y and z of the header on line {}", h.line)
-                    }
-                    (None, Some(_)) => "expected numbers in the columns named x, y and z".to_owned(),
-                    (None, None) => {
-                        "expected numbers or a header with x, y and z (other columns can be named, as in \
-                         `--columns x,y,z,intensity`)"
-                            .to_owned()
-                    }
-                };
                 if record.contains(&b'\r') {
                     return Err(lines.fail_at(line, CARRIAGE_RETURN));
                 }
-                let found = roles::excerpt(&String::from_utf8_lossy(&record));
-                return Err(lines.fail_at(line, format!("{wanted}, found `{found}`")));
+                if !has_header && names.is_none() && preamble.len() < MOST_PREAMBLE {
+                    preamble.push((line, record.clone()));
+                    continue;
+                }
+                let (line, text) = preamble.first().map_or((line, &record), |(line, text)| (*line, text));
+                return Err(lines.fail_at(line, no_row(header.as_ref(), names, text)));
             }
             header = Some(Header { line, text: record.clone(), is_comment: false });
         }
@@ -123,7 +144,7 @@ impl Layout {
 
     /// Checks the first row against the names of its columns.
     fn checked(
-        lines: &Lines,
+        lines: &mut Lines,
         separator: Separator,
         names: Option<Vec<String>>,
         header_line: Option<u64>,
@@ -132,12 +153,19 @@ impl Layout {
     ) -> Result<Self, ReadError> {
         let row = Splitter::whole(separator, &first);
         let row = row.ok_or_else(|| lines.fail_at(first_line, "a quote that is not closed"))?;
-        let mut names = names.unwrap_or_else(|| default_names(row.len() - usize::from(row.ends_empty())));
+        let mut names = match names {
+            Some(names) => names,
+            None => {
+                let width = row.len() - usize::from(row.ends_empty());
+                unnamed::names(width, &sample(lines, separator, &row)?)
+            }
+        };
         // A header may end with a separator, as rows may.
         if header_line.is_some() && names.last().is_some_and(String::is_empty) {
             names.pop();
         }
-        if !is_as_wide(&row, names.len()) {
+        let is_colmap = names.iter().any(|name| name == "POINT3D_ID") && row.len() > names.len();
+        if !is_as_wide(&row, names.len()) && !is_colmap {
             let by = header_line.map_or_else(
                 || "--columns names".to_owned(),
                 |line| format!("the header on line {line} names"),
@@ -160,8 +188,30 @@ impl Layout {
             }
         }
         let axes = whole_axes(&names).map_err(|axis| lines.fail_at(first_line, no_column(axis)))?;
-        Ok(Self { separator, names, axes, header_line, count: None, first, first_line })
+        if header_line.is_some() {
+            // Of a header not every column needs to be of numbers: dates and names of things are passed over.
+            let rows = fields(lines, separator, &row)?;
+            for (place, name) in names.iter_mut().enumerate() {
+                let mut texts = rows.iter().filter_map(|row| row.get(place));
+                if !axes.contains(&place) && texts.all(|text| is_word(separator, text)) {
+                    *name = "-".to_owned();
+                }
+            }
+        }
+        Ok(Self { separator, names, axes, header_line, count: None, first, first_line, is_open_ended: false })
     }
+}
+
+/// What is wrong with a line that is neither a header nor a row.
+fn no_row(header: Option<&Header>, names: Option<&[String]>, line: &[u8]) -> String {
+    let wanted = match (header, names) {
+        (Some(h), _) => format!("expected numbers under x, y and z of the header on line {}", h.line),
+        (None, Some(_)) => "expected numbers in the columns named x, y and z".to_owned(),
+        (None, None) => "expected numbers or a header with x, y and z (other columns can be named, as in \
+                         `--columns x,y,z,intensity`)"
+            .to_owned(),
+    };
+    format!("{wanted}, found `{}`", roles::excerpt(&String::from_utf8_lossy(line)))
 }
 
 /// Whether a row has `columns` values; a separator may follow the last value.
@@ -183,11 +233,14 @@ fn whole_axes(names: &[String]) -> Result<[usize; 3], &'static str> {
     Ok([x.ok_or("x")?, y.ok_or("y")?, z.ok_or("z")?])
 }
 
-/// Whether a line names x, y and z. The first word of a comment must be one of them, because a comment may be a sentence.
+/// Whether a line names x, y and z. The first word of a comment must be one of them, because a comment may be a sentence,
+/// unless it consists of names between separators.
 fn is_header(line: &[u8], is_comment: bool) -> bool {
     Separator::ALL.into_iter().any(|separator| {
         let names = Splitter::whole(separator, line).map(|row| row.names()).unwrap_or_default();
-        whole_axes(&names).is_ok_and(|axes| !is_comment || axes.contains(&0))
+        let is_sentence =
+            || separator == Separator::Blank || names.iter().any(|name| name.len() > LONGEST_NAME);
+        whole_axes(&names).is_ok_and(|axes| !is_comment || axes.contains(&0) || !is_sentence())
     })
 }
 
@@ -245,14 +298,26 @@ pub(super) fn first_mark(separator: Separator) -> DecimalMark {
     if separator == Separator::Comma { DecimalMark::Point } else { DecimalMark::Open }
 }
 
-fn default_names(columns: usize) -> Vec<String> {
-    let names: &[&str] = match columns {
-        4 => &["x", "y", "z", "intensity"],
-        6 => &["x", "y", "z", "red", "green", "blue"],
-        7 => &["x", "y", "z", "intensity", "red", "green", "blue"],
-        _ => &["x", "y", "z"],
-    };
-    (0..columns)
-        .map(|i| names.get(i).map_or_else(|| format!("column{}", i + 1), |n| (*n).to_owned()))
-        .collect()
+/// The values of the first rows, of which `first` has been read.
+fn fields(lines: &mut Lines, separator: Separator, first: &Splitter) -> Result<Vec<Vec<String>>, ReadError> {
+    let texts = |row: &Splitter| (0..row.len()).map(|place| row.field(place).into_owned()).collect();
+    let mut rows: Vec<Vec<String>> = vec![texts(first)];
+    for line in lines.look_ahead(unnamed::ROWS, SAMPLE_BYTES)? {
+        let row = Splitter::whole(separator, line).filter(|_| comment(line).is_none());
+        rows.extend(row.filter(|row| row.len() == first.len()).map(|row| texts(&row)));
+    }
+    Ok(rows)
+}
+
+/// The numbers of the first rows; what is none is NaN.
+fn sample(lines: &mut Lines, separator: Separator, first: &Splitter) -> Result<Vec<Vec<f64>>, ReadError> {
+    let mut mark = first_mark(separator);
+    let rows = fields(lines, separator, first)?;
+    let mut number = |text: &String| mark.parse(text).unwrap_or(f64::NAN);
+    Ok(rows.iter().map(|row| row.iter().map(&mut number).collect()).collect())
+}
+
+/// Whether a value is neither a number, whatever its decimal mark, nor missing.
+fn is_word(separator: Separator, text: &str) -> bool {
+    matches!(first_mark(separator).parse(text), Err(NotANumber::Word))
 }

@@ -11,10 +11,11 @@
 //! `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing values and become NaN. Values of
 //! columns that are not selected are not parsed, and may be any text.
 //!
-//! **Names** come from the caller, otherwise from a header, otherwise from the number of columns: four are x y z intensity,
-//! six x y z red green blue, seven x y z intensity red green blue. A header is a line before the first row that names x, y
+//! **Names** come from the caller, otherwise from a header, otherwise from the values of the first rows (see
+//! [`unnamed`](super::unnamed)). A header is a line before the first row that names x, y
 //! and z (see [`roles`](super::roles)), or a comment that does so and whose first name is one of the three. It has a name
-//! for each value of a row; columns with an empty name are skipped.
+//! for each value of a row; columns with an empty name are skipped. COLMAP's `points3D.txt` names its columns in a comment,
+//! and has any number of values behind them.
 //!
 //! **Counts.** A whole number alone on a line before the first row, as in PTS files, is the number of points that follow,
 //! and must be correct. After them, another count and its points may follow, and so on: all belong to the same cloud.
@@ -39,6 +40,8 @@ pub struct TextSource {
     mark: DecimalMark,
     /// Number of values in a row.
     width: usize,
+    /// Whether a row may have more.
+    is_open_ended: bool,
     axes: [usize; 3],
     /// The index in a row of each column of the schema.
     places: Vec<usize>,
@@ -81,11 +84,20 @@ impl TextSource {
         }
         schema.roles = roles::colors(&schema.columns);
         schema.description = describe(&layout);
+        let x = &layout.names[layout.axes[0]];
+        if layout.header_line.is_some() && roles::is_longitude(x) {
+            schema.crs = "EPSG:4326".into();
+        }
+        if layout.is_open_ended {
+            // Of COLMAP, whose cameras have y down.
+            schema.up = Some([0.0, -1.0, 0.0]);
+        }
         Ok(Self {
             lines,
             separator: layout.separator,
             mark: layout::first_mark(layout.separator),
             width: layout.names.len(),
+            is_open_ended: layout.is_open_ended,
             axes: layout.axes,
             places,
             schema,
@@ -138,7 +150,8 @@ impl TextSource {
                 }
                 scan.found += 1;
             }
-            if !layout::is_as_wide(&self.row, self.width) {
+            let is_longer = self.is_open_ended && self.row.len() > self.width;
+            if !layout::is_as_wide(&self.row, self.width) && !is_longer {
                 let (found, width, first) = (self.row.len(), self.width, self.first_line);
                 return Err(
                     self.fail(format!("{found} values where {width} were expected, as on line {first}"))

@@ -2,8 +2,9 @@
 
 use super::frontier::{ActiveRuns, Frontier, Place, Runs, run_bounds};
 use super::live_rays::{LiveRays, bits_between};
+use super::shading::CloudShading;
 use super::volume::CloudVolume;
-use crate::field::{DecodedRun, FieldSamples, Packet, SimdLevel, Slab, Splatter};
+use crate::field::{FieldSamples, LANES, Packet, RayEnds, RunBatch, SimdLevel, Slab, Splatter};
 use crate::octree::page::PointPage;
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
@@ -21,14 +22,14 @@ pub(in crate::trace) struct CloudMarch {
 
 /// Scratch memory shared by all clouds of a thread.
 pub(in crate::trace) struct CloudScratch {
-    run: Box<DecodedRun>,
+    batch: RunBatch,
     /// One for each set of channels used by any cloud.
     fields: Vec<FieldSamples>,
 }
 
 impl CloudScratch {
     pub(in crate::trace) fn new() -> Self {
-        Self { run: Box::default(), fields: Vec::new() }
+        Self { batch: RunBatch::default(), fields: Vec::new() }
     }
 }
 
@@ -43,6 +44,24 @@ pub(in crate::trace) struct Request<'a> {
     pub(in crate::trace) measure: Measure,
     pub(in crate::trace) required: RequiredOutputs,
     pub(in crate::trace) simd: SimdLevel,
+    /// Where rays end if no samples but the cloud's absorb light, or `None` if that is of no use.
+    pub(in crate::trace) ends: Option<&'a Remaining>,
+}
+
+impl<'a> Request<'a> {
+    /// Where rays end in a cloud of this shading, if its opacity says so without much work.
+    fn ray_ends(&self, shading: &CloudShading) -> Option<RayEnds<'a>> {
+        let absorption = shading.least_absorption()?;
+        self.ends.map(|ends| RayEnds { depth: &ends.depth, absorption })
+    }
+}
+
+/// How much is left of each ray.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::trace) struct Remaining {
+    /// For each lane, the optical depth from the slab's beginning at which its ray ends, in steps at the optical depth
+    /// of a unit distance. More than exact: a ray that comes to it has ended, whatever was rounded.
+    pub(in crate::trace) depth: [f32; LANES],
 }
 
 impl CloudMarch {
@@ -85,7 +104,7 @@ impl CloudMarch {
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let Request { access, slab, live, going, measure, required, simd } = request;
+        let Request { access, slab, live, going, measure, required, simd, .. } = request;
         out.touched = 0;
         let lanes = live.lanes() & going;
         let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
@@ -108,7 +127,7 @@ impl CloudMarch {
         let field = &mut scratch.fields[at];
         field.clear();
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
-        self.gather(volume, request, lanes, &splatter, &mut scratch.run, counts, field)?;
+        self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
         volume.shading.transfer(field, measure, required, simd, out);
         Ok(())
     }
@@ -121,7 +140,7 @@ impl CloudMarch {
         request: Request<'_>,
         lanes: u64,
         splatter: &Splatter,
-        run: &mut DecodedRun,
+        batch: &mut RunBatch,
         counts: &mut RenderCounts,
         field: &mut FieldSamples,
     ) -> Result<(), Halt> {
@@ -129,6 +148,7 @@ impl CloudMarch {
         let CloudVolume { placement: cloud, shading } = volume;
         self.active.sort_unstable();
         let slab = request.slab;
+        batch.clear();
         let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
         let matters = |runs: &ActiveRuns| {
             let first = runs.first.max(slab.first) - slab.first;
@@ -138,13 +158,12 @@ impl CloudMarch {
         let mut before = None;
         let mut at = 0;
         while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
-            let of_page = self.active[at..].iter().take_while(|a| a.runs.page == page);
-            let (count, needed) = of_page.fold((0, false), |(n, any), a| (n + 1, any || matters(a)));
+            let (count, needed, again) = of_first_page(&self.active[at..], slab, matters);
             if !needed {
                 at += count;
                 continue;
             }
-            let guard = request.access.retain(cloud, page)?;
+            let guard = request.access.retain_in_turn(&cloud.pages, page, slab.first, again)?;
             let points = PointPage::trusted(&guard, cloud.header());
             while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
                 let Runs { first, end, .. } = active.runs;
@@ -160,16 +179,32 @@ impl CloudMarch {
                         samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
                     };
                     if reaches {
-                        let raw = points.run(index);
-                        let step = self.packet.least_step();
+                        let (raw, step) = (points.run(index), self.packet.least_step());
+                        if batch.is_full() {
+                            counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
+                        }
+                        let Some(run) = batch.append() else { continue };
                         shading.decoder.decode(&raw, cloud.header(), step, splatter.simd, run);
                         counts.runs += 1;
-                        counts.splats += splatter.splat(run, &self.packet, slab, lanes, field);
                     }
                 }
                 at += 1;
             }
         }
+        counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
         Ok(())
     }
+}
+
+/// Of active runs in the order of the file: how many are of the first one's page, whether any of these matters, and whether any
+/// goes on behind the slab.
+fn of_first_page(
+    active: &[ActiveRuns],
+    slab: Slab,
+    matters: impl Fn(&ActiveRuns) -> bool,
+) -> (usize, bool, bool) {
+    let of_page = active.iter().take_while(|runs| runs.runs.page == active[0].runs.page);
+    of_page.fold((0, false, false), |(count, needed, again), runs| {
+        (count + 1, needed || matters(runs), again || runs.last >= slab.end())
+    })
 }

@@ -9,7 +9,7 @@ mod shading;
 mod volume;
 
 pub(super) use self::frontier::{each_own_page, run_bounds};
-pub(super) use self::march::{CloudMarch, CloudScratch, Request};
+pub(super) use self::march::{CloudMarch, CloudScratch, Remaining, Request};
 pub(super) use self::placement::CloudPlacement;
 pub(super) use self::shading::CloudShading;
 pub(super) use self::volume::CloudVolume;

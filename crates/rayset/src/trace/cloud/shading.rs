@@ -6,14 +6,15 @@ use std::sync::Arc;
 use fearless_simd::dispatch;
 
 use crate::field::{
-    AttributeColumns, Channels, FieldSamples, Kernel, RunDecoder, SLAB_SAMPLES, SampleRow, SimdLevel,
+    AttributeColumns, Channels, FieldSamples, Kernel, LeastAbsorption, RunDecoder, SLAB_SAMPLES, SampleRow,
+    SimdLevel,
 };
 use crate::geometry::{DAffine3, DMat3};
 use crate::octree::format::Header;
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
 use crate::trace::math::{absorbed, ln};
 use crate::trace::node_samples::{
-    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, each_lane, normalize, numbers,
+    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, each_lane, normalize, numbers,
 };
 use crate::trace::transfer::ColorTable;
 
@@ -140,8 +141,11 @@ impl CloudShading {
         out: &mut NodeSamples,
     ) {
         out.touched = field.touched;
+        self.fill_opacity(field, measure, simd, out);
+        if required == RequiredOutputs::default() {
+            return;
+        }
         each_lane(field.touched, |lane| {
-            out.opacity[lane] = self.opacity_of(&field.density[lane], measure, simd);
             if required.color {
                 self.fill_color(field, lane, out);
             }
@@ -159,33 +163,45 @@ impl CloudShading {
         });
     }
 
-    fn opacity_of(&self, density: &SampleRow, measure: Measure, simd: SimdLevel) -> SampleRow {
+    /// How much samples absorb at least, per unit distance; `None` for curves.
+    pub(in crate::trace) fn least_absorption(&self) -> Option<LeastAbsorption> {
+        let (most, full) = (MAX_OPTICAL_DEPTH, MAX_OPACITY as f32);
+        match self.opacity {
+            OpacityRule::Extinction(kappa) => {
+                let per_density = (kappa * self.unit_distance) as f32;
+                Some(LeastAbsorption { per_density, most, full: f32::INFINITY })
+            }
+            // −ln(1 − D) is more than D.
+            OpacityRule::Clamp => Some(LeastAbsorption { per_density: 1.0, most, full }),
+            OpacityRule::Curve(_) => None,
+        }
+    }
+
+    fn fill_opacity(&self, field: &FieldSamples, measure: Measure, simd: SimdLevel, out: &mut NodeSamples) {
+        let (lanes, density, rows) = (field.touched, &field.density, &mut out.opacity);
         match (&self.opacity, measure) {
             (OpacityRule::Extinction(kappa), _) => {
                 let per_density = (kappa * self.unit_distance) as f32;
-                let optical_depth =
-                    dispatch!(simd.level(), _simd => optical_depth_of_extinction(density, per_density));
-                match measure {
-                    Measure::OpticalDepth => optical_depth,
-                    Measure::Opacity => {
-                        dispatch!(simd.level(), _simd => opacity_of_optical_depth(&optical_depth))
+                dispatch!(simd.level(), _simd => {
+                    optical_depth_of_extinction(lanes, density, per_density, rows);
+                    if measure == Measure::Opacity {
+                        opacity_of_optical_depth(lanes, rows);
                     }
-                }
+                });
             }
-            (OpacityRule::Clamp, Measure::Opacity) => {
-                SampleRow(density.0.map(|d| if d > 0.0 { d.min(MAX_OPACITY as f32) } else { 0.0 }))
-            }
+            (OpacityRule::Clamp, Measure::Opacity) => each_lane(lanes, |lane| {
+                let held = |d: f32| if d > 0.0 { d.min(MAX_OPACITY as f32) } else { 0.0 };
+                rows[lane] = SampleRow(density[lane].0.map(held));
+            }),
             (OpacityRule::Clamp, Measure::OpticalDepth) => {
-                dispatch!(simd.level(), _simd => optical_depth_of_opacity(density))
+                each_lane(lanes, |lane| rows[lane] = density[lane]);
+                dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
             }
             (OpacityRule::Curve(_), _) => {
                 let curve = |d| self.opacity.opacity(f64::from(d), self.unit_distance) as f32;
-                let opacity = SampleRow(density.0.map(curve));
-                match measure {
-                    Measure::Opacity => opacity,
-                    Measure::OpticalDepth => {
-                        dispatch!(simd.level(), _simd => optical_depth_of_opacity(&opacity))
-                    }
+                each_lane(lanes, |lane| rows[lane] = SampleRow(density[lane].0.map(curve)));
+                if measure == Measure::OpticalDepth {
+                    dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
                 }
             }
         }
@@ -312,29 +328,35 @@ fn to_world(
 // Loops instead of `map`: the compiler does not inline closures into functions compiled for other instruction sets.
 
 #[inline(always)]
-fn optical_depth_of_extinction(density: &SampleRow, per_density: f32) -> SampleRow {
-    let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
-    for (t, &d) in optical_depth.0.iter_mut().zip(&density.0) {
-        // A density that is negative or NaN absorbs nothing.
-        *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
+fn optical_depth_of_extinction(mut lanes: u64, density: &Rows, per_density: f32, rows: &mut Rows) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        for (t, &d) in rows[lane].0.iter_mut().zip(&density[lane].0) {
+            // A density that is negative or NaN absorbs nothing.
+            *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
+        }
     }
-    optical_depth
 }
 
 #[inline(always)]
-fn opacity_of_optical_depth(optical_depth: &SampleRow) -> SampleRow {
-    let mut opacity = SampleRow([0.0; SLAB_SAMPLES]);
-    for (o, &t) in opacity.0.iter_mut().zip(&optical_depth.0) {
-        *o = absorbed(t).min(MAX_OPACITY as f32);
+fn opacity_of_optical_depth(mut lanes: u64, rows: &mut Rows) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        for t in &mut rows[lane].0 {
+            *t = absorbed(*t).min(MAX_OPACITY as f32);
+        }
     }
-    opacity
 }
 
 #[inline(always)]
-fn optical_depth_of_opacity(opacity: &SampleRow) -> SampleRow {
-    let mut optical_depth = SampleRow([0.0; SLAB_SAMPLES]);
-    for (t, &o) in optical_depth.0.iter_mut().zip(&opacity.0) {
-        *t = if o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
+fn optical_depth_of_opacity(mut lanes: u64, rows: &mut Rows) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        for o in &mut rows[lane].0 {
+            *o = if *o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
+        }
     }
-    optical_depth
 }

@@ -2,7 +2,8 @@
 //! upcoming look-ahead tiles are hinted at as far as there is room, given up if their look-ahead tile has passed
 //! without using them, and retired once no later look-ahead tile can need them.
 
-use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::cell::RefCell;
+use std::collections::{BTreeSet, HashMap, HashSet, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -14,7 +15,7 @@ use crate::scene::RayMaker;
 use crate::trace::cloud::{CloudPlacement, CloudVolume};
 use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
 use crate::trace::world::World;
-use crate::working_set::{Object, PageClient};
+use crate::working_set::{Object, PageClient, Reuse};
 
 /// What is known about the picture being rendered and the rays to come.
 #[derive(Clone, Copy)]
@@ -23,6 +24,8 @@ pub struct Lookahead<'a> {
     pub(in crate::trace) world: &'a World,
     pub(in crate::trace) rays: &'a RayMaker,
     pub(in crate::trace) pages: &'a PageClient,
+    /// What this thread knows about when pages are used again.
+    pub(in crate::trace) reuse: &'a RefCell<Reuse>,
 }
 
 /// The order in which a render visits its picture, and what has been found ahead.
@@ -68,6 +71,10 @@ struct Queue {
     seen: HashMap<PageId, Seen>,
     /// Number of pages found so far, from which ranks are assigned.
     sights: u32,
+    /// Node pages that were hinted at for the next look-ahead tile, each once.
+    nodes_hinted: HashSet<PageId>,
+    /// Some of them had gone before all were there.
+    nodes_do_not_fit: bool,
     /// The look-ahead tiles that have been examined but not yet traced, each with the number of pages it wants.
     demands: VecDeque<(u32, u64)>,
 }
@@ -147,6 +154,17 @@ impl LookaheadState {
             spare_pages: AtomicU64::new(0),
         }
     }
+
+    /// How many tiles a thread may defer: as many as there is room for besides those being traced. If rays need most of
+    /// the budget at a time, tracing other tiles meanwhile would only evict their pages.
+    pub(in crate::trace) fn tiles_to_defer(&self) -> usize {
+        /// Enough to hide the latency of a slow disk.
+        const MOST: u64 = 32;
+        /// Pages that a tile may bring in before it is deferred again.
+        const PAGES_EACH: u64 = 8;
+        let spare = self.spare_pages.load(Ordering::Relaxed);
+        (spare / (PAGES_EACH * self.threads as u64)).min(MOST) as usize
+    }
 }
 
 impl<'a> Lookahead<'a> {
@@ -160,7 +178,10 @@ impl<'a> Lookahead<'a> {
         let Ok(mut queue) = self.state.queue.try_lock() else { return };
         let here = self.state.of_tile[tile];
         self.retire(&mut queue, here);
-        queue.next = queue.next.max(here);
+        if queue.next < here {
+            queue.next = here;
+            queue.nodes_hinted.clear();
+        }
         let until = here.saturating_add(1).saturating_add(tiles_ahead).min(self.state.order.len() as u32);
         // The current look-ahead tile and the next are examined even without room, to know how many pages they need.
         while queue.next < until
@@ -171,32 +192,22 @@ impl<'a> Lookahead<'a> {
         }
     }
 
-    /// How many tiles a thread may defer: as many as there is room for besides those being traced. If rays need most of
-    /// the budget at a time, tracing other tiles meanwhile would only evict their pages.
-    pub(in crate::trace) fn tiles_to_defer(&self) -> usize {
-        /// Enough to hide the latency of a slow disk.
-        const MOST: u64 = 32;
-        /// Pages that a tile may bring in before it is deferred again.
-        const PAGES_EACH: u64 = 4;
-        let spare = self.state.spare_pages.load(Ordering::Relaxed);
-        (spare / (PAGES_EACH * self.state.threads as u64)).min(MOST) as usize
-    }
-
     /// Hints at the waiting pages; false if there was no room for some of them.
     fn hint(&self, queue: &mut Queue, here: u32) -> bool {
         /// Hints may take one part in this many of the budget: more would leave too little for pages that later
         /// look-ahead tiles use again.
         const MOST_OF_BUDGET: u64 = 4;
         let spare = self.spare(queue, here) * self.state.page_bytes;
-        let most = spare.min(self.pages.share_bytes() / MOST_OF_BUDGET);
-        if most == 0 {
+        let most = self.pages.share_bytes() / MOST_OF_BUDGET;
+        // Where the tiles being traced need nearly all, what they need would give way, or the hinted pages before their use.
+        if spare < most {
             return false;
         }
         let pages: Vec<PageId> = queue.waiting.iter().map(|&(_, _, page)| page).collect();
         for same_file in pages.chunk_by(|a, b| a.file == b.file) {
             let numbers: Vec<u32> = same_file.iter().map(|id| id.page).collect();
             let Some(object) = self.object(same_file[0].file) else { continue };
-            let dealt_with = self.pages.hint(object, &numbers, most);
+            let dealt_with = self.pages.hint_knowing(object, &numbers, most, Some(self.reuse));
             queue.dealt_with(dealt_with);
             if dealt_with < numbers.len() {
                 break;
@@ -235,7 +246,13 @@ impl<'a> Lookahead<'a> {
         // ones.
         let columns = queue.demands.iter().take(self.state.threads).map(|&(_, pages)| pages);
         let budget = self.pages.share_bytes() / self.state.page_bytes;
-        let spare = budget.saturating_sub(columns.sum());
+        let needed = match queue.demands.is_empty() {
+            true if queue.nodes_do_not_fit => budget,
+            // As long as it is not known what they need.
+            true => budget / 2,
+            false => columns.sum(),
+        };
+        let spare = budget.saturating_sub(needed);
         self.state.spare_pages.store(spare, Ordering::Relaxed);
         spare
     }
@@ -297,7 +314,7 @@ impl<'a> Lookahead<'a> {
     fn look(&self, at: u32, queue: &mut Queue) -> bool {
         let (i, j) = self.state.order[at as usize];
         let rays = self.rays_of(i, j);
-        let (mut complete, mut pages) = (true, 0);
+        let (mut complete, mut gone, mut pages) = (true, false, 0);
         for (cloud, expected) in self.clouds() {
             let mut view =
                 View { ahead: self, cloud, queue, at, absent_nodes: Vec::new(), pages: 0, opened: 1 };
@@ -310,11 +327,18 @@ impl<'a> Lookahead<'a> {
                 None => view.absent_nodes.push(cloud.first_node_page + root.page),
             }
             pages += view.pages;
-            let absent = view.absent_nodes;
-            self.pages.hint(&cloud.pages, &absent, u64::MAX);
+            let (mut absent, file) = (view.absent_nodes, cloud.file);
             complete &= absent.is_empty();
+            absent.retain(|&page| {
+                let fresh = queue.nodes_hinted.insert(PageId { file, page });
+                gone |= !fresh && cloud.pages.is_absent(page);
+                fresh
+            });
+            self.pages.hint_knowing(&cloud.pages, &absent, u64::MAX, Some(self.reuse));
         }
+        queue.nodes_do_not_fit = gone;
         if complete {
+            queue.nodes_hinted.clear();
             queue.demands.push_back((at, pages));
         }
         complete

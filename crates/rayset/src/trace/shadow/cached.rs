@@ -10,10 +10,9 @@ use super::map::{TILE_CELLS, Texel};
 use super::place::{lit_place, toward};
 use super::table::DeepShadowMap;
 use super::transmittance::{self, TransmittanceCurves};
-use super::world::ShadowWorld;
-use crate::field::{LANES, Packet, SampleRow, Slab};
+use super::world::{LightWithShadows, ShadowWorld};
+use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::geometry::{DVec3, Ray};
-use crate::scene::Light;
 use crate::trace::access::{Access, Halt};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::counts::RenderCounts;
@@ -49,7 +48,7 @@ impl<'a> DeepShadowLookups<'a> {
     pub(super) fn find(
         &mut self,
         access: Access<'_>,
-        light: &Light,
+        light: &LightWithShadows,
         table: &DeepShadowMap,
         packet: &Packet,
         slab: Slab,
@@ -65,7 +64,10 @@ impl<'a> DeepShadowLookups<'a> {
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            for j in (0..slab.samples).filter(|j| shares.samples[lane] >> j & 1 == 1) {
+            let mut samples = shares.samples[lane];
+            while samples != 0 {
+                let j = samples.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
+                samples &= samples - 1;
                 let place = lit_place(packet, node, lane, slab.first + j as u64, j);
                 let Some(texel) = table.map.texel(place) else {
                     rows[lane].0[j] = 1.0;
@@ -112,8 +114,9 @@ impl Lookup {
     /// each ray is looked up where it meets the boundary's tangent plane, so that all rays are equally far in front of
     /// the boundary and it does not shadow itself. The distance is reduced by half a cell, in case the boundary is
     /// nearer than its tangent plane.
+    #[inline(always)]
     fn new(
-        light: &Light,
+        light: &LightWithShadows,
         packet: &Packet,
         node: &NodeSamples,
         (lane, j): (usize, usize),
@@ -122,7 +125,8 @@ impl Lookup {
     ) -> Self {
         let distance = texel.distance - packet.sample_offset(lane) * packet.step_world();
         let normal = node.normal_at(lane, j);
-        let Some((toward, _)) = toward(light, place).filter(|_| normal != DVec3::ZERO) else {
+        let toward = light.direction.or_else(|| toward(&light.light, place).map(|(toward, _)| toward));
+        let Some(toward) = toward.filter(|_| normal != DVec3::ZERO) else {
             // Without a shading vector no light is scattered.
             return Self { distance, slope: (0.0, 0.0), scattered: 0.0 };
         };
@@ -139,13 +143,17 @@ impl Lookup {
     }
 
     /// Transmittance of the rays around the sample: (0, 0), (1, 0), (0, 1), (1, 1).
+    #[inline(always)]
     fn corners(&self, page: &[u8], texel: &Texel) -> [f32; 4] {
-        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, k)| {
+        let mut corners = [0.0; 4];
+        for (corner, (i, k)) in corners.iter_mut().zip([(0, 0), (1, 0), (0, 1), (1, 1)]) {
             let ray = (texel.cell.1 + k) * CORNERS + texel.cell.0 + i;
             let (right, up) = (f64::from(i) - texel.within.0, f64::from(k) - texel.within.1);
             let distance = self.distance + right * self.slope.0 + up * self.slope.1;
-            transmittance::transmittance(page, (CORNERS * CORNERS) as usize, ray as usize, distance as f32)
-        })
+            let rays = (CORNERS * CORNERS) as usize;
+            *corner = transmittance::transmittance(page, rays, ray as usize, distance as f32);
+        }
+        corners
     }
 }
 
@@ -213,6 +221,7 @@ impl TileMaker<'_> {
             && let Some(slab) = self.march.next_slab(from)
         {
             from = slab.end();
+            self.march.expect_ends(self.world.absorption.remaining(packet, &self.states));
             self.march.evaluate(access, packet, slab, going, counts, node)?;
             let lanes = going;
             let before = self.states.map(|state| state.transmittance as f32);

@@ -44,36 +44,10 @@ impl<'a> ShadowRays<'a> {
         }
     }
 
-    /// Fills the rows of the contributing samples.
+    /// Fills the rows of some samples, a bit for each: sample after sample, each on all rays, so that a packet of shadow rays
+    /// has origins at about the same depth.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
-        &mut self,
-        access: Access<'_>,
-        light: &Light,
-        packet: &Packet,
-        slab: Slab,
-        node: &NodeSamples,
-        shares: &Shares,
-        counts: &mut RenderCounts,
-        rows: &mut [SampleRow],
-    ) -> Result<(), Halt> {
-        for j in 0..slab.samples {
-            let mut rays = Vec::with_capacity(packet.len());
-            for lane in (0..packet.len()).filter(|&lane| shares.samples[lane] >> j & 1 == 1) {
-                match to_light(light, packet, slab, node, (lane, j)) {
-                    Some(ray) => rays.push(ray),
-                    // The sample is at the position of the light.
-                    None => rows[lane].0[j] = 1.0,
-                }
-            }
-            self.trace_all(access, &rays, counts, rows)?;
-        }
-        Ok(())
-    }
-
-    /// Fills the rows of the given samples, a bit for each. There are few, so rays from different depths share packets.
-    #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
-    pub(super) fn find_some(
         &mut self,
         access: Access<'_>,
         light: &Light,
@@ -84,12 +58,22 @@ impl<'a> ShadowRays<'a> {
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<(), Halt> {
-        let rays: Vec<ToLight> = (0..packet.len())
-            .flat_map(|lane| (0..slab.samples).map(move |j| (lane, j)))
-            .filter(|&(lane, j)| samples[lane] >> j & 1 == 1)
-            .filter_map(|at| to_light(light, packet, slab, node, at))
-            .collect();
-        rays.chunks(LANES).try_for_each(|rays| self.trace_all(access, rays, counts, rows))
+        let any = samples.iter().fold(0, |any, lane| any | lane);
+        let mut rays = Vec::with_capacity(LANES);
+        for j in (0..slab.samples).filter(|j| any >> j & 1 == 1) {
+            for lane in (0..packet.len()).filter(|&lane| samples[lane] >> j & 1 == 1) {
+                match to_light(light, packet, slab, node, (lane, j)) {
+                    Some(ray) => rays.push(ray),
+                    // The sample is at the position of the light.
+                    None => rows[lane].0[j] = 1.0,
+                }
+                if rays.len() == LANES {
+                    self.trace_all(access, &rays, counts, rows)?;
+                    rays.clear();
+                }
+            }
+        }
+        self.trace_all(access, &rays, counts, rows)
     }
 
     /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were traced alone.
@@ -154,6 +138,7 @@ impl<'a> ShadowRays<'a> {
             && let Some(slab) = self.march.next_slab(from)
         {
             from = slab.end();
+            self.march.expect_ends(self.world.absorption.remaining(packet, &self.states));
             self.march.evaluate(access, packet, slab, going, counts, node)?;
             if limits.iter().any(|limit| limit.is_finite()) {
                 cut_off(packet, slab, limits, node);

@@ -25,6 +25,9 @@ struct Face {
     /// Half the side of the square: on the plane at distance 1 for a point light, in world units for parallel rays.
     half: f64,
     diverges: bool,
+    /// Of parallel rays: for each coordinate in cells, columns and rows, the vector to multiply a position by and what to
+    /// add; then the distance along the rays likewise.
+    parallel: [(DVec3, f64); 3],
 }
 
 /// A position projected onto a light's map.
@@ -69,6 +72,8 @@ impl LightMap {
             }
             LightKind::Ambient | LightKind::Headlight => return None,
         };
+        let mut faces = faces;
+        faces.iter_mut().for_each(|face| face.count_cells(resolution));
         Some(Self { faces, resolution })
     }
 
@@ -91,18 +96,21 @@ impl LightMap {
     }
 
     /// Projects a position; `None` if it is outside the map.
+    #[inline(always)]
     pub(super) fn texel(&self, place: DVec3) -> Option<Texel> {
-        let (number, (u, v, distance)) =
-            self.faces.iter().enumerate().find_map(|(i, face)| face.project(place).map(|p| (i as u32, p)))?;
         let resolution = f64::from(self.resolution);
-        let (x, y) = ((u + 1.0) * 0.5 * resolution, (v + 1.0) * 0.5 * resolution);
+        let (mut number, mut found) = (0, None);
+        while found.is_none() && number < self.faces.len() {
+            found = self.faces[number].project(place, resolution);
+            number += 1;
+        }
+        let (x, y, distance, depth) = found?;
+        let face = &self.faces[number - 1];
         let (column, row) = ((x as u32).min(self.resolution - 1), (y as u32).min(self.resolution - 1));
         let side = self.side();
-        let face = &self.faces[number as usize];
-        let depth = if face.diverges { (place - face.origin).dot(face.forward) } else { 1.0 };
         let size = 2.0 * face.half / resolution * depth;
         Some(Texel {
-            tile: (number * side + row / TILE_CELLS) * side + column / TILE_CELLS,
+            tile: ((number as u32 - 1) * side + row / TILE_CELLS) * side + column / TILE_CELLS,
             cell: (column % TILE_CELLS, row % TILE_CELLS),
             within: (x - f64::from(column), y - f64::from(row)),
             distance,
@@ -121,7 +129,8 @@ impl Texel {
 impl Face {
     fn toward(origin: DVec3, forward: DVec3, half: f64, diverges: bool) -> Self {
         let right = forward.any_orthonormal_vector();
-        Self { origin, forward, right, up: right.cross(forward), half, diverges }
+        let parallel = [(DVec3::ZERO, 0.0); 3];
+        Self { origin, forward, right, up: right.cross(forward), half, diverges, parallel }
     }
 
     fn ray(&self, u: f64, v: f64) -> Ray {
@@ -133,14 +142,33 @@ impl Face {
         }
     }
 
-    /// Position on the face, −1 to 1, and distance along the ray; `None` if it is outside the face.
-    fn project(&self, place: DVec3) -> Option<(f64, f64, f64)> {
+    /// Prepares the projection of positions onto a lattice of `resolution` cells a side.
+    fn count_cells(&mut self, resolution: u32) {
+        let half_side = 0.5 * f64::from(resolution);
+        let along = |axis: DVec3| {
+            let per_length = axis * (half_side / self.half);
+            (per_length, half_side - self.origin.dot(per_length))
+        };
+        self.parallel = [along(self.right), along(self.up), (self.forward, -self.origin.dot(self.forward))];
+    }
+
+    /// Position on the face in cells, 0 to `resolution`, distance along the ray, and depth (1 for parallel rays); `None`
+    /// if it is outside the face.
+    #[inline(always)]
+    fn project(&self, place: DVec3, resolution: f64) -> Option<(f64, f64, f64, f64)> {
+        if !self.diverges {
+            let [(right, left), (up, low), (forward, near)] = self.parallel;
+            let (x, y, distance) = (place.dot(right) + left, place.dot(up) + low, place.dot(forward) + near);
+            let inside = distance > 0.0 && x >= 0.0 && x <= resolution && y >= 0.0 && y <= resolution;
+            return inside.then_some((x, y, distance, 1.0));
+        }
         let offset = place - self.origin;
         let depth = offset.dot(self.forward);
-        let scale = if self.diverges { depth * self.half } else { self.half };
-        let (u, v) = (offset.dot(self.right) / scale, offset.dot(self.up) / scale);
+        let per_half = 1.0 / (depth * self.half);
+        let (u, v) = (offset.dot(self.right) * per_half, offset.dot(self.up) * per_half);
         let inside = depth > 0.0 && u.abs() <= 1.0 && v.abs() <= 1.0;
-        inside.then(|| (u, v, if self.diverges { offset.length() } else { depth }))
+        let cells = |u: f64| (u + 1.0) * 0.5 * resolution;
+        inside.then(|| (cells(u), cells(v), offset.length(), depth))
     }
 }
 

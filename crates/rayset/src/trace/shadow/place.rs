@@ -6,6 +6,7 @@ use crate::scene::{Light, LightKind};
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY};
 
 /// The position at which a sample is lit: on the boundary if it is just behind one, otherwise its own.
+#[inline(always)]
 pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample: u64, j: usize) -> DVec3 {
     let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
     let depth = -f64::from(node.boundary[lane].0[j]);

@@ -40,14 +40,24 @@ impl<'a> Shadows<'a> {
         counts: &mut RenderCounts,
     ) -> Result<&ShadowRows, Halt> {
         for (light, rows) in self.world.lights.iter().zip(&mut self.rows) {
-            let (Some(LightWithShadows { light, table }), Some(rows)) = (light, rows) else { continue };
+            let (Some(with_shadows), Some(rows)) = (light, rows) else { continue };
+            let LightWithShadows { light, table, .. } = with_shadows;
             match table {
                 Some(table) => {
-                    let undecided =
-                        self.cached.find(access, light, table, packet, slab, node, shares, counts, rows)?;
-                    self.exact.find_some(access, light, packet, slab, node, &undecided, counts, rows)?;
+                    let undecided = self.cached.find(
+                        access,
+                        with_shadows,
+                        table,
+                        packet,
+                        slab,
+                        node,
+                        shares,
+                        counts,
+                        rows,
+                    )?;
+                    self.exact.find(access, light, packet, slab, node, &undecided, counts, rows)?;
                 }
-                None => self.exact.find(access, light, packet, slab, node, shares, counts, rows)?,
+                None => self.exact.find(access, light, packet, slab, node, &shares.samples, counts, rows)?,
             }
         }
         Ok(&self.rows)

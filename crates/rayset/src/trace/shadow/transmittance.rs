@@ -177,25 +177,38 @@ impl TransmittanceCurves {
 const HEAD_BYTES: usize = 4;
 const KNOT_BYTES: usize = 8;
 
+/// The curve of one ray of a tile of `rays` rays: its knots, in ascending order of distances.
+#[inline(always)]
+fn curve(page: &[u8], rays: usize, ray: usize) -> &[[u8; KNOT_BYTES]] {
+    let (heads, knots) = page.split_at(rays * HEAD_BYTES);
+    let [a, b, c, d] = heads.as_chunks::<HEAD_BYTES>().0[ray];
+    let (first, count) = (usize::from(u16::from_le_bytes([a, b])), usize::from(u16::from_le_bytes([c, d])));
+    &knots.as_chunks::<KNOT_BYTES>().0[first..first + count]
+}
+
 /// Transmittance at a distance on one ray of a tile of `rays` rays.
+#[inline(always)]
 pub(super) fn transmittance(page: &[u8], rays: usize, ray: usize, distance: f32) -> f32 {
-    let u16_at = |at: usize| usize::from(u16::from_le_bytes([page[at], page[at + 1]]));
-    let (first, count) = (u16_at(ray * HEAD_BYTES), u16_at(ray * HEAD_BYTES + 2));
-    let number = |at: usize| f32::from_le_bytes([page[at], page[at + 1], page[at + 2], page[at + 3]]);
-    let knot = |i: usize| {
-        let at = rays * HEAD_BYTES + (first + i) * KNOT_BYTES;
-        (number(at), number(at + 4))
+    let knots = curve(page, rays, ray);
+    let knot = |[a, b, c, d, e, f, g, h]: [u8; KNOT_BYTES]| {
+        (f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h]))
     };
-    let (mut low, mut high) = (0, count);
+    // Most places are in front of all that a ray meets, or behind.
+    let (Some(&first), Some(&last)) = (knots.first(), knots.last()) else { return 1.0 };
+    let ((nearest, _), (farthest, left)) = (knot(first), knot(last));
+    if !(nearest <= distance) {
+        return 1.0;
+    }
+    if farthest <= distance {
+        return left;
+    }
+    let (mut low, mut high) = (1, knots.len() - 1);
     while low < high {
         let middle = (low + high) / 2;
-        if knot(middle).0 <= distance { low = middle + 1 } else { high = middle }
+        if knot(knots[middle]).0 <= distance { low = middle + 1 } else { high = middle }
     }
-    match (low.checked_sub(1).map(knot), (low < count).then(|| knot(low))) {
-        (Some((x0, y0)), Some((x1, y1))) => y0 + (y1 - y0) * (distance - x0) / (x1 - x0),
-        (Some((_, y)), None) => y,
-        (None, _) => 1.0,
-    }
+    let ((x0, y0), (x1, y1)) = (knot(knots[low - 1]), knot(knots[low]));
+    y0 + (y1 - y0) * (distance - x0) / (x1 - x0)
 }
 
 #[cfg(test)]

@@ -2,8 +2,8 @@
 
 use super::table::DeepShadowMap;
 use crate::field::SimdLevel;
-use crate::scene::Light;
-use crate::scene::{Lighting, RenderSettings, Scene, Shadows};
+use crate::geometry::DVec3;
+use crate::scene::{Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
 use crate::trace::RenderError;
 use crate::trace::composite::Absorption;
 use crate::trace::program::{Program, Purpose};
@@ -13,6 +13,8 @@ use crate::working_set::PagedFiles;
 /// A light that casts shadows.
 pub(super) struct LightWithShadows {
     pub(super) light: Light,
+    /// The direction to it, of length one, if it is the same everywhere; world space.
+    pub(super) direction: Option<DVec3>,
     /// Its deep shadow map; `None` if its shadows are computed exactly.
     pub(super) table: Option<DeepShadowMap>,
 }
@@ -48,7 +50,11 @@ impl ShadowWorld {
             Shadows::Exact => None,
         };
         let lights = lights.iter().map(|light| {
-            light.throws_shadows().then(|| LightWithShadows { light: *light, table: table(light) })
+            let direction = match light.kind {
+                LightKind::Directional { direction } => Some(-direction.normalize()),
+                _ => None,
+            };
+            light.throws_shadows().then(|| LightWithShadows { light: *light, direction, table: table(light) })
         });
         Ok(Some(Self { program, steps: steps.clone(), absorption, lights: lights.collect() }))
     }

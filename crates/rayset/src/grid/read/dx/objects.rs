@@ -1,9 +1,9 @@
 //! The objects of a header: grids of positions, arrays, and fields, which join both.
 
 use super::super::error::ReadError;
-use super::super::stored::Stored;
 use super::words::{Word, Words};
 use crate::geometry::DVec3;
+use crate::numbers::Stored;
 
 /// A regular grid of positions.
 #[derive(Clone, Default)]

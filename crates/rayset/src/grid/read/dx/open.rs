@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use super::super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::super::error::ReadError;
 use super::super::source::{Described, VolumeSource};
-use super::super::stored::Stored;
 use super::objects::{Array, Location, Object, Objects, Positions};
 use super::words::Words;
 use crate::geometry::{DAffine3, DMat3};
+use crate::numbers::Stored;
 use crate::text_numbers::{Behind, TextNumbers};
 
 /// Whether a file begins with an object, behind comments.

@@ -24,8 +24,15 @@ pub(super) struct Entry {
     pub(super) start: u64,
 }
 
-/// All grids of a file, or the first alone if the file does not say where the others are.
-pub(super) fn read(stream: &mut Stream) -> Result<Vec<Entry>, Wrong> {
+/// What the beginning of a file says.
+pub(super) struct Head {
+    /// All grids, or the first alone if the file does not say where the others are.
+    pub(super) entries: Vec<Entry>,
+    /// The name of the program that wrote the file; empty if it does not say.
+    pub(super) creator: String,
+}
+
+pub(super) fn read(stream: &mut Stream) -> Result<Head, Wrong> {
     if stream.array()? != MAGIC {
         return Err(Wrong { at: 0, what: "this is not an OpenVDB file".into() });
     }
@@ -43,7 +50,12 @@ pub(super) fn read(stream: &mut Stream) -> Result<Vec<Entry>, Wrong> {
     stream.skip(8)?;
     let with_offsets = stream.u8()? != 0;
     stream.skip(UUID_BYTES)?;
-    metadata(stream, |_, _| {})?;
+    let mut creator = String::new();
+    metadata(stream, |name, text| {
+        if name == "creator" {
+            text.clone_into(&mut creator);
+        }
+    })?;
     let count = stream.u32()?;
     let mut entries = Vec::new();
     for number in 0..count {
@@ -60,7 +72,7 @@ pub(super) fn read(stream: &mut Stream) -> Result<Vec<Entry>, Wrong> {
             stream.seek(end)?;
         }
     }
-    Ok(entries)
+    Ok(Head { entries, creator })
 }
 
 /// A grid, and the offset of its end.

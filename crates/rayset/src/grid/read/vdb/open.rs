@@ -4,15 +4,16 @@ use std::path::Path;
 
 use super::super::data::Voxels;
 use super::super::error::ReadError;
+use super::super::orientation::Orientation;
 use super::super::source::{Described, VolumeSource};
-use super::super::stored::Stored;
 use super::dense::Dense;
-use super::grids::{self, Entry};
+use super::grids::{self, Entry, Head};
 use super::stream::{Stream, Wrong};
 use super::transform;
 use super::tree::{Bounds, Tree};
 use super::values::Coding;
 use crate::geometry::{DAffine3, DMat3, DVec3};
+use crate::numbers::Stored;
 
 /// Largest number of voxels of the box around all active ones.
 const MOST_VOXELS: u128 = 1 << 32;
@@ -44,7 +45,9 @@ pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let dense = Dense::new(stream, grid.tree, bounds);
     let memory_bytes = dense.memory_bytes();
     let voxels = Voxels { path: path.to_owned(), data: Box::new(dense), rest: Some(0) };
-    let source = VolumeSource::new(&described, bytes, voxels).with_memory_bytes(memory_bytes);
+    let source = VolumeSource::new(&described, bytes, voxels)
+        .with_memory_bytes(memory_bytes)
+        .with_orientation(grid.orientation);
     Ok(grid.about.into_iter().fold(source, VolumeSource::with_about))
 }
 
@@ -55,12 +58,13 @@ struct Grid {
     stored: Stored,
     space_from_index: DAffine3,
     tree: Tree,
+    orientation: Orientation,
     about: Vec<String>,
 }
 
 impl Grid {
     fn read(stream: &mut Stream) -> Result<Self, Wrong> {
-        let entries = grids::read(stream)?;
+        let Head { entries, creator } = grids::read(stream)?;
         let (entry, stored) = chosen(&entries).map_err(|what| Wrong { at: stream.at(), what })?;
         let start = entry.start;
         if entry.instance {
@@ -86,7 +90,8 @@ impl Grid {
         })?;
         let space_from_index = transform::read(stream)?;
         let tree = Tree::index(stream, coding)?;
-        Ok(Self { start, stored, space_from_index, tree, about })
+        let orientation = Orientation::of_program(&creator);
+        Ok(Self { start, stored, space_from_index, tree, orientation, about })
     }
 
     /// The active voxels, and one voxel around them, which shows what is outside.

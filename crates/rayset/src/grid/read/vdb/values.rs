@@ -1,9 +1,9 @@
 //! The values of a node or a leaf: compressed, without those that a mask tells, in half precision.
 
-use super::super::stored::single_of_half;
 use super::blosc;
 use super::stream::{Stream, Wrong};
 use super::zip::inflate;
+use crate::numbers::half;
 
 /// What a grid's compression may consist of.
 const ZIP: u32 = 1;
@@ -168,7 +168,7 @@ fn packed_bytes(stream: &mut Stream, coding: &Coding, bytes: u64) -> Result<Opti
 
 /// Writes a number of half precision in single or double precision.
 fn put_half(half: [u8; 2], value: &mut [u8]) {
-    let single = single_of_half(half);
+    let single = half::from_le_bytes(half);
     if value.len() == 4 {
         value.copy_from_slice(&single.to_le_bytes());
     } else {

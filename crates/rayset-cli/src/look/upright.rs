@@ -1,0 +1,161 @@
+//! What is up in a cloud, by what its file says, its columns and its shape.
+
+use rayset::Cloud;
+use rayset::file::Header;
+use rayset::geometry::DVec3;
+
+use super::statistics::{Statistics, range};
+use super::view::Orientation;
+
+/// Scans of less than this along every side are of things on a turntable, whose files have y up by custom.
+const OBJECT: f64 = 1.0;
+/// Things in the unit ball about the origin, as collections of models have them, reach this far.
+const UNIT: f64 = 1.01;
+/// Rooms and buildings are as large as this, in metres.
+const SITE: std::ops::Range<f64> = 2.0..60.0;
+/// Coordinates from here on are those of a map.
+const MAP: f64 = 1e4;
+
+/// Whether points are where a depth camera sees them from the origin, which has x to the right, y down and z ahead: all within
+/// its field of view. Of files that may be anything, `is_of_sensor` false, the view is filled to both sides.
+fn is_camera_frame(statistics: &Statistics, is_of_sensor: bool) -> bool {
+    /// Of depth cameras, at most: the tangent of half their field of view.
+    const TANGENT: f64 = 1.2;
+    /// What fills a view reaches this far to either side, at least.
+    const REACH: f64 = 0.1;
+    let points: Vec<DVec3> = statistics.positions().filter(|p| p.is_finite()).collect();
+    let is_seen = |p: &DVec3| p.z > 0.0 && p.x.abs().max(p.y.abs()) < TANGENT * p.z;
+    let reaches = |tangent: &dyn Fn(&DVec3) -> f64| {
+        let (low, high) =
+            (points.iter().map(tangent)).fold((0.0_f64, 0.0_f64), |(l, h), t| (l.min(t), h.max(t)));
+        low < -REACH && high > REACH
+    };
+    let is_filled = || reaches(&|p| p.x / p.z) && reaches(&|p| p.y / p.z);
+    !points.is_empty() && points.iter().all(is_seen) && (is_of_sensor || is_filled())
+}
+
+/// The sides of what most points fill.
+struct Extents {
+    sides: [f64; 3],
+    /// The middles between them.
+    middle: [f64; 3],
+    thin: usize,
+    long: usize,
+}
+
+impl Extents {
+    fn of(statistics: &Statistics) -> Self {
+        let ranges = ["x", "y", "z"].map(|axis| range(&statistics.sorted(axis), 0.005));
+        let sides = ranges.map(|(low, high)| high - low);
+        let by_side = |&a: &usize, &b: &usize| sides[a].total_cmp(&sides[b]);
+        let (thin, long) = ((0..3).min_by(by_side).unwrap_or(2), (0..3).max_by(by_side).unwrap_or(2));
+        Self { sides, middle: ranges.map(|(low, high)| 0.5 * (low + high)), thin, long }
+    }
+
+    fn others(&self, axis: usize) -> impl Iterator<Item = f64> + '_ {
+        (0..3).filter(move |&other| other != axis).map(|other| self.sides[other])
+    }
+
+    /// Whether the side along an axis is less than a part of each of the others.
+    fn is_thin(&self, axis: usize, part: f64) -> bool {
+        self.sides[axis] < part * self.others(axis).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Whether points stand along an axis.
+    fn is_long(&self, axis: usize) -> bool {
+        self.sides[axis] > 1.3 * self.others(axis).fold(0.0, f64::max)
+    }
+
+    /// Whether points are a thing by their size, and not a site.
+    fn is_object(&self) -> bool {
+        let reach = (0..3).map(|axis| self.middle[axis].abs() + 0.5 * self.sides[axis]).fold(0.0, f64::max);
+        self.sides[self.long] < OBJECT || reach <= UNIT
+    }
+
+    /// Whether coordinates are so large that they are those of a map.
+    fn is_on_map(&self) -> bool {
+        let far = |axis: usize| self.middle[axis].abs() > MAP.max(20.0 * self.sides[self.long]);
+        far(0) && far(1)
+    }
+}
+
+/// The direction against that in which particles fall, y or z; `None` if they have no velocities, or others than that.
+fn against_the_fall(statistics: &Statistics) -> Option<DVec3> {
+    /// Of the root of the mean square speed, the part that is common to all that falls.
+    const COMMON: f64 = 0.8;
+    let columns = ["x", "y", "z"].map(|axis| statistics.values(&format!("velocity_{axis}")));
+    if columns.iter().any(Vec::is_empty) {
+        return None;
+    }
+    let count = columns[0].len() as f64;
+    let mean = columns.each_ref().map(|column| column.iter().sum::<f64>() / count);
+    let squares: f64 = columns.iter().flatten().map(|v| v * v).sum();
+    let speed = (squares / count).sqrt();
+    [1, 2].into_iter().find(|&down| mean[down] < -COMMON * speed).map(axis)
+}
+
+/// Whether a cloud has columns that scans of sites have.
+fn is_scan(header: &Header) -> bool {
+    let names = ["intensity", "reflectance", "label", "classification", "ring", "cosangle"];
+    let of_scan = |name: &str| {
+        let name = name.to_ascii_lowercase();
+        name.starts_with("scalar_") || names.contains(&name.as_str())
+    };
+    header.has_color || header.attributes.iter().any(|attribute| of_scan(&attribute.name))
+}
+
+fn axis(axis: usize) -> DVec3 {
+    DVec3::from_array(std::array::from_fn(|i| f64::from(u8::from(i == axis))))
+}
+
+/// What is up, and where the front is.
+pub(super) fn orientation(cloud: &Cloud, statistics: &Statistics, given: Option<DVec3>) -> Orientation {
+    let header = cloud.header();
+    let extents = Extents::of(statistics);
+    let mut chosen = if let Some(up) = given {
+        Orientation::with_up(up, "as asked for")
+    } else if let Some(up) = header.up {
+        Orientation::with_up(up, "by the kind of file")
+    } else {
+        found(header, statistics, &extents)
+    };
+    let up = (0..3).max_by(|&a, &b| chosen.up[a].abs().total_cmp(&chosen.up[b].abs())).unwrap_or(2);
+    chosen.lies = extents.is_thin(up, 0.5);
+    chosen
+}
+
+fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orientation {
+    let Extents { sides, thin, long, .. } = *extents;
+    let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
+    let scanned = ["LAS", "E57", "PTX", "PTS"].iter().any(|kind| said(kind)) && sides[long] >= OBJECT;
+    // Of people and statues, which are thin from front to back, files have y up.
+    let of_things = said("PLY") || said("OBJ");
+    // PCD are seen by sensors, and STL lie on the beds of printers.
+    let is_flat = extents.is_thin(thin, if said("PCD") || said("STL") { 0.5 } else { 0.25 });
+    let is_site = SITE.contains(&sides[long]) && is_scan(header) && thin == 2 && !extents.is_long(1);
+    if !header.crs.is_empty() {
+        Orientation::with_up(DVec3::Z, "the coordinate reference system")
+    } else if scanned {
+        Orientation::with_up(DVec3::Z, "the kind of file")
+    } else if extents.is_on_map() {
+        Orientation::with_up(DVec3::Z, "coordinates of a map")
+    } else if !said("STL") && is_camera_frame(statistics, said("PCD")) {
+        Orientation::with_up(DVec3::NEG_Y, "a camera's own axes").toward_front(Some(DVec3::Z))
+    } else if let Some(up) = against_the_fall(statistics) {
+        Orientation::with_up(up, "particles that fall")
+    } else if said("COLMAP") && !(is_flat && thin == 2) {
+        Orientation::with_up(DVec3::NEG_Y, "the cameras of COLMAP")
+    } else if is_flat && (!of_things || thin == 2 && sides[long] >= OBJECT) {
+        Orientation::with_up(axis(thin), "the thinnest extent")
+    } else if of_things && is_site {
+        Orientation::with_up(DVec3::Z, "the thinnest extent of a site")
+    } else if extents.is_long(long) && long > 0 {
+        Orientation::with_up(axis(long), "the longest extent")
+    } else if extents.is_object() {
+        Orientation::with_up(DVec3::Y, "the size of an object, not of a site")
+    } else if of_things || said("STL") || said("PCD") {
+        Orientation::with_up(DVec3::Y, "the custom of such files")
+    } else {
+        Orientation::with_up(DVec3::Z, "the custom of such files")
+    }
+}

@@ -1,0 +1,180 @@
+//! What the columns of a table without names are, by the values in its first rows.
+//!
+//! A leading column that counts rows, or has times, comes before the positions. Behind these, three numbers of length one are
+//! a normal; three bytes, words or numbers up to 1 a colour; a number before a colour an intensity; a small whole number
+//! behind colours or normals a label. Four columns are x y z intensity, six without any of these x y z red green blue, seven
+//! x y z intensity red green blue.
+
+/// Rows that are looked at.
+pub(super) const ROWS: usize = 256;
+
+/// Values of these are times, not coordinates.
+const TIMES: std::ops::Range<f64> = 1e8..1e19;
+/// Labels are at most this.
+const MOST_LABEL: f64 = 64.0;
+
+/// The first rows of a table.
+struct Sample<'a>(&'a [Vec<f64>]);
+
+impl Sample<'_> {
+    /// The values of a column that are numbers.
+    fn column(&self, column: usize) -> impl Iterator<Item = f64> + '_ {
+        self.0.iter().filter_map(move |row| row.get(column).copied()).filter(|value| value.is_finite())
+    }
+
+    fn all(&self, column: usize, is: impl Fn(f64) -> bool) -> bool {
+        let mut values = self.column(column).peekable();
+        values.peek().is_some() && values.all(is)
+    }
+
+    fn most(&self, column: usize) -> f64 {
+        self.column(column).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    fn varies(&self, column: usize) -> bool {
+        let first = self.column(column).next();
+        self.column(column).any(|value| Some(value) != first)
+    }
+
+    /// Whether a column counts rows or has times.
+    fn is_lead(&self, column: usize) -> bool {
+        let pairs = || self.column(column).zip(self.column(column).skip(1));
+        let counts = pairs().all(|(a, b)| b - a == 1.0);
+        let times = self.all(column, |value| TIMES.contains(&value)) && pairs().all(|(a, b)| b >= a);
+        // Of a lattice, whose first coordinate counts, too, another is the same in many rows.
+        pairs().count() > 2
+            && (counts || times)
+            && (column + 1..column + 4).all(|axis| self.column(axis).next().is_some())
+            && (column + 1..column + 3).all(|axis| self.varies(axis))
+    }
+
+    fn is_normal(&self, first: usize) -> bool {
+        let squares = || {
+            let rows = self.0.iter().filter_map(|row| row.get(first..first + 3));
+            rows.map(|v| v.iter().map(|value| value * value).sum::<f64>()).filter(|square| square.is_finite())
+        };
+        squares().any(|square| square > 0.0)
+            && squares().all(|square| square == 0.0 || (square - 1.0).abs() < 0.05)
+    }
+
+    fn is_color(&self, first: usize) -> bool {
+        let each = |is: &dyn Fn(usize) -> bool| (first..first + 3).all(is);
+        let whole = |column| self.all(column, |v| v.fract() == 0.0 && (0.0..=65535.0).contains(&v));
+        let unit = |column| self.all(column, |v| (0.0..=1.0).contains(&v));
+        let byte = |column| self.all(column, |v| (0.0..=255.0).contains(&v)) && self.most(column) > 1.0;
+        each(&unit) || each(&whole) || each(&byte)
+    }
+
+    fn is_label(&self, column: usize) -> bool {
+        self.all(column, |v| v.fract() == 0.0 && (-1.0..=MOST_LABEL).contains(&v))
+    }
+
+    /// Whether the column behind three numbers belongs to a colour before it, and not the first of four to one behind it.
+    fn goes_on(&self, first: usize) -> bool {
+        let last = first + 3;
+        let brightest = (first..last).map(|column| self.most(column)).fold(0.0, f64::max);
+        let fractions = (first..last).any(|column| !self.all(column, |v| v.fract() == 0.0));
+        let opaque = self.all(last, |v| v == 255.0);
+        opaque || self.is_label(last) && (fractions || brightest > MOST_LABEL)
+    }
+}
+
+/// Names for the columns of a table `width` wide, by its first rows, which may be none. `-` is a column of no interest.
+pub(super) fn names(width: usize, rows: &[Vec<f64>]) -> Vec<String> {
+    let sample = Sample(rows);
+    let mut names = Vec::with_capacity(width);
+    let first = if width > 3 && sample.is_lead(0) { 4 } else { 3 };
+    if first > 3 {
+        names.push("-".to_owned());
+    }
+    names.extend(["x", "y", "z"].map(String::from));
+    let (mut has_color, mut has_normal) = (false, false);
+    while names.len() < width {
+        let (at, left) = (names.len(), width - names.len());
+        let behind = left > 3 && sample.is_color(at + 1);
+        let unknown = rows.is_empty();
+        if !unknown && sample.column(at).next().is_none() {
+            // Words.
+            names.push("-".to_owned());
+        } else if left > 2 && !has_normal && sample.is_normal(at) {
+            names.extend(["nx", "ny", "nz"].map(String::from));
+            has_normal = true;
+        } else if !has_color
+            && (left == 3 && unknown
+                || left > 2 && sample.is_color(at) && (!behind || left != 4 || sample.goes_on(at)))
+        {
+            names.extend(["red", "green", "blue"].map(String::from));
+            has_color = true;
+        } else if !has_color && !has_normal && (left == 1 && at == first || left == 4 && (behind || unknown))
+        {
+            names.push("intensity".to_owned());
+        } else if left == 1 && (has_color || has_normal) && sample.is_label(at) {
+            names.push("label".to_owned());
+        } else {
+            names.push(format!("column{}", at + 1));
+        }
+    }
+    names.truncate(width);
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The names for eight rows, each made of its number.
+    fn of(row: impl Fn(f64) -> Vec<f64>) -> String {
+        let rows: Vec<Vec<f64>> = (0..8).map(|i| row(f64::from(i))).collect();
+        names(rows[0].len(), &rows).join(" ")
+    }
+
+    /// Something else in every row, from 0 to 1.
+    fn any(i: f64) -> f64 {
+        (0.3 + 0.618 * i).fract()
+    }
+
+    #[test]
+    fn six_columns_are_colours_or_normals() {
+        let position = |i: f64| vec![any(i), any(i + 20.0), any(i + 40.0)];
+        let with = |more: &dyn Fn(f64) -> Vec<f64>| of(|i| [position(i), more(i)].concat());
+        assert_eq!(with(&|i| vec![10.0 * i, 255.0, 3.0]), "x y z red green blue");
+        assert_eq!(with(&|i| vec![any(i), 0.5, 0.2]), "x y z red green blue");
+        assert_eq!(with(&|i| vec![any(i).cos(), 0.0, -any(i).sin()]), "x y z nx ny nz");
+        assert_eq!(with(&|i| vec![-3.0 * i, 0.0, 1.5]), "x y z column4 column5 column6");
+        assert_eq!(names(6, &[]).join(" "), "x y z red green blue");
+    }
+
+    #[test]
+    fn of_seven_columns_the_first_is_an_intensity_or_the_last_a_label() {
+        let with = |four: &dyn Fn(f64) -> [f64; 4]| {
+            of(|i| [vec![any(i), any(i + 20.0), any(i + 40.0)], four(i).to_vec()].concat())
+        };
+        assert_eq!(with(&|i| [-1800.0 + i, 200.0, 90.0, 40.0]), "x y z intensity red green blue");
+        assert_eq!(with(&|i| [0.1 * i, 200.0, 90.0, 140.0]), "x y z intensity red green blue");
+        assert_eq!(with(&|i| [30.0 + i, 200.0, 90.0, 140.0]), "x y z intensity red green blue");
+        assert_eq!(with(&|i| [200.0, 90.0, 40.0, i]), "x y z red green blue label");
+        assert_eq!(with(&|i| [any(i), 0.9, 0.4, 3.0]), "x y z red green blue label");
+        assert_eq!(with(&|i| [any(i).cos(), 0.0, any(i).sin(), 3.0]), "x y z nx ny nz label");
+        assert_eq!(names(7, &[]).join(" "), "x y z intensity red green blue");
+    }
+
+    #[test]
+    fn colours_and_normals_come_in_either_order_and_what_is_neither_has_numbers() {
+        let position = |i: f64| vec![any(i), any(i + 20.0), any(i + 40.0)];
+        let (color, normal) = ([200.0, 30.0, 0.0], [0.0, 0.6, -0.8]);
+        assert_eq!(of(|i| [&position(i), &color[..], &normal[..]].concat()), "x y z red green blue nx ny nz");
+        assert_eq!(of(|i| [&position(i), &normal[..], &color[..]].concat()), "x y z nx ny nz red green blue");
+        assert_eq!(of(|i| [position(i), vec![0.3, i]].concat()), "x y z column4 column5");
+        assert_eq!(of(position), "x y z");
+        assert_eq!(of(|i| [position(i), vec![any(i)]].concat()), "x y z intensity");
+    }
+
+    #[test]
+    fn a_column_that_counts_or_has_times_comes_before_the_positions() {
+        let position = |i: f64| vec![any(i), any(i + 20.0), any(i + 40.0)];
+        assert_eq!(of(|i| [vec![1000.0 + i], position(i)].concat()), "- x y z");
+        assert_eq!(of(|i| [vec![1.6e9 + 0.1 * i], position(i), vec![7.5]].concat()), "- x y z intensity");
+        // A lattice whose x counts.
+        assert_eq!(of(|i| vec![i, 0.0, 0.0, any(i)]), "x y z intensity");
+    }
+}

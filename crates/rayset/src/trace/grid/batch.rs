@@ -1,0 +1,223 @@
+//! Samples of one brick, evaluated many at a time.
+
+use super::voxels::Voxel;
+use crate::field::{LANES, SLAB_SAMPLES};
+
+/// Samples that are evaluated together.
+pub(super) const BATCH: usize = 32;
+
+/// Where a sample is.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Spot {
+    /// Index of the first voxel of its cell in the brick.
+    pub(super) voxel: u32,
+    /// Lane · 32 + sample.
+    pub(super) at: u16,
+    /// How far into the cell, 0 to 1.
+    pub(super) within: [f32; 3],
+}
+
+impl Spot {
+    #[inline(always)]
+    pub(super) fn lane_and_sample(&self) -> (usize, usize) {
+        let at = usize::from(self.at);
+        (at / SLAB_SAMPLES % LANES, at % SLAB_SAMPLES)
+    }
+}
+
+/// One number for each sample of a batch.
+pub(super) type Row = [f32; BATCH];
+
+/// Pairs of voxels of a batch, as they are stored: one row for each place relative to a cell.
+struct Pairs<V: Voxel, const ROWS: usize>([[V::Pair; BATCH]; ROWS]);
+
+impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
+    /// Reads the pairs that begin `offsets` voxels from the first voxel of each cell.
+    #[inline(always)]
+    fn read(brick: &[u8], spots: &[Spot; BATCH], offsets: [isize; ROWS]) -> Self {
+        let mut rows = [[V::Pair::default(); BATCH]; ROWS];
+        for (i, spot) in spots.iter().enumerate() {
+            for (row, offset) in rows.iter_mut().zip(offsets) {
+                row[i] = V::pair(brick, (spot.voxel as usize).wrapping_add_signed(offset));
+            }
+        }
+        Self(rows)
+    }
+
+    /// A row of pairs as two rows of numbers.
+    #[inline(always)]
+    fn numbers(&self, row: usize) -> [Row; 2] {
+        let (mut low, mut high) = ([0.0; BATCH], [0.0; BATCH]);
+        for (i, &pair) in self.0[row].iter().enumerate() {
+            [low[i], high[i]] = V::numbers(pair);
+        }
+        [low, high]
+    }
+}
+
+// Loops instead of closures: closures are not always inlined where vector code requires it.
+
+/// The columns of `within`.
+#[inline(always)]
+fn fractions(spots: &[Spot; BATCH]) -> [Row; 3] {
+    let mut columns = [[0.0; BATCH]; 3];
+    for (i, spot) in spots.iter().enumerate() {
+        for (column, f) in columns.iter_mut().zip(spot.within) {
+            column[i] = f;
+        }
+    }
+    columns
+}
+
+#[inline(always)]
+fn lerp(a: &Row, b: &Row, f: &Row) -> Row {
+    let mut out = [0.0; BATCH];
+    for i in 0..BATCH {
+        out[i] = a[i] + (b[i] - a[i]) * f[i];
+    }
+    out
+}
+
+#[inline(always)]
+fn less(a: &Row, b: &Row) -> Row {
+    let mut out = [0.0; BATCH];
+    for i in 0..BATCH {
+        out[i] = a[i] - b[i];
+    }
+    out
+}
+
+/// The trilinear values of a batch, in stored numbers less `base`.
+#[inline(always)]
+pub(super) fn values<V: Voxel>(brick: &[u8], spots: &[Spot; BATCH], base: f32) -> Row {
+    let (y, z) = (V::SIDE as isize, (V::SIDE * V::SIDE) as isize);
+    let pairs = Pairs::<V, 4>::read(brick, spots, [0, y, z, z + y]);
+    let [fx, fy, fz] = fractions(spots);
+    let mut along_x = [[0.0; BATCH]; 4];
+    for (row, out) in along_x.iter_mut().enumerate() {
+        let [a, b] = pairs.numbers(row);
+        for i in 0..BATCH {
+            let (a, b) = (a[i] - base, b[i] - base);
+            out[i] = a + (b - a) * fx[i];
+        }
+    }
+    let low = lerp(&along_x[0], &along_x[1], &fy);
+    let high = lerp(&along_x[2], &along_x[3], &fy);
+    lerp(&low, &high, &fz)
+}
+
+/// The gradients of a batch in stored numbers a voxel: half the difference of the trilinear values one voxel on either
+/// side, with the weights of the same cell.
+#[inline(always)]
+pub(super) fn gradients<V: Voxel>(brick: &[u8], spots: &[Spot; BATCH]) -> [Row; 3] {
+    let (y, z) = (V::SIDE as isize, (V::SIDE * V::SIDE) as isize);
+    let f = fractions(spots);
+    // Rows of four voxels through the cell, as pairs before and behind the middle of the row, for y and z of 0 and 1.
+    let before = Pairs::<V, 4>::read(brick, spots, [-1, y - 1, z - 1, z + y - 1]);
+    let behind = Pairs::<V, 4>::read(brick, spots, [1, y + 1, z + 1, z + y + 1]);
+    // Pairs beside the cell: y of −1 and 2 at z of 0 and 1; then z of −1 and 2 at y of 0 and 1.
+    let offsets = [-y, 2 * y, z - y, z + 2 * y, -z, 2 * z, y - z, y + 2 * z];
+    let beside = Pairs::<V, 8>::read(brick, spots, offsets);
+    let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
+    for row in 0..4 {
+        let ([a, b], [c, d]) = (before.numbers(row), behind.numbers(row));
+        along_x[row] = lerp(&less(&c, &a), &less(&d, &b), &f[0]);
+        through[row] = lerp(&b, &c, &f[0]);
+    }
+    for (row, out) in outer.iter_mut().enumerate() {
+        let [a, b] = beside.numbers(row);
+        *out = lerp(&a, &b, &f[0]);
+    }
+    let dx = lerp(&lerp(&along_x[0], &along_x[1], &f[1]), &lerp(&along_x[2], &along_x[3], &f[1]), &f[2]);
+    let dy = lerp(
+        &lerp(&less(&through[1], &outer[0]), &less(&outer[1], &through[0]), &f[1]),
+        &lerp(&less(&through[3], &outer[2]), &less(&outer[3], &through[2]), &f[1]),
+        &f[2],
+    );
+    let dz = lerp(
+        &lerp(&less(&through[2], &outer[4]), &less(&through[3], &outer[6]), &f[1]),
+        &lerp(&less(&outer[5], &through[0]), &less(&outer[7], &through[1]), &f[1]),
+        &f[2],
+    );
+    let mut halves = [dx, dy, dz];
+    for row in &mut halves {
+        for d in row {
+            *d *= 0.5;
+        }
+    }
+    halves
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::grid::format::VoxelKind;
+    use crate::trace::grid::voxels::with_voxel;
+
+    /// Trilinear interpolation by its definition, in `f64`, with the cell moved by some voxels.
+    fn moved<V: Voxel>(brick: &[f32], cell: [usize; 3], f: [f32; 3], by: [isize; 3]) -> f64 {
+        let n = V::SIDE;
+        let mut sum = 0.0;
+        for corner in 0..8 {
+            let c = [corner & 1, corner >> 1 & 1, corner >> 2 & 1];
+            let at: [usize; 3] = std::array::from_fn(|a| (cell[a] + c[a]).wrapping_add_signed(by[a]));
+            let weight: f64 =
+                (0..3).map(|a| if c[a] == 1 { f64::from(f[a]) } else { 1.0 - f64::from(f[a]) }).product();
+            sum += weight * f64::from(brick[(at[2] * n + at[1]) * n + at[0]]);
+        }
+        sum
+    }
+
+    fn check<V: Voxel>(kind: VoxelKind, seed: u64, places: &[([usize; 3], [f32; 3])]) {
+        let n = V::SIDE;
+        let mut state = seed;
+        let bytes: Vec<u8> = (0..n * n * n)
+            .flat_map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                let number = (state >> 33) as u16;
+                match kind {
+                    VoxelKind::U8 => vec![number as u8],
+                    VoxelKind::I16 | VoxelKind::U16 => number.to_le_bytes().to_vec(),
+                    VoxelKind::F32 => (f32::from(number) / 65.0).to_le_bytes().to_vec(),
+                }
+            })
+            .collect();
+        let numbers: Vec<f32> = bytes.chunks_exact(kind.bytes()).map(|bytes| kind.value(bytes)).collect();
+        let spots: [Spot; BATCH] = std::array::from_fn(|i| {
+            let (cell, within) = places[i % places.len()];
+            let cell = cell.map(|c| 1 + c % (n - 3));
+            Spot { voxel: ((cell[2] * n + cell[1]) * n + cell[0]) as u32, at: 0, within }
+        });
+        let values = values::<V>(&bytes, &spots, 3.0);
+        let gradients = gradients::<V>(&bytes, &spots);
+        for i in 0..places.len() {
+            let (cell, f) = places[i];
+            let cell = cell.map(|c| 1 + c % (n - 3));
+            let at = |by| moved::<V>(&numbers, cell, f, by);
+            let scale = 65536.0;
+            assert!((f64::from(values[i]) + 3.0 - at([0; 3])).abs() < 1e-6 * scale, "{kind:?}");
+            for axis in 0..3 {
+                let by = |d: isize| std::array::from_fn(|a| if a == axis { d } else { 0 });
+                let exact = 0.5 * (at(by(1)) - at(by(-1)));
+                assert!(
+                    (f64::from(gradients[axis][i]) - exact).abs() < 2e-6 * scale,
+                    "{kind:?}, axis {axis}"
+                );
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn values_and_gradients_are_those_of_trilinear_interpolation(
+            seed in any::<u64>(),
+            places in prop::collection::vec((prop::array::uniform3(0_usize..28), prop::array::uniform3(0.0_f32..=1.0)), BATCH),
+        ) {
+            for &kind in VoxelKind::ALL {
+                with_voxel!(kind, V => check::<V>(kind, seed, &places));
+            }
+        }
+    }
+}

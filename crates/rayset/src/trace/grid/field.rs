@@ -1,0 +1,58 @@
+//! What a grid is at a place, and what is requested of it in a slab.
+
+use super::gradients::Gradients;
+use super::opacity::{Opacities, Values};
+use super::spans::{GridRays, Placement};
+use crate::field::{LANES, SimdLevel, Slab};
+use crate::trace::access::Access;
+use crate::trace::node_samples::{Live, MATERIAL, Measure, RequiredOutputs};
+use crate::trace::transfer::ColorTable;
+
+/// How samples are coloured.
+pub(super) enum Color {
+    Uniform([f32; 3]),
+    Map(ColorTable),
+}
+
+/// A grid as a field in the world.
+pub(super) struct GridField {
+    pub(super) placement: Placement,
+    pub(super) values: Values,
+    pub(super) opacities: Opacities,
+    pub(super) gradients: Gradients,
+    pub(super) color: Color,
+    /// The number of the program's attribute that its values provide, if any.
+    pub(super) value_number: Option<usize>,
+    pub(super) material: [f32; MATERIAL],
+}
+
+/// What is requested of a grid in a slab.
+#[derive(Clone, Copy)]
+pub(in crate::trace) struct GridRequest<'a> {
+    pub(in crate::trace) access: Access<'a>,
+    /// The packet in the grid (`GridVolume::begin`).
+    pub(in crate::trace) march: &'a GridMarch,
+    pub(in crate::trace) slab: Slab,
+    pub(in crate::trace) live: &'a Live,
+    pub(in crate::trace) measure: Measure,
+    pub(in crate::trace) required: RequiredOutputs,
+    pub(in crate::trace) simd: SimdLevel,
+    /// For each ray, the sum of the optical depths of samples with which it ends, if that is known.
+    pub(in crate::trace) ends: Option<&'a [f32; LANES]>,
+    /// A number that no other grid of the graph has.
+    pub(in crate::trace) grid: usize,
+}
+
+impl GridRequest<'_> {
+    /// The number of a brick among those of all grids of the graph.
+    pub(super) fn key(&self, brick: u64) -> u64 {
+        (self.grid as u64) << u32::BITS | brick
+    }
+}
+
+/// The march of one packet through one grid.
+pub(in crate::trace) struct GridMarch(pub(super) GridRays);
+
+impl GridMarch {
+    pub(in crate::trace) const BYTES: usize = size_of::<Self>();
+}

@@ -1,0 +1,23 @@
+//! Grids as volume objects in the world: trilinear samples from bricks that are read as rays reach them.
+//!
+//! A slab of a packet is cut into *segments*, the samples of one ray in one brick (`spans`). Brick by brick, nearest
+//! first, the samples whose surroundings show anything (`visible`) are gathered into batches (`batch`, in `brick`), and a batch is
+//! evaluated at once: values, opacities (`opacity`) and, where they are required and the ray still goes on, gradients.
+
+mod batch;
+mod brick;
+mod field;
+mod gradients;
+mod opacity;
+mod spans;
+mod visible;
+mod volume;
+mod voxels;
+
+pub(super) use self::field::{GridMarch, GridRequest};
+pub(super) use self::volume::{GridScratch, GridVolume};
+
+/// Scratch memory of a march through a graph with grids.
+pub(super) const GRID_SCRATCH_BYTES: u64 = GridScratch::BYTES as u64;
+/// Memory of the march of a packet through each grid.
+pub(super) const GRID_MARCH_BYTES: u64 = GridMarch::BYTES as u64;

@@ -1,0 +1,192 @@
+//! Which parts of a brick show anything through the opacity rule: cubes of 4 × 4 × 4 cells.
+
+use super::opacity::{Opacities, Values};
+use super::voxels::Voxel;
+
+/// Cells along an edge of a block.
+pub(super) const BLOCK_CELLS: usize = 4;
+/// Most blocks along an edge of a brick.
+const MOST_BLOCKS: usize = 7;
+/// Bricks whose blocks are remembered. A packet meets few bricks, and its neighbours the same ones.
+const REMEMBERED: usize = 512;
+
+/// A bit for each block of a brick, x fastest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Blocks([u64; (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64)]);
+
+impl Blocks {
+    pub(super) const ALL: Self = Self([u64::MAX; (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64)]);
+    pub(super) const NONE: Self = Self([0; (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64)]);
+
+    /// The number of the block that contains a cell, counted from the first cell of the brick.
+    #[inline(always)]
+    pub(super) fn number<V: Voxel>([x, y, z]: [u32; 3]) -> u32 {
+        let (side, cells) = (blocks_of::<V>() as u32, BLOCK_CELLS as u32);
+        // Cells outside of the brick wrap around; nobody asks for their blocks.
+        (z / cells).wrapping_mul(side).wrapping_add(y / cells).wrapping_mul(side).wrapping_add(x / cells)
+    }
+
+    #[inline(always)]
+    pub(super) fn has(&self, number: u32) -> bool {
+        self.0.get(number as usize / 64).is_some_and(|bits| bits >> (number % 64) & 1 == 1)
+    }
+
+    /// The blocks of a brick that show anything.
+    #[inline(always)]
+    pub(super) fn of<V: Voxel>(brick: &[u8], values: &Values, opacities: &Opacities) -> Self {
+        let mut blocks = Self([0; _]);
+        let side = blocks_of::<V>();
+        for z in 0..side {
+            for y in 0..side {
+                let ranges = ranges_along_x::<V>(brick, y, z);
+                for (x, &(low, high)) in ranges.iter().enumerate().take(side) {
+                    if opacities.shows(low - values.base, high - values.base) {
+                        let number = (z * side + y) * side + x;
+                        blocks.0[number / 64] |= 1 << (number % 64);
+                    }
+                }
+            }
+        }
+        blocks
+    }
+}
+
+/// Blocks along an edge of a brick of a kind of voxel.
+const fn blocks_of<V: Voxel>() -> usize {
+    (V::SIDE - 3).div_ceil(BLOCK_CELLS)
+}
+
+/// The voxels at the corners of the cells of a block, along one axis.
+#[inline(always)]
+fn corners<V: Voxel>(block: usize) -> std::ops::Range<usize> {
+    1 + block * BLOCK_CELLS..(2 + (block + 1) * BLOCK_CELLS).min(V::SIDE - 1)
+}
+
+/// Most voxels along an edge of a brick.
+const MOST_VOXELS: usize = 31;
+
+/// Least and largest stored number in each block of one row of blocks, with the voxels on both of its faces.
+#[inline(always)]
+fn ranges_along_x<V: Voxel>(brick: &[u8], y: usize, z: usize) -> [(f32, f32); MOST_BLOCKS] {
+    let n = V::SIDE;
+    // First over all rows of voxels of these blocks, voxel by voxel; then along x.
+    let (mut low, mut high) = ([f32::INFINITY; MOST_VOXELS + 1], [f32::NEG_INFINITY; MOST_VOXELS + 1]);
+    for k in corners::<V>(z) {
+        for j in corners::<V>(y) {
+            let row = (k * n + j) * n;
+            let mut numbers = [0.0; MOST_VOXELS + 1];
+            for (i, two) in numbers.as_chunks_mut::<2>().0.iter_mut().enumerate() {
+                *two = V::numbers(V::pair(brick, row + (2 * i).min(n - 2)));
+            }
+            // An odd number of voxels ends with a pair that overlaps the one before.
+            if n % 2 == 1 {
+                numbers[n - 1] = numbers[n.min(MOST_VOXELS)];
+            }
+            for i in 0..n {
+                (low[i], high[i]) = (low[i].min(numbers[i]), high[i].max(numbers[i]));
+            }
+        }
+    }
+    let mut ranges = [(f32::INFINITY, f32::NEG_INFINITY); MOST_BLOCKS];
+    for (block, range) in ranges.iter_mut().enumerate().take(blocks_of::<V>()) {
+        for i in corners::<V>(block) {
+            *range = (range.0.min(low[i]), range.1.max(high[i]));
+        }
+    }
+    ranges
+}
+
+/// The blocks of the bricks that a thread has met last.
+pub(super) struct KnownBlocks(Vec<(u64, Blocks)>);
+
+impl KnownBlocks {
+    pub(super) const BYTES: usize = REMEMBERED * size_of::<(u64, Blocks)>();
+
+    pub(super) fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    /// The blocks of a brick with a number that no other brick of the scene has; `None` if they are not known.
+    #[inline(always)]
+    pub(super) fn get(&self, number: u64) -> Option<&Blocks> {
+        let known = self.0.get(number as usize % REMEMBERED)?;
+        (known.0 == number).then_some(&known.1)
+    }
+
+    /// Remembers the blocks of a brick, in the place of others.
+    pub(super) fn insert(&mut self, number: u64, blocks: Blocks) {
+        if self.0.is_empty() {
+            self.0.resize(REMEMBERED, (u64::MAX, Blocks::NONE));
+        }
+        self.0[number as usize % REMEMBERED] = (number, blocks);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::format::VoxelKind;
+    use crate::scene::OpacityRule;
+    use crate::trace::grid::voxels::with_voxel;
+
+    fn a_voxel_shows_in_the_blocks_of_its_cells<V: Voxel>(kind: VoxelKind) {
+        let rule = OpacityRule::Curve(vec![(100.0, 0.0), (120.0, 1.0)]);
+        let values = Values::new(&crate::trace::grid::volume::tests::header([200; 3], kind), &rule);
+        let opacities = Opacities::new(&rule, &values, 1.0);
+        let n = V::SIDE;
+        let cells = n - 3;
+        for voxel in [[1, 1, 1], [4, 5, 6], [n - 2, 7, n - 2], [0, 3, 3], [9, n - 1, 5], [5, 5, 5]] {
+            let mut brick = vec![0_u8; n * n * n * kind.bytes()];
+            let at = ((voxel[2] * n + voxel[1]) * n + voxel[0]) * kind.bytes();
+            let stored: Vec<u8> = match kind {
+                VoxelKind::U8 => vec![110],
+                VoxelKind::I16 => 110_i16.to_le_bytes().to_vec(),
+                VoxelKind::U16 => 110_u16.to_le_bytes().to_vec(),
+                VoxelKind::F32 => 110_f32.to_le_bytes().to_vec(),
+            };
+            brick[at..at + stored.len()].copy_from_slice(&stored);
+            let blocks = Blocks::of::<V>(&brick, &values, &opacities);
+            for z in 0..cells as u32 {
+                for y in 0..cells as u32 {
+                    for x in 0..cells as u32 {
+                        // The voxel is a corner of this cell.
+                        let corner = [x, y, z]
+                            .iter()
+                            .zip(voxel)
+                            .all(|(&c, v)| c as usize + 1 == v || c as usize + 2 == v);
+                        if corner {
+                            assert!(blocks.has(Blocks::number::<V>([x, y, z])), "{voxel:?} in {x} {y} {z}");
+                        }
+                        // Nothing shows a block away.
+                        let far = [x, y, z]
+                            .iter()
+                            .zip(voxel)
+                            .any(|(&c, v)| (c as usize + 1).abs_diff(v) > 1 + BLOCK_CELLS);
+                        if far {
+                            assert!(!blocks.has(Blocks::number::<V>([x, y, z])), "{voxel:?} in {x} {y} {z}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_block_shows_if_a_corner_of_its_cells_does() {
+        for &kind in VoxelKind::ALL {
+            with_voxel!(kind, V => a_voxel_shows_in_the_blocks_of_its_cells::<V>(kind));
+        }
+    }
+
+    #[test]
+    fn the_blocks_of_a_brick_are_known_until_another_takes_their_place() {
+        let mut known = KnownBlocks::new();
+        assert!(known.get(3).is_none() && known.get(u64::MAX).is_none());
+        known.insert(3, Blocks::ALL);
+        known.insert(4, Blocks::NONE);
+        assert_eq!((known.get(3), known.get(4)), (Some(&Blocks::ALL), Some(&Blocks::NONE)));
+        assert!(known.get(5).is_none());
+        known.insert(3 + REMEMBERED as u64, Blocks::NONE);
+        assert!(known.get(3).is_none() && known.get(4).is_some());
+    }
+}

@@ -1,0 +1,247 @@
+//! A grid as the scene graph places it in the world, and its samples in a slab.
+
+use std::sync::Arc;
+
+use fearless_simd::dispatch;
+
+use super::batch::Spot;
+use super::brick::BrickSamples;
+use super::field::{Color, GridField, GridMarch, GridRequest};
+use super::gradients::Gradients;
+use super::opacity::{Opacities, Values};
+use super::spans::{Bricks, GridRays, Placement, Segment, bricks_met, segments, sort};
+use super::visible::{Blocks, KnownBlocks};
+use super::voxels::with_voxel;
+use crate::container::PAGE_HEAD_BYTES;
+use crate::field::{LANES, Packet, SLAB_SAMPLES};
+use crate::geometry::{Aabb, DAffine3, DVec3, Ray};
+use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
+use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, largest_stretch};
+use crate::trace::access::{Access, Halt};
+use crate::trace::node_samples::{MATERIAL, NodeSamples};
+use crate::trace::transfer::ColorTable;
+use crate::working_set::{Object, PagedFiles};
+
+/// A grid as the scene graph places it in the world.
+pub(in crate::trace) struct GridVolume {
+    object: GridObject,
+    pages: Arc<Object>,
+    world_from_voxel: DAffine3,
+    field: GridField,
+}
+
+/// Most bricks of a slab that are looked at before its rays are.
+const MOST_BRICKS: u32 = 64;
+
+/// Scratch memory shared by all grids of a thread.
+pub(in crate::trace) struct GridScratch {
+    segments: Vec<Segment>,
+    /// Samples of a brick that are not transparent, with their stored numbers less the base.
+    shown: Vec<(Spot, f32)>,
+    blocks: KnownBlocks,
+}
+
+impl GridScratch {
+    /// The most that it takes.
+    pub(in crate::trace) const BYTES: usize =
+        KnownBlocks::BYTES + LANES * SLAB_SAMPLES * (size_of::<(Spot, f32)>() + 2 * size_of::<Segment>());
+
+    pub(in crate::trace) fn new() -> Self {
+        Self { segments: Vec::new(), shown: Vec::new(), blocks: KnownBlocks::new() }
+    }
+}
+
+impl GridVolume {
+    /// `None` if the grid is not open in `paged`.
+    pub(in crate::trace) fn new(
+        object: &GridObject,
+        world_from_local: &DAffine3,
+        unit_distance: f64,
+        material: [f32; MATERIAL],
+        paged: &PagedFiles,
+    ) -> Option<Self> {
+        let pages = paged.find_grid(&object.grid)?.clone();
+        let world_from_voxel = *world_from_local * object.grid.header().space_from_voxel;
+        let voxel_from_world = world_from_voxel.inverse();
+        let header = object.grid.header();
+        let values = Values::new(header, &object.transfer.opacity);
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(color) => Color::Uniform(*color),
+            ColorRule::Points => Color::Uniform([1.0; 3]),
+            ColorRule::Map { map, .. } => Color::Map(ColorTable::new(map)),
+        };
+        let field = GridField {
+            placement: Placement {
+                voxel_from_world,
+                bounds_voxel: Aabb::new(DVec3::ZERO, header.last_voxel()),
+                bricks: Bricks::new(header),
+            },
+            color,
+            value_number: None,
+            opacities: Opacities::new(&object.transfer.opacity, &values, unit_distance),
+            gradients: Gradients::new(
+                &voxel_from_world,
+                &values,
+                object.outward(),
+                object.boundary_value(unit_distance),
+            ),
+            values,
+            material,
+        };
+        Some(Self { pages, world_from_voxel, field, object: object.clone() })
+    }
+
+    /// Sets the names of the program's attributes.
+    pub(in crate::trace) fn carry(&mut self, names: &[Arc<str>]) {
+        self.field.value_number = names.iter().position(|name| **name == *GRID_ATTRIBUTE);
+    }
+
+    pub(in crate::trace) fn material(&self) -> &[f32; MATERIAL] {
+        &self.field.material
+    }
+
+    pub(in crate::trace) fn uniform_color(&self) -> Option<[f32; 3]> {
+        if let Color::Uniform(color) = self.field.color { Some(color) } else { None }
+    }
+
+    /// The distance between voxels along a ray; world space.
+    pub(in crate::trace) fn spacing_world(&self, ray: &Ray) -> f64 {
+        1.0 / self.field.placement.voxel_from_world.transform_vector3(ray.direction).length()
+    }
+
+    /// The largest such distance along any ray.
+    pub(in crate::trace) fn largest_spacing_world(&self) -> f64 {
+        largest_stretch(&self.world_from_voxel)
+    }
+
+    /// Starts a packet.
+    pub(in crate::trace) fn begin(&self, packet: &Packet) -> GridMarch {
+        GridMarch(GridRays::new(&self.field.placement, packet))
+    }
+
+    /// Fills the lanes that meet anything visible.
+    pub(in crate::trace) fn sample(
+        &self,
+        request: &GridRequest<'_>,
+        scratch: &mut GridScratch,
+        out: &mut NodeSamples,
+    ) -> Result<(), Halt> {
+        out.touched = 0;
+        let GridRequest { access, march: GridMarch(rays), slab, live, simd, .. } = *request;
+        let GridScratch { segments: found, shown, blocks } = scratch;
+        let kind = self.object.grid.header().kind;
+        if !request.required.outside && self.known_empty(request, blocks) {
+            return Ok(());
+        }
+        with_voxel!(kind, V => dispatch!(simd.level(), _simd =>
+            segments::<V>(&self.field.placement, rays, slab, live, found)));
+        sort(found);
+        self.fetch(access, found)?;
+        let mut seen = [SLAB_SAMPLES; LANES];
+        // Brick by brick, whichever rays pass through them: each brick is retained once, and a small budget need not
+        // read it again for every ray. Samples are independent of each other, so their order does not matter.
+        for of_brick in found.chunk_by(|a, b| a.brick == b.brick) {
+            let number = of_brick[0].brick;
+            let key = request.key(number);
+            if !request.required.outside && blocks.get(key) == Some(&Blocks::NONE) {
+                continue;
+            }
+            if !self.shows(access, number)? {
+                blocks.insert(key, Blocks::NONE);
+                continue;
+            }
+            let page = access.retain_page(&self.pages, number as u32)?;
+            let brick = BrickSamples {
+                field: &self.field,
+                request,
+                voxels: &page[PAGE_HEAD_BYTES..PAGE_BYTES],
+                corner: self.field.placement.bricks.first_voxel(number),
+            };
+            with_voxel!(kind, V => {
+                let blocks = match blocks.get(key) {
+                    _ if request.required.outside => Blocks::ALL,
+                    Some(known) => *known,
+                    None => {
+                        let found = dispatch!(simd.level(), _simd =>
+                            Blocks::of::<V>(brick.voxels, &self.field.values, &self.field.opacities));
+                        blocks.insert(key, found);
+                        found
+                    }
+                };
+                dispatch!(simd.level(), _simd => brick.fill::<V>(of_brick, &blocks, &mut seen, shown, out));
+            });
+        }
+        Ok(())
+    }
+
+    /// Whether all bricks that the samples of a slab lie in are known to show nothing.
+    fn known_empty(&self, request: &GridRequest<'_>, blocks: &KnownBlocks) -> bool {
+        let GridRequest { march: GridMarch(rays), slab, live, simd, .. } = *request;
+        let met = with_voxel!(self.object.grid.header().kind, V => dispatch!(simd.level(), _simd =>
+            bricks_met::<V>(&self.field.placement, rays, slab, live.lanes())));
+        let Some([x, y, z]) = met else { return true };
+        let count = [x, y, z].iter().map(|[low, high]| high - low + 1).fold(1, u32::saturating_mul);
+        count <= MOST_BRICKS
+            && (z[0]..=z[1]).all(|z| {
+                (y[0]..=y[1]).all(|y| {
+                    (x[0]..=x[1]).all(|x| {
+                        let number = self.field.placement.bricks.number([x, y, z]);
+                        blocks.get(request.key(number)) == Some(&Blocks::NONE)
+                    })
+                })
+            })
+    }
+
+    /// Requests all absent bricks of a slab at once, unless the attempt waits for each page.
+    fn fetch(&self, access: Access<'_>, segments: &[Segment]) -> Result<(), Halt> {
+        if access.waits {
+            return Ok(());
+        }
+        let mut absent = Vec::new();
+        for of_brick in segments.chunk_by(|a, b| a.brick == b.brick) {
+            let brick = of_brick[0].brick;
+            if self.shows(access, brick)? && !self.pages.is_resident(brick as u32) {
+                absent.push(brick as u32);
+            }
+        }
+        if absent.len() > 1 {
+            access.pages.hint(&self.pages, &absent, u64::MAX);
+        }
+        Ok(())
+    }
+
+    /// Whether any value of a brick is visible.
+    fn shows(&self, access: Access<'_>, brick: u64) -> Result<bool, Halt> {
+        let header = self.object.grid.header();
+        let page = header.brick_pages() + brick / RANGES_PER_PAGE;
+        let guard = access.retain_page(&self.pages, page as u32)?;
+        let at = PAGE_HEAD_BYTES + (brick % RANGES_PER_PAGE) as usize * 8;
+        let number = |at: usize| f32::from_le_bytes([guard[at], guard[at + 1], guard[at + 2], guard[at + 3]]);
+        Ok(self
+            .field
+            .opacities
+            .shows(number(at) - self.field.values.base, number(at + 4) - self.field.values.base))
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::grid::format::GridHeader;
+
+    pub(in crate::trace::grid) fn header(size: [u64; 3], kind: VoxelKind) -> GridHeader {
+        GridHeader {
+            identity: crate::container::Identity::default(),
+            size,
+            kind,
+            range: (0.0, 1.0),
+            scale: 1.0,
+            offset: 0.0,
+            space_from_voxel: DAffine3::IDENTITY,
+            file_bytes: 0,
+            sources: Vec::new(),
+            up: None,
+            facing: None,
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Voxels as they are stored in bricks, read in pairs of neighbours along x.
+
+use crate::grid::format::VoxelKind;
+
+/// A kind of voxel. Pairs are kept as they are stored until many of them can be converted at once.
+pub(super) trait Voxel: Copy {
+    /// Voxels along an edge of a brick.
+    const SIDE: usize;
+    /// Two neighbours as they are stored.
+    type Pair: Copy + Default;
+    /// The voxels with indices `at` and `at + 1` in a brick.
+    fn pair(brick: &[u8], at: usize) -> Self::Pair;
+    /// Their stored numbers.
+    fn numbers(pair: Self::Pair) -> [f32; 2];
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct U8;
+#[derive(Clone, Copy)]
+pub(super) struct U16;
+#[derive(Clone, Copy)]
+pub(super) struct I16;
+#[derive(Clone, Copy)]
+pub(super) struct F32;
+
+/// `N` bytes of a brick.
+#[inline(always)]
+fn bytes<const N: usize>(brick: &[u8], at: usize) -> [u8; N] {
+    let mut bytes = [0; N];
+    bytes.copy_from_slice(&brick[at..at + N]);
+    bytes
+}
+
+impl Voxel for U8 {
+    const SIDE: usize = VoxelKind::U8.brick_voxels();
+    type Pair = u32;
+
+    #[inline(always)]
+    fn pair(brick: &[u8], at: usize) -> u32 {
+        u32::from(u16::from_le_bytes(bytes(brick, at)))
+    }
+
+    #[inline(always)]
+    fn numbers(pair: u32) -> [f32; 2] {
+        [(pair & 0xff) as i32 as f32, (pair >> 8) as i32 as f32]
+    }
+}
+
+impl Voxel for U16 {
+    const SIDE: usize = VoxelKind::U16.brick_voxels();
+    type Pair = u32;
+
+    #[inline(always)]
+    fn pair(brick: &[u8], at: usize) -> u32 {
+        u32::from_le_bytes(bytes(brick, 2 * at))
+    }
+
+    #[inline(always)]
+    fn numbers(pair: u32) -> [f32; 2] {
+        [(pair & 0xffff) as i32 as f32, (pair >> 16) as i32 as f32]
+    }
+}
+
+impl Voxel for I16 {
+    const SIDE: usize = VoxelKind::I16.brick_voxels();
+    type Pair = u32;
+
+    #[inline(always)]
+    fn pair(brick: &[u8], at: usize) -> u32 {
+        u32::from_le_bytes(bytes(brick, 2 * at))
+    }
+
+    #[inline(always)]
+    fn numbers(pair: u32) -> [f32; 2] {
+        [((pair << 16) as i32 >> 16) as f32, (pair as i32 >> 16) as f32]
+    }
+}
+
+impl Voxel for F32 {
+    const SIDE: usize = VoxelKind::F32.brick_voxels();
+    type Pair = u64;
+
+    #[inline(always)]
+    fn pair(brick: &[u8], at: usize) -> u64 {
+        u64::from_le_bytes(bytes(brick, 4 * at))
+    }
+
+    #[inline(always)]
+    fn numbers(pair: u64) -> [f32; 2] {
+        [f32::from_bits(pair as u32), f32::from_bits((pair >> 32) as u32)]
+    }
+}
+
+/// Calls a generic function with the type of a [`VoxelKind`].
+macro_rules! with_voxel {
+    ($kind:expr, $V:ident => $call:expr) => {
+        match $kind {
+            VoxelKind::U8 => {
+                type $V = $crate::trace::grid::voxels::U8;
+                $call
+            }
+            VoxelKind::I16 => {
+                type $V = $crate::trace::grid::voxels::I16;
+                $call
+            }
+            VoxelKind::U16 => {
+                type $V = $crate::trace::grid::voxels::U16;
+                $call
+            }
+            VoxelKind::F32 => {
+                type $V = $crate::trace::grid::voxels::F32;
+                $call
+            }
+        }
+    };
+}
+pub(super) use with_voxel;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs_of<V: Voxel>(kind: VoxelKind) {
+        let brick: Vec<u8> = (0..64_u32).map(|i| (i * 37 + 11) as u8 & 0x7f | (i as u8 & 2) << 6).collect();
+        for at in 0..64 / kind.bytes() - 1 {
+            let one = |at: usize| kind.value(&brick[at * kind.bytes()..]);
+            assert_eq!(
+                V::numbers(V::pair(&brick, at)).map(f32::to_bits),
+                [one(at), one(at + 1)].map(f32::to_bits)
+            );
+        }
+    }
+
+    #[test]
+    fn pairs_hold_the_same_numbers_as_voxels_one_by_one() {
+        for &kind in VoxelKind::ALL {
+            with_voxel!(kind, V => pairs_of::<V>(kind));
+        }
+    }
+}
