@@ -2,7 +2,7 @@
 
 /// Memory that the program takes before any cloud is open: code, arguments, the allocator's first pages. Measured at 6.8
 /// MiB on Linux; the rest is margin for code that is paged in later. The code of an unoptimised build is larger.
-pub(crate) const PROCESS_BYTES: u64 = if cfg!(debug_assertions) { 17 << 19 } else { 8 << 20 };
+pub(crate) const PROCESS_BYTES: u64 = if cfg!(debug_assertions) { 9 << 20 } else { 8 << 20 };
 
 /// Largest resident set so far in bytes, if the system reports it.
 pub(crate) fn peak_rss() -> Option<u64> {
