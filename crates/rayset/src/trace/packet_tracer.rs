@@ -205,6 +205,9 @@ impl<'a> PacketTracer<'a> {
             refraction.begin(members.iter().map(|&i| rays[i]));
         }
         self.states.fill(RayState::START);
+        if let Some(shadows) = &mut self.shadows {
+            shadows.begin();
+        }
         self.counts.packets += 1;
         let before = self.counts;
         self.march.begin(&packet);

@@ -42,7 +42,7 @@ impl<'a> DeepShadowLookups<'a> {
         Self { maker }
     }
 
-    /// Fills the rows of the contributing samples. Returns a bit for each sample that the map does not decide, because
+    /// Fills the rows of the samples that are wanted, a bit for each. Returns a bit for each sample that the map does not decide, because
     /// the rays around it differ: the edge of a shadow passes between them.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
@@ -53,7 +53,7 @@ impl<'a> DeepShadowLookups<'a> {
         packet: &Packet,
         slab: Slab,
         node: &NodeSamples,
-        shares: &Shares,
+        (shares, wanted): (&Shares, &[u32; LANES]),
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<[u32; LANES], Halt> {
@@ -64,7 +64,7 @@ impl<'a> DeepShadowLookups<'a> {
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            let mut samples = shares.samples[lane];
+            let mut samples = wanted[lane];
             while samples != 0 {
                 let j = samples.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
                 samples &= samples - 1;
@@ -94,7 +94,7 @@ impl<'a> DeepShadowLookups<'a> {
 
 /// Largest difference that the rays around a sample may make to its pixel, as a fraction of the light's largest
 /// contribution.
-const LARGEST_DOUBT: f32 = 1.0 / 64.0;
+pub(super) const LARGEST_DOUBT: f32 = 1.0 / 64.0;
 /// A boundary is extrapolated as a plane up to this slope against the plane across the light's rays; steeper slopes are
 /// clamped.
 const STEEPEST: f64 = 8.0;

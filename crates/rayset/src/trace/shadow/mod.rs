@@ -6,6 +6,7 @@ mod exact;
 mod map;
 mod place;
 mod shadows;
+mod sharing;
 mod table;
 mod transmittance;
 mod world;

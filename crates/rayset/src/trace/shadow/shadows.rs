@@ -2,6 +2,7 @@
 
 use super::cached::DeepShadowLookups;
 use super::exact::ShadowRays;
+use super::sharing::SharedShadows;
 use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::trace::access::{Access, Halt};
@@ -14,6 +15,7 @@ use crate::trace::shade::ShadowRows;
 pub(in crate::trace) struct Shadows<'a> {
     exact: ShadowRays<'a>,
     cached: DeepShadowLookups<'a>,
+    shared: SharedShadows,
     world: &'a ShadowWorld,
     rows: ShadowRows,
 }
@@ -24,9 +26,15 @@ impl<'a> Shadows<'a> {
         Self {
             exact: ShadowRays::new(world, slab_samples),
             cached: DeepShadowLookups::new(world, slab_samples),
+            shared: SharedShadows::new(world.lights.len()),
             world,
             rows: world.lights.iter().map(|light| light.as_ref().and_then(all)).collect(),
         }
+    }
+
+    /// Starts a packet.
+    pub(in crate::trace) fn begin(&mut self) {
+        self.shared.begin();
     }
 
     /// Computes how much of each light reaches the contributing samples.
@@ -39,7 +47,9 @@ impl<'a> Shadows<'a> {
         shares: &Shares,
         counts: &mut RenderCounts,
     ) -> Result<&ShadowRows, Halt> {
-        for (light, rows) in self.world.lights.iter().zip(&mut self.rows) {
+        self.shared.choose(slab, shares);
+        let samples = &self.shared.computed.clone();
+        for (number, (light, rows)) in self.world.lights.iter().zip(&mut self.rows).enumerate() {
             let (Some(with_shadows), Some(rows)) = (light, rows) else { continue };
             let LightWithShadows { light, table, .. } = with_shadows;
             match table {
@@ -51,14 +61,15 @@ impl<'a> Shadows<'a> {
                         packet,
                         slab,
                         node,
-                        shares,
+                        (shares, samples),
                         counts,
                         rows,
                     )?;
                     self.exact.find(access, light, packet, slab, node, &undecided, counts, rows)?;
                 }
-                None => self.exact.find(access, light, packet, slab, node, &shares.samples, counts, rows)?,
+                None => self.exact.find(access, light, packet, slab, node, samples, counts, rows)?,
             }
+            self.shared.spread(number, rows);
         }
         Ok(&self.rows)
     }
