@@ -57,6 +57,28 @@ pub enum CameraError {
     Projection,
 }
 
+/// How wide a pixel is along a ray, world space.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Footprint {
+    /// Where the ray starts.
+    pub(crate) width: f32,
+    /// By how much it grows per unit of distance.
+    pub(crate) spread: f32,
+}
+
+impl Footprint {
+    /// Its width at a distance along the ray.
+    #[inline(always)]
+    pub(crate) fn at(self, t: f64) -> f64 {
+        f64::from(self.width) + f64::from(self.spread) * t
+    }
+
+    /// That of a ray that starts at a distance along this one.
+    pub(crate) fn from(self, t: f64) -> Self {
+        Self { width: self.at(t) as f32, ..self }
+    }
+}
+
 /// A camera prepared for a picture of a given size; generates the rays of its pixels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RayMaker {
@@ -181,6 +203,18 @@ impl RayMaker {
             Projection::Orthographic { .. } => self.half_height,
         };
         Some(((u / half * height + width) * 0.5, (1.0 - v / half) * height * 0.5))
+    }
+
+    /// How wide a pixel is along one of its rays.
+    pub(crate) fn footprint(&self, ray: &Ray) -> Footprint {
+        let pixel = (2.0 * self.half_height / self.size[1]) as f32;
+        match self.camera.projection {
+            // On a plane in front of the eye all pixels are alike; the plane is nearer than the distance says.
+            Projection::Perspective { .. } => {
+                Footprint { width: 0.0, spread: pixel * ray.direction.dot(self.forward) as f32 }
+            }
+            Projection::Orthographic { .. } => Footprint { width: pixel, spread: 0.0 },
+        }
     }
 
     /// The ray through the centre of a pixel.

@@ -21,8 +21,8 @@ pub use crate::field::Kernel;
 use crate::geometry::Aabb;
 use crate::setters::setters;
 
-pub(crate) use camera::RayMaker;
 pub use camera::{Camera, CameraError, Projection};
+pub(crate) use camera::{Footprint, RayMaker};
 pub use colormap::Colormap;
 pub use error::{MOST_ATTRIBUTES, SceneError};
 pub(crate) use graph::check_transform;

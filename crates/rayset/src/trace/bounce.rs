@@ -11,6 +11,7 @@ use super::node_samples::{
 };
 use crate::field::{LANES, Packet, Slab};
 use crate::geometry::{DVec3, Ray};
+use crate::scene::Footprint;
 
 /// Samples whose reflection contributes less than this fraction of their pixel's light show their own colour instead.
 const LEAST_WEIGHT: f64 = 1.0 / 256.0;
@@ -59,7 +60,9 @@ pub(super) struct TreeRay {
     /// Offset of its samples along the ray, in steps.
     pub(super) sample_offset: f64,
     /// Index of its pixel in the tile.
-    pub(super) pixel: usize,
+    pub(super) pixel: u32,
+    /// The width of the pixel along the ray, as if no surface on the way were curved.
+    pub(super) footprint: Footprint,
     /// The fraction of its light that reaches the pixel.
     pub(super) weight: f64,
     /// Whether what it meets counts towards the opacity of the pixel: it has at most been refracted, never mirrored by
@@ -74,9 +77,9 @@ pub(super) struct TreeRay {
 
 impl TreeRay {
     /// A primary ray, which starts at the eye.
-    pub(super) fn primary(ray: Ray, sample_offset: f64, pixel: usize) -> Self {
+    pub(super) fn primary(ray: Ray, sample_offset: f64, pixel: u32, footprint: Footprint) -> Self {
         let (weight, covers, depth) = (1.0, true, 0);
-        Self { ray, sample_offset, pixel, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
+        Self { ray, sample_offset, pixel, footprint, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
     }
 
     /// Whether it starts at the eye.
@@ -309,8 +312,9 @@ impl RefractionStates {
         // As for a shadow ray, the first sample is (½ + offset) steps from `place`.
         let ray = Ray { origin: place + direction * (0.5 * packet.step_world()), direction };
         let depth = state.from.depth + 1;
-        self.next
-            .push((lane, TreeRay { ray, weight, depth, index: 1.0, normal, covers: false, ..state.from }));
+        let footprint = state.from.footprint.from(place.distance(state.from.ray.origin));
+        let from = TreeRay { footprint, ..state.from };
+        self.next.push((lane, TreeRay { ray, weight, depth, index: 1.0, normal, covers: false, ..from }));
         [0.0; 3]
     }
 
@@ -352,7 +356,8 @@ impl RefractionState {
         let t = if goes_out { at.t + to_boundary } else { (at.t - to_boundary).max(0.0) };
         let toward = |direction, index| {
             let ray = Ray { origin: self.from.ray.at(t), direction };
-            TreeRay { ray, depth: self.from.depth + 1, index, normal: at.normal, ..self.from }
+            let footprint = self.from.footprint.from(t);
+            TreeRay { ray, footprint, depth: self.from.depth + 1, index, normal: at.normal, ..self.from }
         };
         let back = toward(mirrored(direction, at.normal), before);
         self.bent = Some(match refracted(direction, at.normal, f64::from(before) / f64::from(index)) {

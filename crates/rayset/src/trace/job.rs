@@ -198,7 +198,7 @@ impl Job {
     /// Traces tile after tile, until none is left, the thread's turn is over, or too many finished tiles wait.
     fn trace_tiles(&self, turn: &Turn<'_>) {
         let exec = &self.prepared.engine.exec;
-        let mut tracer = PacketTracer::new(&self.prepared.world, exec.slab_samples);
+        let mut tracer = PacketTracer::new(&self.prepared.world, &self.rays, exec.slab_samples);
         let (asked_bytes, reuse) = (Cell::new(0), RefCell::default());
         let pages = self.pages.for_thread();
         let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse);

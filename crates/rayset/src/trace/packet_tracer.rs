@@ -16,10 +16,13 @@ use super::shadow::Shadows;
 use super::world::World;
 use crate::field::{LANES, Packet, Slab};
 use crate::geometry::Ray;
+use crate::scene::RayMaker;
 
 /// The scratch memory of one thread.
 pub(super) struct PacketTracer<'a> {
     world: &'a World,
+    /// The rays of the view.
+    rays: &'a RayMaker,
     march: March<'a>,
     shadows: Option<Shadows<'a>>,
     refraction: Option<RefractionStates>,
@@ -67,9 +70,10 @@ struct End {
 }
 
 impl<'a> PacketTracer<'a> {
-    pub(super) fn new(world: &'a World, slab_samples: usize) -> Self {
+    pub(super) fn new(world: &'a World, rays: &'a RayMaker, slab_samples: usize) -> Self {
         Self {
             world,
+            rays,
             march: March::new(&world.program, slab_samples),
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
@@ -121,7 +125,10 @@ impl<'a> PacketTracer<'a> {
         let before = self.layers.clone();
         let mut tree = std::mem::take(&mut self.tree);
         tree.rays.clear();
-        tree.rays.extend(pixels.clone().map(|pixel| TreeRay::primary(rays[pixel].0, rays[pixel].1, pixel)));
+        tree.rays.extend(pixels.clone().map(|pixel| {
+            let (ray, sample_offset) = rays[pixel];
+            TreeRay::primary(ray, sample_offset, pixel as u32, self.rays.footprint(&ray))
+        }));
         let mut outcome = Ok(Traced::Whole);
         // Generation by generation, adding the light of rays in their order: sums do not depend on how rays form
         // packets.
@@ -157,7 +164,7 @@ impl<'a> PacketTracer<'a> {
             }
         }
         for (ray, end) in tree.rays.iter().zip(&tree.ends) {
-            seen[ray.pixel].add(ray, end, self.world.background);
+            seen[ray.pixel as usize].add(ray, end, self.world.background);
         }
         tree.next.sort_by_key(|(parent, _)| *parent);
         tree.rays.clear();
@@ -206,13 +213,13 @@ impl<'a> PacketTracer<'a> {
         }
         self.states.fill(RayState::START);
         if let Some(shadows) = &mut self.shadows {
-            shadows.begin();
+            shadows.begin(members.iter().map(|&i| rays[i].footprint));
         }
         self.counts.packets += 1;
         let before = self.counts;
         self.march.begin(&packet);
         let mut node = self.march.node_samples();
-        let places: Vec<usize> = members.iter().map(|&i| rays[i].pixel).collect();
+        let places: Vec<usize> = members.iter().map(|&i| rays[i].pixel as usize).collect();
         let pixels = rays[members[0]].is_primary().then_some(&places[..]);
         let outcome = self.pass(access, &packet, pixels, refraction.as_mut(), &mut node);
         self.march.give_back(node);

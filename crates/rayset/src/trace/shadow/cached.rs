@@ -1,6 +1,10 @@
 //! Shadows from deep shadow maps, which are traced from the light. Each tile of a map is a pure function of scene,
 //! light and tile; it is computed when first needed, evicted like any page, and recomputed to the same bits.
 //!
+//! A map has levels, each of half as many rays along a side as the one before. A sample is looked up in the coarsest whose
+//! cells are at most half as wide as the sample's pixel: a function of view and sample. So a picture costs shadows by its
+//! pixels, and a level that several views need is computed once.
+//!
 //! Between its rays a map can only interpolate: it resolves shadow edges to one cell. If the rays around a sample
 //! differ so much that the difference would be visible in its pixel, the sample gets a shadow ray of its own; where
 //! shadows are larger than cells these are a small fraction of all samples. The decision is a function of sample and
@@ -13,6 +17,7 @@ use super::transmittance::{self, TransmittanceCurves};
 use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::geometry::{DVec3, Ray};
+use crate::scene::Footprint;
 use crate::trace::access::{Access, Halt};
 use crate::trace::composite::{RayState, Shares};
 use crate::trace::counts::RenderCounts;
@@ -28,6 +33,8 @@ const CORNERS: u32 = TILE_CELLS + 1;
 /// Looks up shadows by interpolation between the rays of a light; computes missing tiles.
 pub(super) struct DeepShadowLookups<'a> {
     maker: TileMaker<'a>,
+    /// Of the rays of a packet.
+    footprints: [Footprint; LANES],
 }
 
 impl<'a> DeepShadowLookups<'a> {
@@ -39,7 +46,12 @@ impl<'a> DeepShadowLookups<'a> {
             shares: Shares::new(),
             curves: TransmittanceCurves::new(),
         };
-        Self { maker }
+        Self { maker, footprints: [Footprint::default(); LANES] }
+    }
+
+    /// Starts a packet.
+    pub(super) fn begin(&mut self, footprints: impl Iterator<Item = Footprint>) {
+        self.footprints.iter_mut().zip(footprints).for_each(|(own, of_ray)| *own = of_ray);
     }
 
     /// Fills the rows of the samples that are wanted, a bit for each. Returns a bit for each sample that the map does not decide, because
@@ -69,7 +81,8 @@ impl<'a> DeepShadowLookups<'a> {
                 let j = samples.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
                 samples &= samples - 1;
                 let place = lit_place(packet, node, lane, slab.first + j as u64, j);
-                let Some(texel) = table.map.texel(place) else {
+                let width = self.footprints[lane].at(packet.sample_t_world(lane, slab.first + j as u64));
+                let Some(texel) = table.map.texel(place, width) else {
                     rows[lane].0[j] = 1.0;
                     continue;
                 };

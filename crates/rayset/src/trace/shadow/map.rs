@@ -1,4 +1,4 @@
-//! The rays of a light: a lattice over everything it may light.
+//! The rays of a light: lattices over everything it may light, from fine to coarse.
 
 use crate::geometry::{Aabb, DVec3, Ray};
 use crate::scene::{Light, LightKind};
@@ -6,12 +6,33 @@ use crate::scene::{Light, LightKind};
 /// Cells along a side of a tile; the tile's rays pass through the corners of the cells.
 pub(super) const TILE_CELLS: u32 = 7;
 
+/// Fewest cells along a side of a face in a level besides the finest.
+const FEWEST_CELLS: u32 = 2 * TILE_CELLS;
+/// A sample's pixel is at least so many cells of its level wide, or the level is the finest.
+const CELLS_OF_A_PIXEL: f64 = 2.0;
+
 /// Rays of a light, through the corners of square cells.
 #[derive(Clone, Debug)]
 pub(super) struct LightMap {
     faces: Vec<Face>,
-    /// Cells along a side of a face.
+    /// The finest first.
+    levels: Vec<Level>,
+}
+
+/// A lattice of cells over each face.
+#[derive(Clone, Copy, Debug)]
+struct Level {
+    /// Cells along a side of a face; about half as many as in the level before.
     resolution: u32,
+    /// Number of its first tile.
+    first_tile: u32,
+}
+
+impl Level {
+    /// Tiles along a side of a face.
+    fn side(self) -> u32 {
+        self.resolution.div_ceil(TILE_CELLS)
+    }
 }
 
 /// A square of cells, and the origin of their rays.
@@ -45,7 +66,7 @@ pub(super) struct Texel {
 }
 
 impl LightMap {
-    /// The map of a light over the bounds of a scene; `None` if the scene is empty or the light has no rays.
+    /// The map of a light over the bounds of a scene, with `resolution` cells along a side in its finest level; `None` if the scene is empty or the light has no rays.
     pub(super) fn new(light: &Light, bounds: &Aabb, resolution: u32) -> Option<Self> {
         if bounds.is_empty() {
             return None;
@@ -74,31 +95,35 @@ impl LightMap {
         };
         let mut faces = faces;
         faces.iter_mut().for_each(|face| face.count_cells(resolution));
-        Some(Self { faces, resolution })
+        let mut levels = vec![Level { resolution, first_tile: 0 }];
+        while let Some(&last) = levels.last()
+            && last.resolution / 2 >= FEWEST_CELLS
+        {
+            let first_tile = last.first_tile + faces.len() as u32 * last.side() * last.side();
+            levels.push(Level { resolution: last.resolution.div_ceil(2), first_tile });
+        }
+        Some(Self { faces, levels })
     }
 
-    /// Tiles along a side of a face.
-    fn side(&self) -> u32 {
-        self.resolution.div_ceil(TILE_CELLS)
-    }
-
+    /// Number of tiles of all levels.
     pub(super) fn tiles(&self) -> u32 {
-        self.faces.len() as u32 * self.side() * self.side()
+        self.levels.last().map_or(0, |l| l.first_tile + self.faces.len() as u32 * l.side() * l.side())
     }
 
     /// The rays of a tile, row by row. They start at the light, or at the plane of parallel rays.
     pub(super) fn rays(&self, tile: u32) -> Vec<Ray> {
-        let (side, corners) = (self.side(), TILE_CELLS + 1);
+        let level = self.levels.iter().rfind(|level| level.first_tile <= tile).unwrap_or(&self.levels[0]);
+        let (side, corners, tile) = (level.side(), TILE_CELLS + 1, tile - level.first_tile);
         let face = &self.faces[(tile / (side * side)) as usize];
         let (bx, by) = (tile % side, tile / side % side);
-        let place = |b: u32, c: u32| f64::from(b * TILE_CELLS + c) / f64::from(self.resolution) * 2.0 - 1.0;
+        let place = |b: u32, c: u32| f64::from(b * TILE_CELLS + c) / f64::from(level.resolution) * 2.0 - 1.0;
         (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
     }
 
-    /// Projects a position; `None` if it is outside the map.
+    /// Projects a position, seen by a pixel of a given width there, world space; `None` if it is outside the map.
     #[inline(always)]
-    pub(super) fn texel(&self, place: DVec3) -> Option<Texel> {
-        let resolution = f64::from(self.resolution);
+    pub(super) fn texel(&self, place: DVec3, pixel_width: f64) -> Option<Texel> {
+        let resolution = f64::from(self.levels[0].resolution);
         let (mut number, mut found) = (0, None);
         while found.is_none() && number < self.faces.len() {
             found = self.faces[number].project(place, resolution);
@@ -106,16 +131,29 @@ impl LightMap {
         }
         let (x, y, distance, depth) = found?;
         let face = &self.faces[number - 1];
-        let (column, row) = ((x as u32).min(self.resolution - 1), (y as u32).min(self.resolution - 1));
-        let side = self.side();
-        let size = 2.0 * face.half / resolution * depth;
+        let finest = 2.0 * face.half / resolution * depth;
+        let level = self.level(pixel_width / finest);
+        let coarser = f64::from(level.resolution) / resolution;
+        let (x, y, size) = (x * coarser, y * coarser, finest / coarser);
+        let (column, row) = ((x as u32).min(level.resolution - 1), (y as u32).min(level.resolution - 1));
+        let (side, tile) = (level.side(), level.first_tile);
         Some(Texel {
-            tile: ((number as u32 - 1) * side + row / TILE_CELLS) * side + column / TILE_CELLS,
+            tile: tile + ((number as u32 - 1) * side + row / TILE_CELLS) * side + column / TILE_CELLS,
             cell: (column % TILE_CELLS, row % TILE_CELLS),
             within: (x - f64::from(column), y - f64::from(row)),
             distance,
             next: (face.right * size, face.up * size),
         })
+    }
+}
+
+impl LightMap {
+    /// The level for a pixel that is so many cells of the finest level wide.
+    #[inline(always)]
+    fn level(&self, cells: f64) -> Level {
+        // The exponent is the logarithm, rounded down; what is not a number has the finest level.
+        let octaves = ((cells / CELLS_OF_A_PIXEL).max(1.0).to_bits() >> 52) as usize - 1023;
+        self.levels[octaves.min(self.levels.len() - 1)]
     }
 }
 
@@ -183,6 +221,7 @@ mod tests {
             place in prop::array::uniform3(-1.0_f64..1.0),
             light in prop::array::uniform3(-4.0_f64..4.0),
             parallel in any::<bool>(),
+            pixel_width in prop_oneof![Just(0.0), 0.001_f64..1.0, Just(f64::NAN), Just(f64::INFINITY)],
         ) {
             let (place, light) = (DVec3::from_array(place), DVec3::from_array(light));
             prop_assume!(light.distance(place) > 0.1);
@@ -193,8 +232,14 @@ mod tests {
             };
             let light = Light { kind, color: [1.0; 3], shadow: true };
             let map = LightMap::new(&light, &Aabb::new(DVec3::NEG_ONE, DVec3::ONE), 100).expect("it has rays");
-            let texel = map.texel(place).expect("the map covers the scene");
+            let texel = map.texel(place, pixel_width).expect("the map covers the scene");
             prop_assert!(texel.tile < map.tiles());
+            let finest = map.texel(place, 0.0).expect("likewise");
+            let (size, least) = (texel.size(), finest.size() * 0.999);
+            prop_assert!(size >= least, "{size} < {least}");
+            prop_assert!(pixel_width.is_nan() || size <= (0.51 * pixel_width).max(1.001 * finest.size()));
+            let coarsest = size >= 3.9 * finest.size();
+            prop_assert!(pixel_width.is_nan() || coarsest || size >= 0.24 * pixel_width, "{size}, {pixel_width}");
             let rays = map.rays(texel.tile);
             let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (TILE_CELLS + 1) + texel.cell.0 + i) as usize];
             for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {

@@ -5,6 +5,7 @@ use super::exact::ShadowRays;
 use super::sharing::SharedShadows;
 use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
+use crate::scene::Footprint;
 use crate::trace::access::{Access, Halt};
 use crate::trace::composite::Shares;
 use crate::trace::counts::RenderCounts;
@@ -32,9 +33,10 @@ impl<'a> Shadows<'a> {
         }
     }
 
-    /// Starts a packet.
-    pub(in crate::trace) fn begin(&mut self) {
+    /// Starts a packet, given how wide the pixels of its rays are.
+    pub(in crate::trace) fn begin(&mut self, footprints: impl Iterator<Item = Footprint>) {
         self.shared.begin();
+        self.cached.begin(footprints);
     }
 
     /// Computes how much of each light reaches the contributing samples.
