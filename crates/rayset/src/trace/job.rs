@@ -7,11 +7,12 @@ use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, PoisonError};
 
-use super::access::Halt;
+use super::access::{Access, Halt};
 use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
 use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
+use super::ray_tree::Sheet;
 use super::scheduler::{Tally, Task, Turn};
 use super::tiles::{Attempt, Deferred, TileQueue};
 use super::work::{Tile, TilePlace, Work};
@@ -27,6 +28,8 @@ use crate::working_set::{PageClient, Reuse};
 const MOST_WAITING: usize = 32;
 /// With this many or fewer, threads that have left are called back.
 const FEW_WAITING: usize = MOST_WAITING / 2;
+/// Most tiles that a thread traces together.
+const MOST_TOGETHER: usize = 16;
 
 pub(super) struct Job {
     prepared: Arc<Prepared>,
@@ -200,21 +203,27 @@ impl Job {
         let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, &self.rays, exec.slab_samples);
         let (asked_bytes, reuse) = (Cell::new(0), RefCell::default());
+        // Tiles that are traced together: fewer if pages have to be waited for.
+        let mut together = 1;
         let pages = self.pages.for_thread();
         let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse);
         while !self.stop.is_cancelled()
-            && let Some(attempt) = queue.next(self.lookahead_state.tiles_to_defer(), || self.take())
+            && let Some(attempt) = queue.next(self.lookahead_state.tiles_to_defer(), || self.take(together))
         {
-            exec.predictor.ahead(self.lookahead(&pages, &reuse), attempt.place.tile);
+            for tile in attempt.place.tiles() {
+                exec.predictor.ahead(self.lookahead(&pages, &reuse), tile);
+            }
             let (before, mut is_full) = (tracer.counts(), false);
             asked_bytes.set(0);
             pages.begin_round(&mut reuse.borrow_mut());
             match self.trace(&attempt, &mut tracer) {
-                Ok(output) => {
+                Ok(outputs) => {
                     pages.end_round(&mut reuse.borrow_mut());
-                    is_full = self.finish(output, turn);
+                    is_full = self.finish(outputs, turn);
+                    together = (2 * together).min(self.most_together());
                 }
                 Err(Halt::Deferred(lacking)) => {
+                    together = 1;
                     tracer.deferred(before);
                     queue.deferred(&attempt, lacking);
                 }
@@ -235,8 +244,16 @@ impl Job {
         }
     }
 
-    /// A tile that a thread left behind, otherwise the next tile of the work.
-    fn take(&self) -> Option<Deferred> {
+    /// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
+    /// follow from different tiles share packets.
+    fn most_together(&self) -> usize {
+        let world = &self.prepared.world;
+        if world.bounces.is_some() && !world.layers { MOST_TOGETHER } else { 1 }
+    }
+
+    /// A tile that a thread left behind, otherwise the next tiles of the work: as many as are traced together, fewer at
+    /// its end, so that all threads have something to do until then.
+    fn take(&self, together: usize) -> Option<Deferred> {
         let mut state = self.lock();
         if let Some(deferred) = state.left_behind.pop() {
             return Some(deferred);
@@ -244,8 +261,10 @@ impl Job {
         if !state.has_tiles(self) {
             return None;
         }
-        state.next += 1;
-        Some(Deferred::fresh(TilePlace { tile: state.next - 1, pass: state.pass }))
+        let (tile, left) = (state.next, self.tiles.len() - state.next);
+        let count = together.min(left / (2 * self.prepared.engine.exec.threads.max(1))).max(1);
+        state.next += count;
+        Some(Deferred::fresh(TilePlace { tile, count, pass: state.pass }))
     }
 
     fn lookahead<'a>(&'a self, pages: &'a PageClient, reuse: &'a RefCell<Reuse>) -> Lookahead<'a> {
@@ -253,37 +272,65 @@ impl Job {
         Lookahead { state: &self.lookahead_state, world, rays: &self.rays, pages, reuse }
     }
 
-    /// Traces the rays of a tile in one pass.
-    fn trace(&self, attempt: &Attempt<'_>, tracer: &mut PacketTracer<'_>) -> Result<Output, Halt> {
-        let TilePlace { tile: index, pass } = attempt.place;
-        let (tile, access) = (self.tiles[index], attempt.access);
-        let mut sums = self.earlier(index, tracer.layers());
-        let (cells, rays) = (self.settings.samples, self.passes[pass].clone());
-        for cell in rays.clone() {
-            let (i, j) = (cell % cells, cell / cells);
-            let mut places = Vec::with_capacity(LANES);
-            for y in tile.y..tile.y + tile.height {
-                for x in tile.x..tile.x + tile.width {
-                    let (u, v) = self.settings.ray_place(x, y, i, j);
-                    places.push((
-                        self.rays.ray(u, v),
-                        self.settings.sample_offset_of(x * cells + i, y * cells + j),
-                    ));
+    /// Traces the rays of some tiles in one pass.
+    fn trace(&self, attempt: &Attempt<'_>, tracer: &mut PacketTracer<'_>) -> Result<Vec<Output>, Halt> {
+        let (place, access) = (attempt.place, attempt.access);
+        let mut sums: Vec<TileSums> =
+            place.tiles().map(|index| self.earlier(index, tracer.layers())).collect();
+        let rays = self.passes[place.pass].clone();
+        // A sheet for each ray of a pixel, tile by tile. With layers, which know one tile and add up ray by ray, sheets are
+        // traced one by one.
+        let sheets = place.count * rays.len();
+        let at_once = if self.prepared.world.layers { 1 } else { sheets };
+        for first in (0..sheets).step_by(at_once) {
+            let make = |number: usize, sheet: &mut Sheet| {
+                let number = (first + number) as u32;
+                let tile = self.tiles[place.tile + (number / rays.len() as u32) as usize];
+                self.fill(tile, rays.start + number % rays.len() as u32, sheet);
+            };
+            tracer.trace(access, at_once, make, |number, seen| {
+                let sums = &mut sums[(first + number) / rays.len()];
+                for (sum, seen) in sums.pixels.iter_mut().zip(seen) {
+                    (0..4).for_each(|channel| sum[channel] += seen[channel]);
                 }
-            }
-            for (sum, seen) in sums.pixels.iter_mut().zip(tracer.trace(access, &places)?) {
-                (0..4).for_each(|channel| sum[channel] += seen[channel]);
+            })?;
+        }
+        let outputs = place.singly().zip(sums);
+        Ok(outputs.map(|(place, sums)| self.output(place, sums, access, tracer)).collect())
+    }
+
+    /// Makes the sheet of one ray of every pixel of a tile.
+    fn fill(&self, tile: Tile, cell: u32, sheet: &mut Sheet) {
+        let cells = self.settings.samples;
+        let (i, j) = (cell % cells, cell / cells);
+        sheet.clear();
+        for y in tile.y..tile.y + tile.height {
+            for x in tile.x..tile.x + tile.width {
+                let (u, v) = self.settings.ray_place(x, y, i, j);
+                let sample_offset = self.settings.sample_offset_of(x * cells + i, y * cells + j);
+                sheet.push((self.rays.ray(u, v), sample_offset));
             }
         }
+    }
+
+    /// A tile as its rays have seen it so far.
+    fn output(
+        &self,
+        TilePlace { tile: index, pass, .. }: TilePlace,
+        mut sums: TileSums,
+        access: Access<'_>,
+        tracer: &mut PacketTracer<'_>,
+    ) -> Output {
+        let tile = self.tiles[index];
         sums.asked_bytes += access.asked_bytes.get();
-        let share = 1.0 / rays.end as f32;
+        let share = 1.0 / self.passes[pass].end as f32;
         let pixels = sums.pixels.map(|sum| sum.map(|v| v * share));
         let known = tracer.layers().map(|layers| Box::new(layers.pixels(tile.pixels(), sums.asked_bytes)));
         if let Some(earlier) = self.earlier.get(index) {
             sums.layers = tracer.layers().cloned();
             *earlier.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(sums));
         }
-        Ok(Output { tile, pass: pass as u32, pixels, layers: known })
+        Output { tile, pass: pass as u32, pixels, layers: known }
     }
 
     /// What the rays of a tile have seen in earlier passes; also restores the thread's layers to that state.
@@ -303,12 +350,12 @@ impl Job {
         sums
     }
 
-    /// Hands over a finished tile; after the last tile of a pass, begins the next pass. Returns whether too many tiles
+    /// Hands over finished tiles; after the last tile of a pass, begins the next pass. Returns whether too many tiles
     /// wait.
-    fn finish(&self, output: Output, turn: &Turn<'_>) -> bool {
+    fn finish(&self, outputs: Vec<Output>, turn: &Turn<'_>) -> bool {
         let mut state = self.lock();
-        state.outputs.push_back(output);
-        state.finished += 1;
+        state.finished += outputs.len();
+        state.outputs.extend(outputs);
         let next_pass = state.finished == self.tiles.len();
         if next_pass {
             (state.pass, state.next, state.finished) = (state.pass + 1, 0, 0);

@@ -28,6 +28,7 @@ pub mod predict;
 mod prepared;
 mod procedural_volume;
 mod program;
+mod ray_tree;
 pub mod reference;
 mod scheduler;
 mod secondary;

@@ -4,13 +4,13 @@
 use std::ops::Range;
 
 use super::access::{Access, Halt};
-use super::bounce::{RefractionStates, TreeRay, most_rays_of_a_pixel};
+use super::bounce::{RefractionStates, TreeRay};
 use super::composite::{RayState, Shares};
 use super::counts::RenderCounts;
 use super::layers::Layers;
 use super::march::March;
 use super::node_samples::NodeSamples;
-use super::secondary::coherent_groups;
+use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
 use super::shade::Shown;
 use super::shadow::Shadows;
 use super::world::World;
@@ -27,30 +27,10 @@ pub(super) struct PacketTracer<'a> {
     shadows: Option<Shadows<'a>>,
     refraction: Option<RefractionStates>,
     layers: Option<Layers>,
-    tree: Tree,
+    tree: RayTree,
     shares: Shares,
     states: [RayState; LANES],
     counts: RenderCounts,
-}
-
-/// Most rays, of one generation and the next, that are held at a time if they belong to several pixels.
-const MOST_RAYS: usize = 2048;
-/// Bytes for each of them: the ray twice, its result, and its place in a packet.
-const RAY_BYTES: usize = 3 * size_of::<(usize, TreeRay)>();
-
-/// The most bytes that the rays of a tile take.
-pub(super) fn tree_bytes(max_depth: u32) -> u64 {
-    ((MOST_RAYS + LANES).max(2 * most_rays_of_a_pixel(max_depth)) * RAY_BYTES) as u64
-}
-
-/// One generation of rays, and the next. Kept from tile to tile: allocating and freeing it in between pages would
-/// fragment the heap, and the process would exceed its budget.
-#[derive(Default)]
-struct Tree {
-    rays: Vec<TreeRay>,
-    ends: Vec<End>,
-    /// Each with the index of the ray that it comes from.
-    next: Vec<(usize, TreeRay)>,
 }
 
 /// Whether all rays of a generation were traced.
@@ -59,14 +39,6 @@ enum Traced {
     Whole,
     /// Stopped, because too many rays follow.
     TooMany,
-}
-
-/// The result of a ray.
-#[derive(Clone, Copy, Default)]
-struct End {
-    color: [f32; 3],
-    /// The fraction of the background that it sees.
-    open: f64,
 }
 
 impl<'a> PacketTracer<'a> {
@@ -78,7 +50,7 @@ impl<'a> PacketTracer<'a> {
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
             layers: world.layers.then(Layers::new),
-            tree: Tree::default(),
+            tree: RayTree::default(),
             shares: Shares::new(),
             states: [RayState::START; LANES],
             counts: RenderCounts::default(),
@@ -99,136 +71,154 @@ impl<'a> PacketTracer<'a> {
         self.layers.as_mut()
     }
 
-    /// Traces at most 64 primary rays, each with its sample offset, and the rays that follow from them. Returns what
-    /// each of them sees, in the order of `rays`.
+    /// Traces sheets of primary rays and the rays that follow from them. `make` fills the sheet of a number; `done` is
+    /// given the number of a sheet and what each of its rays sees, in the order of the sheets.
+    ///
+    /// Layers are gathered by pixel of a tile, sheet by sheet: with layers, there is one sheet at a time.
+    ///
+    /// Rays that follow from several sheets are traced together: mirrored rays of one tile go in all directions, and few
+    /// of them one way. The light of rays is added generation by generation in the order of their parents, so that sums do
+    /// not depend on how rays form packets.
     pub(super) fn trace(
         &mut self,
         access: Access<'_>,
-        rays: &[(Ray, f64)],
-    ) -> Result<[[f32; 4]; LANES], Halt> {
-        let mut seen = [Seen::default(); LANES];
-        self.pixels(access, rays, 0..rays.len(), &mut seen)?;
-        if let Some(layers) = &mut self.layers {
-            (0..rays.len()).for_each(|pixel| layers.hide(pixel, 1.0 - seen[pixel].open as f32));
-        }
-        Ok(seen.map(|seen| seen.pixel(self.world.background)))
+        sheets: usize,
+        make: impl Fn(usize, &mut Sheet),
+        done: impl FnMut(usize, [[f32; 4]; LANES]),
+    ) -> Result<(), Halt> {
+        let mut tree = std::mem::take(&mut self.tree);
+        let outcome = self.sheets(access, &mut tree, sheets, make, done);
+        self.tree = tree;
+        outcome
     }
 
-    /// Traces some of the primary rays: together, or half of them at a time if too many rays would follow.
+    fn sheets(
+        &mut self,
+        access: Access<'_>,
+        tree: &mut RayTree,
+        sheets: usize,
+        make: impl Fn(usize, &mut Sheet),
+        mut done: impl FnMut(usize, [[f32; 4]; LANES]),
+    ) -> Result<(), Halt> {
+        let (mut first, mut sheet) = (0, Sheet::with_capacity(LANES));
+        tree.begin();
+        for number in 0..sheets {
+            let layers_before = self.layers.clone();
+            make(number, &mut sheet);
+            tree.add_sheet(&sheet, self.rays, number - first);
+            let mut traced = self.generation(access, tree, true)?;
+            let is_last = number + 1 == sheets || number + 1 - first == MOST_SHEETS;
+            if traced == Traced::Whole && !is_last && self.world.bounces.is_some() && !tree.is_full() {
+                continue;
+            }
+            while traced == Traced::Whole && tree.advance() {
+                traced = self.generation(access, tree, true)?;
+            }
+            if traced == Traced::TooMany {
+                self.layers = layers_before;
+            }
+            for one in first..=number {
+                let at = one - first;
+                if traced == Traced::TooMany {
+                    make(one, &mut sheet);
+                    self.pixels(access, tree, &sheet, 0..sheet.len(), at)?;
+                }
+                let seen = tree.seen_by(at);
+                if let Some(layers) = &mut self.layers {
+                    (0..sheet.len()).for_each(|pixel| layers.hide(pixel, 1.0 - seen[pixel].open as f32));
+                }
+                done(one, seen.map(|seen| seen.pixel(self.world.background)));
+            }
+            first = number + 1;
+            tree.begin();
+        }
+        Ok(())
+    }
+
+    /// Traces some rays of one sheet, whose number is `at`: together, or half of them at a time if too many rays would
+    /// follow.
     fn pixels(
         &mut self,
         access: Access<'_>,
-        rays: &[(Ray, f64)],
+        tree: &mut RayTree,
+        sheet: &Sheet,
         pixels: Range<usize>,
-        seen: &mut [Seen; LANES],
+        at: usize,
     ) -> Result<(), Halt> {
         let before = self.layers.clone();
-        let mut tree = std::mem::take(&mut self.tree);
-        tree.rays.clear();
-        tree.rays.extend(pixels.clone().map(|pixel| {
-            let (ray, sample_offset) = rays[pixel];
-            TreeRay::primary(ray, sample_offset, pixel as u32, self.rays.footprint(&ray))
-        }));
-        let mut outcome = Ok(Traced::Whole);
-        // Generation by generation, adding the light of rays in their order: sums do not depend on how rays form
-        // packets.
-        while !tree.rays.is_empty() && matches!(outcome, Ok(Traced::Whole)) {
-            outcome = self.generation(access, &mut tree, seen, pixels.len());
+        tree.start_again(sheet, self.rays, pixels.clone(), at);
+        let mut traced = Traced::Whole;
+        while traced == Traced::Whole && !tree.rays.is_empty() {
+            traced = self.generation(access, tree, pixels.len() > 1)?;
+            tree.advance();
         }
-        self.tree = tree;
-        if outcome? == Traced::Whole {
+        if traced == Traced::Whole {
             return Ok(());
         }
         self.layers = before;
-        seen[pixels.clone()].fill(Seen::default());
         let middle = pixels.start + pixels.len() / 2;
-        self.pixels(access, rays, pixels.start..middle, seen)?;
-        self.pixels(access, rays, middle..pixels.end, seen)
+        self.pixels(access, tree, sheet, pixels.start..middle, at)?;
+        self.pixels(access, tree, sheet, middle..pixels.end, at)
     }
 
-    /// Traces one generation of rays, which belong to `pixels` pixels, and makes the next one from their successors.
+    /// Traces the rays of a tree and adds their light; collects their successors. Stops if they are too many and that is
+    /// of interest.
     fn generation(
         &mut self,
         access: Access<'_>,
-        tree: &mut Tree,
-        seen: &mut [Seen; LANES],
-        pixels: usize,
+        tree: &mut RayTree,
+        is_limited: bool,
     ) -> Result<Traced, Halt> {
+        let known = tree.next.len();
         tree.ends.clear();
         tree.ends.resize(tree.rays.len(), End::default());
-        tree.next.clear();
-        for (step, members) in self.packets(access, &tree.rays)? {
+        for (step, members) in tree.packets(access, self.world)? {
             self.packet(access, tree, &members, step)?;
-            if pixels > 1 && tree.rays.len() + tree.next.len() > MOST_RAYS {
+            if is_limited && tree.has_too_many() {
                 return Ok(Traced::TooMany);
             }
         }
-        for (ray, end) in tree.rays.iter().zip(&tree.ends) {
-            seen[ray.pixel as usize].add(ray, end, self.world.background);
-        }
-        tree.next.sort_by_key(|(parent, _)| *parent);
-        tree.rays.clear();
-        tree.rays.extend(tree.next.iter().map(|(_, ray)| ray));
+        tree.gather(known, self.world.background);
         Ok(Traced::Whole)
-    }
-
-    /// Groups rays into packets: the step and the members of each.
-    fn packets(&self, access: Access<'_>, rays: &[TreeRay]) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
-        let places: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
-        let steps = &self.world.steps;
-        if rays[0].is_primary() {
-            let groups = steps.groups(access, &self.world.program, &places)?;
-            return Ok(groups.into_iter().map(|group| (group.step, group.members)).collect());
-        }
-        let mut packets = Vec::new();
-        let mut order: Vec<usize> = (0..rays.len()).collect();
-        order.sort_by_key(|&i| rays[i].octant());
-        for some in
-            order.chunk_by(|&a, &b| rays[a].octant() == rays[b].octant()).flat_map(|same| same.chunks(LANES))
-        {
-            let some_places: Vec<(Ray, f64)> = some.iter().map(|&i| places[i]).collect();
-            for group in steps.groups(access, &self.world.program, &some_places)? {
-                let members: Vec<usize> = group.members.iter().map(|&i| some[i]).collect();
-                packets.extend(
-                    coherent_groups(&places, &members, group.step).into_iter().map(|m| (group.step, m)),
-                );
-            }
-        }
-        Ok(packets)
     }
 
     /// Traces one packet; stores the results of its rays in `ends` and their successors in `next`.
     fn packet(
         &mut self,
         access: Access<'_>,
-        Tree { rays, ends, next }: &mut Tree,
+        RayTree { rays, ends, next, .. }: &mut RayTree,
         members: &[usize],
         step: f64,
     ) -> Result<(), Halt> {
-        let lanes: Vec<(Ray, f64)> = members.iter().map(|&i| (rays[i].ray, rays[i].sample_offset)).collect();
+        let rays: Vec<TreeRay> = members.iter().map(|&i| rays[i].ray).collect();
+        let lanes: Vec<(Ray, f64)> = rays.iter().map(|ray| (ray.ray, ray.sample_offset)).collect();
         let packet = Packet::new(&lanes, step);
         let mut refraction = self.refraction.take();
         if let Some(refraction) = &mut refraction {
-            refraction.begin(members.iter().map(|&i| rays[i]));
+            refraction.begin(rays.iter().copied());
         }
         self.states.fill(RayState::START);
         if let Some(shadows) = &mut self.shadows {
-            shadows.begin(members.iter().map(|&i| rays[i].footprint));
+            shadows.begin(rays.iter().map(|ray| ray.footprint));
         }
         self.counts.packets += 1;
         let before = self.counts;
         self.march.begin(&packet);
         let mut node = self.march.node_samples();
-        let places: Vec<usize> = members.iter().map(|&i| rays[i].pixel as usize).collect();
-        let pixels = rays[members[0]].is_primary().then_some(&places[..]);
+        let places: Vec<usize> = rays.iter().map(|ray| ray.pixel as usize % LANES).collect();
+        let is_primary = rays[0].is_primary();
+        let pixels = is_primary.then_some(&places[..]);
         let outcome = self.pass(access, &packet, pixels, refraction.as_mut(), &mut node);
         self.march.give_back(node);
         if let Some(refraction) = &refraction {
-            next.extend(refraction.next().iter().map(|&(lane, ray)| (members[lane], ray)));
+            for &(lane, ray) in refraction.next() {
+                let (parent, order) = (members[lane] as u32, next.len() as u32);
+                next.push(Successor { ray, parent, order });
+            }
         }
         self.refraction = refraction;
         let replaced = outcome?;
-        if !rays[members[0]].is_primary() {
+        if !is_primary {
             self.counts.bounced_rays += members.len() as u64;
             let shadows = self.counts.shadow_splats - before.shadow_splats;
             self.counts.bounced_splats += self.counts.splats - before.splats - shadows;
@@ -313,39 +303,5 @@ impl<'a> PacketTracer<'a> {
         let shown = Shown { packet, slab, node, shares: &self.shares, shadows };
         shader.shade(shown, refraction, &mut self.states);
         Ok(())
-    }
-}
-
-/// What is seen at a place of the picture.
-#[derive(Clone, Copy, Default)]
-struct Seen {
-    color: [f32; 3],
-    /// The fraction of the background that is seen.
-    open: f64,
-}
-
-impl Seen {
-    fn add(&mut self, ray: &TreeRay, end: &End, background: Option<[f32; 3]>) {
-        let weight = ray.weight as f32;
-        for channel in 0..3 {
-            self.color[channel] += weight * end.color[channel];
-        }
-        if ray.covers {
-            self.open += ray.weight * end.open;
-        } else if let Some(background) = background {
-            let open = (ray.weight * end.open) as f32;
-            (0..3).for_each(|channel| self.color[channel] += open * background[channel]);
-        }
-    }
-
-    fn pixel(&self, background: Option<[f32; 3]>) -> [f32; 4] {
-        let (color, open) = (self.color, self.open as f32);
-        match background {
-            Some(background) => {
-                let behind = |c: usize| color[c] + open * background[c];
-                [behind(0), behind(1), behind(2), 1.0]
-            }
-            None => [color[0], color[1], color[2], 1.0 - open],
-        }
     }
 }

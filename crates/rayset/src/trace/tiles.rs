@@ -87,8 +87,10 @@ impl<'a> TileQueue<'a> {
     }
 
     pub(super) fn deferred(&mut self, attempt: &Attempt<'_>, lacking: Lacking) {
-        let lacking = Some(lacking);
-        self.deferred.push_back(Deferred { place: attempt.place, attempts: attempt.number, lacking });
+        // Tiles that were traced together are put off one by one: each needs fewer pages at a time.
+        let (mut lacking, attempts) = (Some(lacking), attempt.number);
+        let tiles = attempt.place.singly();
+        self.deferred.extend(tiles.map(|place| Deferred { place, attempts, lacking: lacking.take() }));
     }
 
     /// The deferred tiles that are left when the thread leaves the render.

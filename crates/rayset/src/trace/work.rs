@@ -122,10 +122,24 @@ impl Passes {
     }
 }
 
-/// A tile in one pass.
+/// Consecutive tiles in one pass, which are traced together.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TilePlace {
-    /// Index of the tile in the order of the work.
+    /// Index of the first tile in the order of the work.
     pub(super) tile: usize,
+    /// Number of tiles.
+    pub(super) count: usize,
     pub(super) pass: usize,
+}
+
+impl TilePlace {
+    /// Indices of the tiles.
+    pub(super) fn tiles(self) -> Range<usize> {
+        self.tile..self.tile + self.count
+    }
+
+    /// The tiles one by one.
+    pub(super) fn singly(self) -> impl Iterator<Item = Self> {
+        self.tiles().map(move |tile| Self { tile, count: 1, ..self })
+    }
 }

@@ -171,7 +171,7 @@ fn rays_that_turn_give_the_same_picture_whatever_the_means() {
 
 #[test]
 fn more_rays_than_are_held_at_a_time_give_the_same_picture_as_each_pixel_alone() {
-    // Fifty panes one behind the other, each of which mirrors a little: more rays than a whole tile may have.
+    // Panes one behind the other, each of which mirrors a little: more rays than a whole tile may have.
     let pane = |i: i32| {
         let pane = Solid { opacity: 0.2, ..Solid::new(Form::Box { size: DVec3::new(2.0, 2.0, 0.012) }) };
         let place = DVec3::new(0.0, 0.0, 0.03 * f64::from(i - 25));
@@ -180,20 +180,22 @@ fn more_rays_than_are_held_at_a_time_give_the_same_picture_as_each_pixel_alone()
     let panes = Node::operator(Operator::Union, (0..50).map(pane)).of(mirror(1.0));
     let lights = vec![light(LightKind::Ambient, [0.3; 3], false), sun()];
     let scene = scene(Node::operator(Operator::Union, [panes, floor()]), lights);
-    let settings = RenderSettings { step: Step::Fixed(0.01), max_depth: 2, layers: true, ..settings(24, 16) };
-    let found = |tile_pixels| {
+    let found = |tile_pixels, layers| {
+        let settings = RenderSettings { step: Step::Fixed(0.01), max_depth: 2, layers, ..settings(24, 16) };
         let exec = ExecSettings { tile_pixels, ..ExecSettings::default() };
         let paged = paged(&scene, 1 << 20);
         let (whole, counts) = render_once(&scene, &camera(), &settings, &exec, &paged).expect("a picture");
         (bits(&whole.pixels), whole.layers, counts)
     };
-    let (first, layers, counts) = found(8);
-    let (alone, layers_alone, counts_alone) = found(1);
+    let (first, layers, counts) = found(8, true);
+    let (alone, layers_alone, counts_alone) = found(1, true);
     assert!(counts_alone.bounced_rays > 24 * 16 * 20, "{} rays follow", counts_alone.bounced_rays);
     // Some rays from the eye were traced again, of half a tile.
     let [together, apart] = [counts, counts_alone].map(|c| c.nonzero_samples);
     assert!(together > apart, "{together} samples, {apart} pixel by pixel");
     assert!(first == alone);
+    // Without layers, the rays that follow from several tiles are held together.
+    assert!(found(8, false).0 == alone && found(1, false).0 == alone);
     let told =
         |l: &LayerPixel| (l.samples, l.depth.to_bits(), l.normal.map(f32::to_bits), l.opacity.to_bits());
     assert!(layers.iter().map(told).eq(layers_alone.iter().map(told)));

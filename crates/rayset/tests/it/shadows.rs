@@ -190,7 +190,11 @@ const SIDE: u32 = 64;
 
 /// The picture, and how many shadow rays were traced beside those of tables.
 fn shaded(kind: &Kind, shadows: Shadows) -> (Vec<[f32; 4]>, u64) {
-    let settings = RenderSettings { shadows, step: Step::Fixed(kind.step), ..settings(SIDE, SIDE) };
+    shaded_at(SIDE, kind, shadows)
+}
+
+fn shaded_at(side: u32, kind: &Kind, shadows: Shadows) -> (Vec<[f32; 4]>, u64) {
+    let settings = RenderSettings { shadows, step: Step::Fixed(kind.step), ..settings(side, side) };
     // Nothing is begun twice, so that rays can be counted.
     let exec = ExecSettings { threads: 1, predictor: Arc::new(NoPredictor), ..ExecSettings::default() };
     let paged = paged(&kind.scene, 1 << 30);
@@ -280,5 +284,32 @@ fn a_floor_in_slanting_light_neither_shadows_itself_nor_needs_rays_beside_the_ta
         let [.., worst] = differences(&cached, &exact);
         assert!(worst < 1e-4, "{light:?}: {worst}");
         assert!(samples > 2000 && rays == 0, "{light:?}: {rays} rays for {samples} samples");
+    }
+}
+
+#[test]
+fn small_pictures_take_fewer_rays_of_a_light_and_larger_ones_the_same_table() {
+    let kind = contact();
+    let rays = |side: u32| {
+        let settings = RenderSettings { step: Step::Fixed(kind.step), ..settings(side, side) };
+        let settings = settings.with_shadows(Shadows::Cached { resolution: 1024 });
+        let exec = ExecSettings { threads: 1, predictor: Arc::new(NoPredictor), ..ExecSettings::default() };
+        let paged = paged(&kind.scene, 1 << 30);
+        render_once(&kind.scene, &kind.camera, &settings, &exec, &paged).expect("a picture").1.shadow_rays
+    };
+    let (small, middle, large) = (rays(16), rays(32), rays(64));
+    assert!(3 * small < middle && 3 * middle < large, "{small}, {middle}, {large} rays");
+}
+
+#[test]
+#[ignore = "a measurement, not a promise: the table of docs/scene.md"]
+fn figures_of_every_kind_of_scene() {
+    let folder = folder();
+    for kind in kinds(folder.path()) {
+        for (resolution, side) in [(512, SIDE), (1024, SIDE), (2048, 2 * SIDE)] {
+            let (exact, _) = shaded_at(side, &kind, Shadows::Exact);
+            let (cached, rays) = shaded_at(side, &kind, Shadows::Cached { resolution });
+            eprintln!("{} {resolution}: {:?}, {rays} rays", kind.name, differences(&cached, &exact));
+        }
     }
 }

@@ -4,10 +4,12 @@
 //! from outside; the renderer is then the discrete ray tracer with which samples of another engine are compared.
 
 mod maps;
+mod shared;
 mod tree;
 
 use std::sync::Arc;
 
+use self::shared::SharedShadows;
 use crate::container::ScanError;
 use crate::field::AttributeColumns;
 use crate::field::reference::{ReferenceField, ReferenceSample};
@@ -408,17 +410,18 @@ impl<'a> ReferenceRenderer<'a> {
     fn lit(
         &self,
         settings: &RenderSettings,
-        ray: &Ray,
-        q: DVec3,
+        (ray, q): (&Ray, DVec3),
         sample: &Sample,
         sample_offset: f64,
         step: f64,
+        shadows: &mut SharedShadows,
     ) -> [f64; 3] {
         let Lighting::Lit(lights) = &self.scene.lighting else { return sample.color };
         let [ambient, diffuse, specular, shininess, ..] = sample.material;
         let view = -ray.direction;
         let mut sum = [0.0; 3];
-        for light in lights {
+        shadows.reaching.resize(lights.len(), 1.0);
+        for (number, light) in lights.iter().enumerate() {
             let (toward, distance, strength) = match light.kind {
                 LightKind::Ambient => {
                     for channel in 0..3 {
@@ -434,7 +437,9 @@ impl<'a> ReferenceRenderer<'a> {
                     (toward.normalize_or(DVec3::Y), toward.length(), strength)
                 }
             };
-            let reaching = if light.throws_shadows() && distance > 0.0 {
+            let reaching = if light.throws_shadows() && shadows.are_taken {
+                shadows.reaching[number]
+            } else if light.throws_shadows() && distance > 0.0 {
                 // A sample at most two steps behind a boundary is lit as if it lay on the boundary.
                 let depth = -sample.boundary;
                 let on_boundary = depth > 0.0 && depth <= 2.0 * step;
@@ -451,6 +456,7 @@ impl<'a> ReferenceRenderer<'a> {
             } else {
                 1.0
             };
+            shadows.reaching[number] = reaching;
             let n = sample.normal;
             if n == DVec3::ZERO {
                 continue;

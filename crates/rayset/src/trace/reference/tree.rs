@@ -1,5 +1,6 @@
 //! The tree of rays of a pixel: reflection and refraction, ray by ray and sample by sample.
 
+use super::shared::SharedShadows;
 use super::{Purpose, ReferencePixel, ReferenceRenderer};
 use crate::geometry::{DAffine3, DVec3, Ray};
 use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
@@ -76,6 +77,7 @@ impl ReferenceRenderer<'_> {
         let mut light = DVec3::ZERO;
         let mut transmittance = 1.0;
         let mut mirror: Option<Mirror> = None;
+        let mut shadows = SharedShadows::default();
         let mut index = course.index;
         // For the last sample inside: distance along the ray, normal, distance to the boundary, reflectance.
         let mut inside = (0.0, course.normal, 0.0, 0.0);
@@ -126,7 +128,9 @@ impl ReferenceRenderer<'_> {
                 continue;
             }
             let share = transmittance * (1.0 - passed);
-            let own = share * DVec3::from_array(self.lit(settings, ray, q, &sample, sample_offset, step));
+            shadows.comes_to((t / step - sample_offset).round() as u64, share);
+            let lit = self.lit(settings, (ray, q), &sample, sample_offset, step, &mut shadows);
+            let own = share * DVec3::from_array(lit);
             let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };
             light += (1.0 - reflectance) * own;
             if reflectance > 0.0 {

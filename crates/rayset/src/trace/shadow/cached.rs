@@ -2,7 +2,7 @@
 //! light and tile; it is computed when first needed, evicted like any page, and recomputed to the same bits.
 //!
 //! A map has levels, each of half as many rays along a side as the one before. A sample is looked up in the coarsest whose
-//! cells are at most half as wide as the sample's pixel: a function of view and sample. So a picture costs shadows by its
+//! cells are at most an eighth as wide as the sample's pixel: a function of view and sample. So a picture costs shadows by its
 //! pixels, and a level that several views need is computed once.
 //!
 //! Between its rays a map can only interpolate: it resolves shadow edges to one cell. If the rays around a sample

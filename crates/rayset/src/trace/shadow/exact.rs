@@ -89,7 +89,7 @@ impl<'a> ShadowRays<'a> {
         }
         let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
         for group in self.world.steps.groups(access, &self.world.program, &primary)? {
-            for members in coherent_groups(&primary, &group.members, group.step) {
+            for members in coherent_groups(|i| &primary[i].0, group.members, group.step) {
                 let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
                 self.trace(access, &rays, group.step, counts)?;
                 for (place, to) in rays.iter().enumerate() {

@@ -9,7 +9,7 @@ pub(super) const TILE_CELLS: u32 = 7;
 /// Fewest cells along a side of a face in a level besides the finest.
 const FEWEST_CELLS: u32 = 2 * TILE_CELLS;
 /// A sample's pixel is at least so many cells of its level wide, or the level is the finest.
-const CELLS_OF_A_PIXEL: f64 = 2.0;
+const CELLS_OF_A_PIXEL: f64 = 8.0;
 
 /// Rays of a light, through the corners of square cells.
 #[derive(Clone, Debug)]
@@ -237,9 +237,9 @@ mod tests {
             let finest = map.texel(place, 0.0).expect("likewise");
             let (size, least) = (texel.size(), finest.size() * 0.999);
             prop_assert!(size >= least, "{size} < {least}");
-            prop_assert!(pixel_width.is_nan() || size <= (0.51 * pixel_width).max(1.001 * finest.size()));
+            prop_assert!(pixel_width.is_nan() || size <= (0.126 * pixel_width).max(1.001 * finest.size()));
             let coarsest = size >= 3.9 * finest.size();
-            prop_assert!(pixel_width.is_nan() || coarsest || size >= 0.24 * pixel_width, "{size}, {pixel_width}");
+            prop_assert!(pixel_width.is_nan() || coarsest || size >= 0.06 * pixel_width, "{size}, {pixel_width}");
             let rays = map.rays(texel.tile);
             let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (TILE_CELLS + 1) + texel.cell.0 + i) as usize];
             for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {

@@ -1,0 +1,26 @@
+//! The rule by which samples share shadows.
+
+/// Samples of a ray that share the shadows of one of them: of eight in a row by their numbers, those behind one that has
+/// shadows of its own, as long as they are at most 1/64 of the ray.
+#[derive(Default)]
+pub(super) struct SharedShadows {
+    run: Option<u64>,
+    left: f64,
+    /// Whether the present sample takes them from the one before.
+    pub(super) are_taken: bool,
+    /// For each light, what of it reached the last sample with shadows of its own.
+    pub(super) reaching: Vec<f64>,
+}
+
+impl SharedShadows {
+    /// Advances to a sample that is not transparent, of a given share of its ray.
+    pub(super) fn comes_to(&mut self, sample: u64, share: f64) {
+        let run = Some(sample / 8);
+        self.are_taken = self.run == run && share <= self.left;
+        if self.are_taken {
+            self.left -= share;
+        } else {
+            (self.run, self.left) = (run, 1.0 / 64.0);
+        }
+    }
+}
