@@ -14,7 +14,7 @@ use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
 use super::ray_tree::Sheet;
 use super::scheduler::{Tally, Task, Turn};
-use super::tiles::{Attempt, Deferred, TileQueue};
+use super::tiles::{Attempt, Deferred, TileQueue, Together};
 use super::work::{Tile, TilePlace, Work};
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
@@ -203,12 +203,12 @@ impl Job {
         let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, &self.rays, exec.slab_samples);
         let (asked_bytes, reuse) = (Cell::new(0), RefCell::default());
-        // Tiles that are traced together: fewer if pages have to be waited for.
-        let mut together = 1;
+        let mut together = Together::new(self.most_together());
         let pages = self.pages.for_thread();
         let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse);
         while !self.stop.is_cancelled()
-            && let Some(attempt) = queue.next(self.lookahead_state.tiles_to_defer(), || self.take(together))
+            && let Some(attempt) =
+                queue.next(self.lookahead_state.tiles_to_defer(), || self.take(together.tiles()))
         {
             for tile in attempt.place.tiles() {
                 exec.predictor.ahead(self.lookahead(&pages, &reuse), tile);
@@ -219,11 +219,11 @@ impl Job {
             match self.trace(&attempt, &mut tracer) {
                 Ok(outputs) => {
                     pages.end_round(&mut reuse.borrow_mut());
+                    together.finished(outputs.len());
                     is_full = self.finish(outputs, turn);
-                    together = (2 * together).min(self.most_together());
                 }
                 Err(Halt::Deferred(lacking)) => {
-                    together = 1;
+                    together.put_off();
                     tracer.deferred(before);
                     queue.deferred(&attempt, lacking);
                 }

@@ -110,3 +110,63 @@ impl<'a> TileQueue<'a> {
         Attempt { place: deferred.place, access, number: deferred.attempts + 1 }
     }
 }
+
+/// Tiles in a row, none of which was put off, after which more are traced together again.
+const CALM_TILES: usize = 64;
+
+/// How many tiles a thread traces together: soon as many as may be, but fewer where pages are missing, for what is put off is
+/// traced again from its beginning.
+pub(super) struct Together {
+    now: usize,
+    /// The limit at present, and the limit of that.
+    limit: usize,
+    most: usize,
+    /// Tiles that were finished since the limit was changed.
+    calm: usize,
+}
+
+impl Together {
+    /// At most `most` tiles, of which there is at least one.
+    pub(super) fn new(most: usize) -> Self {
+        Self { now: 1, limit: most, most, calm: 0 }
+    }
+
+    pub(super) fn tiles(&self) -> usize {
+        self.now
+    }
+
+    pub(super) fn finished(&mut self, tiles: usize) {
+        self.calm += tiles;
+        if self.calm >= CALM_TILES {
+            (self.limit, self.calm) = ((2 * self.limit).min(self.most), 0);
+        }
+        self.now = (2 * self.now).min(self.limit);
+    }
+
+    pub(super) fn put_off(&mut self) {
+        (self.now, self.limit, self.calm) = (1, (self.limit / 2).max(1), 0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fewer_tiles_are_traced_together_where_pages_are_missing_and_more_again_where_not() {
+        let mut together = Together::new(16);
+        let mut taken = |finished: usize, put_off: usize| {
+            (0..put_off).for_each(|_| together.put_off());
+            (0..finished)
+                .map(|_| (together.tiles(), together.finished(together.tiles())).0)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(taken(6, 0), [1, 2, 4, 8, 16, 16]);
+        assert_eq!(taken(5, 2), [1, 2, 4, 4, 4]);
+        assert_eq!(taken(3, 9), [1, 1, 1]);
+        // After 64 tiles twice as many, and so on.
+        assert_eq!(taken(64, 0)[61..], [2, 2, 2]);
+        let later = taken(200, 0);
+        assert_eq!(later[199], 16, "{later:?}");
+    }
+}
