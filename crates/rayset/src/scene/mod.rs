@@ -201,11 +201,11 @@ pub enum Sampling {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Shadows {
-    /// By a shadow ray from the sample to the light: the reference.
+    /// By a shadow ray from the sample to the light, or from one just before it on its ray.
     Exact,
     /// From deep shadow maps, traced from the light.
     Cached {
-        /// Resolution of a light's map: cells along each side.
+        /// Resolution of a light's map in its finest level: cells along each side, 1 to 16384.
         resolution: u32,
     },
 }

@@ -59,7 +59,7 @@ pub(super) struct TreeRay {
     pub(super) ray: Ray,
     /// Offset of its samples along the ray, in steps.
     pub(super) sample_offset: f64,
-    /// Index of its pixel in the tile.
+    /// The number of its sheet of rays from the eye times 64, and its place there.
     pub(super) pixel: u32,
     /// The width of the pixel along the ray, as if no surface on the way were curved.
     pub(super) footprint: Footprint,

@@ -12,7 +12,7 @@ use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
 use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
-use super::ray_tree::Sheet;
+use super::ray_tree::{MOST_SHEETS, Sheet};
 use super::scheduler::{Tally, Task, Turn};
 use super::tiles::{Attempt, Deferred, TileQueue, Together};
 use super::work::{Tile, TilePlace, Work};
@@ -210,9 +210,7 @@ impl Job {
             && let Some(attempt) =
                 queue.next(self.lookahead_state.tiles_to_defer(), || self.take(together.tiles()))
         {
-            for tile in attempt.place.tiles() {
-                exec.predictor.ahead(self.lookahead(&pages, &reuse), tile);
-            }
+            exec.predictor.ahead(self.lookahead(&pages, &reuse), attempt.place.tile);
             let (before, mut is_full) = (tracer.counts(), false);
             asked_bytes.set(0);
             pages.begin_round(&mut reuse.borrow_mut());
@@ -245,10 +243,11 @@ impl Job {
     }
 
     /// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
-    /// follow from different tiles share packets.
+    /// follow from different tiles share packets. Those of more sheets than that do not.
     fn most_together(&self) -> usize {
         let world = &self.prepared.world;
-        if world.bounces.is_some() && !world.layers { MOST_TOGETHER } else { 1 }
+        let rays = self.passes.iter().map(ExactSizeIterator::len).max().unwrap_or(1);
+        if world.bounces.is_none() || world.layers { 1 } else { (MOST_SHEETS / rays).clamp(1, MOST_TOGETHER) }
     }
 
     /// A tile that a thread left behind, otherwise the next tiles of the work: as many as are traced together, fewer at
@@ -263,6 +262,7 @@ impl Job {
         }
         let (tile, left) = (state.next, self.tiles.len() - state.next);
         let count = together.min(left / (2 * self.prepared.engine.exec.threads.max(1))).max(1);
+        let count = self.lookahead_state.together(tile, count);
         state.next += count;
         Some(Deferred::fresh(TilePlace { tile, count, pass: state.pass }))
     }

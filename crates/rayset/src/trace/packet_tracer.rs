@@ -1,4 +1,4 @@
-//! Traces the rays of a tile, packet by packet, and each packet slab by slab: the loop that takes nearly all of the
+//! Traces the rays of tiles, packet by packet, and each packet slab by slab: the loop that takes nearly all of the
 //! time.
 
 use std::ops::Range;
@@ -50,7 +50,7 @@ impl<'a> PacketTracer<'a> {
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
             layers: world.layers.then(Layers::new),
-            tree: RayTree::default(),
+            tree: if world.bounces.is_some() { RayTree::with_room() } else { RayTree::default() },
             shares: Shares::new(),
             states: [RayState::START; LANES],
             counts: RenderCounts::default(),

@@ -59,6 +59,12 @@ pub(super) struct End {
 }
 
 impl RayTree {
+    /// Sets memory aside for rays that follow from others, so that it does not grow by more than is needed.
+    pub(super) fn with_room() -> Self {
+        let rays = || Vec::with_capacity(MOST_RAYS + LANES);
+        Self { rays: rays(), next: rays(), ends: Vec::with_capacity(MOST_RAYS + LANES), seen: Vec::new() }
+    }
+
     /// Forgets everything.
     pub(super) fn begin(&mut self) {
         self.rays.clear();

@@ -12,7 +12,7 @@ use super::world::World;
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
 use crate::field::SimdLevel;
-use crate::scene::{Camera, Node, RenderSettings, Scene, Shape};
+use crate::scene::{Camera, Node, RenderSettings, Scene, Shadows, Shape};
 use crate::working_set::read::{self, BackendKind, Delayed};
 use crate::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
@@ -257,6 +257,9 @@ pub fn render_once(
     Ok((picture, counts))
 }
 
+/// Most rays along a side of a table of shadows.
+const FINEST_SHADOWS: u32 = 1 << 14;
+
 fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
     scene.check()?;
     scene.check_step(settings.step)?;
@@ -269,6 +272,11 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
             "samples",
             format!("{} is not between 1 and 64 along a side of a pixel", settings.samples),
         );
+    }
+    if let Shadows::Cached { resolution } = settings.shadows
+        && !(1..=FINEST_SHADOWS).contains(&resolution)
+    {
+        return wrong("shadows", format!("{resolution} rays a side are not between 1 and {FINEST_SHADOWS}"));
     }
     if !(8..=1024).contains(&settings.cap_resolution) {
         return wrong("cap resolution", format!("{} is not between 8 and 1024", settings.cap_resolution));

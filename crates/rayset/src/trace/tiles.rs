@@ -87,10 +87,11 @@ impl<'a> TileQueue<'a> {
     }
 
     pub(super) fn deferred(&mut self, attempt: &Attempt<'_>, lacking: Lacking) {
-        // Tiles that were traced together are put off one by one: each needs fewer pages at a time.
-        let (mut lacking, attempts) = (Some(lacking), attempt.number);
+        // Tiles that were traced together are put off one by one: each needs fewer pages at a time. They are neighbours, and
+        // would soon lack the same page.
+        let (lacking, attempts) = (Some(lacking), attempt.number);
         let tiles = attempt.place.singly();
-        self.deferred.extend(tiles.map(|place| Deferred { place, attempts, lacking: lacking.take() }));
+        self.deferred.extend(tiles.map(|place| Deferred { place, attempts, lacking: lacking.clone() }));
     }
 
     /// The deferred tiles that are left when the thread leaves the render.

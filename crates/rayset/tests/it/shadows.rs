@@ -302,6 +302,21 @@ fn small_pictures_take_fewer_rays_of_a_light_and_larger_ones_the_same_table() {
 }
 
 #[test]
+fn tables_without_rays_or_with_more_than_can_be_numbered_are_errors() {
+    let kind = contact();
+    let paged = paged(&kind.scene, 1 << 30);
+    let made = |resolution: u32| {
+        let settings = settings(8, 8).with_shadows(Shadows::Cached { resolution });
+        render_once(&kind.scene, &kind.camera, &settings, &ExecSettings::default(), &paged).map(drop)
+    };
+    assert!(made(1).is_ok());
+    for resolution in [0, 16_385, u32::MAX] {
+        let refused = made(resolution).expect_err("no such table");
+        assert!(refused.to_string().contains("rays a side"), "{refused}");
+    }
+}
+
+#[test]
 #[ignore = "a measurement, not a promise: the table of docs/scene.md"]
 fn figures_of_every_kind_of_scene() {
     let folder = folder();

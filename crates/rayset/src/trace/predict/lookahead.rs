@@ -155,6 +155,12 @@ impl LookaheadState {
         }
     }
 
+    /// How many of `count` tiles from one on are in the same look-ahead tile: at least that one. What a thread is still to
+    /// trace must not count as passed.
+    pub(in crate::trace) fn together(&self, tile: usize, count: usize) -> usize {
+        self.of_tile[tile..][..count].iter().take_while(|&&place| place == self.of_tile[tile]).count()
+    }
+
     /// How many tiles a thread may defer: as many as there is room for besides those being traced. If rays need most of
     /// the budget at a time, tracing other tiles meanwhile would only evict their pages.
     pub(in crate::trace) fn tiles_to_defer(&self) -> usize {

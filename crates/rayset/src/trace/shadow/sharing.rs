@@ -3,7 +3,7 @@
 //!
 //! The samples of a ray are divided into runs of eight, by their numbers. Within a run, samples take the shadow of the
 //! last one before them for which it was computed, as long as those that do so are at most [`LARGEST_SHARE`] of their
-//! pixel. This is a function of the ray alone: neither slabs nor packets change it.
+//! ray. This is a function of the ray alone: neither slabs nor packets change it.
 
 use super::cached::LARGEST_DOUBT;
 use crate::field::{LANES, SampleRow, Slab};
@@ -12,7 +12,7 @@ use crate::trace::node_samples::each_lane;
 
 /// Samples in a run: those of one slab, or of several.
 const RUN_SAMPLES: u64 = 8;
-/// The largest part of a pixel that takes the shadow of one sample from it.
+/// The largest part of a ray that takes the shadow of one of its samples.
 const LARGEST_SHARE: f32 = LARGEST_DOUBT;
 /// No run.
 const NONE: u64 = u64::MAX;
@@ -32,7 +32,7 @@ pub(super) struct SharedShadows {
 #[derive(Clone, Copy)]
 struct LastShadow {
     run: u64,
-    /// The part of the pixel that may still take them.
+    /// The part of the ray that may still take them.
     left: f32,
 }
 
