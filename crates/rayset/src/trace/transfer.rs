@@ -26,6 +26,8 @@ pub(super) struct ColorTable {
     sign: f32,
     low: f32,
     places_per_value: f32,
+    /// Whether no place of the index holds more than one knot.
+    is_even: bool,
 }
 
 /// From here the colour changes linearly to that of the next knot.
@@ -61,17 +63,18 @@ impl ColorTable {
         let from: Vec<f32> = stops.iter().map(|&(at, _)| least(at)).collect();
         let places_per_value = (PLACES as f64 / (high - low)) as f32;
         let mut table =
-            Self { from, knots, index: Vec::new(), sign: sign as f32, low: low as f32, places_per_value };
+            Self { from, knots, index: Vec::new(), sign: sign as f32, low: low as f32, places_per_value, is_even: false };
         let mut knot = 0;
         table.index = (0..=PLACES)
             .map(|number| {
-                while table.from.get(knot).is_some_and(|&from| table.place(from) < number) {
+                while table.from.get(knot).is_some_and(|&from| table.place(from) < number as u32) {
                     knot += 1;
                 }
                 knot as u32
             })
             .collect();
         table.index.push(table.from.len() as u32);
+        table.is_even = table.index.windows(2).all(|pair| pair[1] - pair[0] <= 1);
         table
     }
 
@@ -85,29 +88,63 @@ impl ColorTable {
     }
 
     /// The place of the index that a value belongs to; never descends as values ascend.
+    #[expect(clippy::manual_clamp, reason = "what is not a number becomes 0")]
     #[inline(always)]
-    fn place(&self, value: f32) -> usize {
-        // NaN casts to 0.
-        (((value - self.low) * self.places_per_value) as usize).min(PLACES)
+    fn place(&self, value: f32) -> u32 {
+        // NaN becomes 0.
+        ((value - self.low) * self.places_per_value).max(0.0).min(PLACES as f32) as i32 as u32
     }
 
     /// The colour of a value, linear light.
     #[inline]
     pub(super) fn color(&self, value: f32) -> [f32; 3] {
-        // NaN counts as before the range.
-        let value = (value * self.sign).max(f32::NEG_INFINITY);
-        let place = self.place(value);
+        self.colors(&[value]).map(|[v]| v)
+    }
+
+    /// The colours of some values, by channel.
+    #[inline(always)]
+    pub(super) fn colors<const N: usize>(&self, values: &[f32; N]) -> [[f32; N]; 3] {
+        let (mut value, mut first) = ([0.0; N], [0; N]);
+        for i in 0..N {
+            // NaN counts as before the range.
+            value[i] = (values[i] * self.sign).max(f32::NEG_INFINITY);
+            first[i] = self.place(value[i]);
+        }
+        let (mut start, mut per_value) = ([0.0; N], [0.0; N]);
+        let (mut color, mut change) = ([[0.0; N]; 3], [[0.0; N]; 3]);
+        for i in 0..N {
+            let Some(knot) = self.knots.get(self.knot(value[i], first[i] as usize)) else { continue };
+            (start[i], per_value[i]) = (knot.start, knot.per_value);
+            for c in 0..3 {
+                (color[c][i], change[c][i]) = (knot.color[c], knot.change[c]);
+            }
+        }
+        for i in 0..N {
+            let along = (f64::from(value[i]) - start[i]) * per_value[i];
+            // Before the first knot, the colour of that knot.
+            let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
+            for c in 0..3 {
+                color[c][i] += change[c][i] * along;
+            }
+        }
+        color
+    }
+
+    /// The last knot that is not above a value of a place, or the first of all.
+    #[inline(always)]
+    fn knot(&self, value: f32, place: usize) -> usize {
         let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
+        if self.is_even {
+            // Without a branch, which nothing could foresee.
+            let next = self.from.get(first).copied().unwrap_or(f32::INFINITY);
+            return (first + usize::from(next <= value && first < end)).max(1) - 1;
+        }
         // Knots before `first` are not above the value; those from `end` on are.
         while first < end {
             let middle = (first + end) / 2;
             if self.from[middle] <= value { first = middle + 1 } else { end = middle }
         }
-        let Some(knot) = self.knots.get(first.max(1) - 1) else { return [0.0; 3] };
-        let along = (f64::from(value) - knot.start) * knot.per_value;
-        // Before the first knot, the colour of that knot.
-        let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
-        std::array::from_fn(|c| knot.color[c] + knot.change[c] * along)
+        first.max(1) - 1
     }
 }
 

@@ -1,28 +1,20 @@
 //! Samples of one brick, evaluated many at a time.
 
+use super::places::Places;
 use super::voxels::Voxel;
 use crate::field::{LANES, SLAB_SAMPLES};
 
 /// Samples that are evaluated together.
 pub(super) const BATCH: usize = 32;
 
-/// Where a sample is.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Spot {
-    /// Index of the first voxel of its cell in the brick.
-    pub(super) voxel: u32,
-    /// Lane · 32 + sample.
-    pub(super) at: u16,
-    /// How far into the cell, 0 to 1.
-    pub(super) within: [f32; 3],
-}
+/// The samples of a batch: lane · 32 + sample.
+pub(super) type Batch = [u16; BATCH];
 
-impl Spot {
-    #[inline(always)]
-    pub(super) fn lane_and_sample(&self) -> (usize, usize) {
-        let at = usize::from(self.at);
-        (at / SLAB_SAMPLES % LANES, at % SLAB_SAMPLES)
-    }
+/// Lane and sample.
+#[inline(always)]
+pub(super) fn lane_and_sample(at: u16) -> (usize, usize) {
+    let at = usize::from(at);
+    (at / SLAB_SAMPLES % LANES, at % SLAB_SAMPLES)
 }
 
 /// One number for each sample of a batch.
@@ -32,13 +24,24 @@ pub(super) type Row = [f32; BATCH];
 struct Pairs<V: Voxel, const ROWS: usize>([[V::Pair; BATCH]; ROWS]);
 
 impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
-    /// Reads the pairs that begin `offsets` voxels from the first voxel of each cell.
+    /// Reads the pairs that begin `offsets` voxels, at most `farthest`, from a place `before` voxels in front of the first voxel
+    /// of each cell.
     #[inline(always)]
-    fn read(brick: &[u8], spots: &[Spot; BATCH], offsets: [isize; ROWS]) -> Self {
+    fn read(
+        brick: &[u8],
+        (batch, places): (&Batch, &Places),
+        before: usize,
+        offsets: [usize; ROWS],
+        farthest: usize,
+    ) -> Self {
         let mut rows = [[V::Pair::default(); BATCH]; ROWS];
-        for (i, spot) in spots.iter().enumerate() {
+        for (i, &at) in batch.iter().enumerate() {
+            let voxel = usize::from(places.voxel[usize::from(at) % places.voxel.len()]);
+            let from = voxel.wrapping_sub(before).wrapping_mul(V::BYTES);
+            // One test for each cell: its pairs then need none.
+            let around = &brick[from..][..(farthest + 2) * V::BYTES];
             for (row, offset) in rows.iter_mut().zip(offsets) {
-                row[i] = V::pair(brick, (spot.voxel as usize).wrapping_add_signed(offset));
+                row[i] = V::pair(around, offset);
             }
         }
         Self(rows)
@@ -57,13 +60,13 @@ impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
 
 // Loops instead of closures: closures are not always inlined where vector code requires it.
 
-/// The columns of `within`.
+/// How far the samples of a batch are into their cells.
 #[inline(always)]
-fn fractions(spots: &[Spot; BATCH]) -> [Row; 3] {
+fn fractions((batch, places): (&Batch, &Places)) -> [Row; 3] {
     let mut columns = [[0.0; BATCH]; 3];
-    for (i, spot) in spots.iter().enumerate() {
-        for (column, f) in columns.iter_mut().zip(spot.within) {
-            column[i] = f;
+    for (i, &at) in batch.iter().enumerate() {
+        for (column, within) in columns.iter_mut().zip(&places.within) {
+            column[i] = within[usize::from(at) % within.len()];
         }
     }
     columns
@@ -89,10 +92,10 @@ fn less(a: &Row, b: &Row) -> Row {
 
 /// The trilinear values of a batch, in stored numbers less `base`.
 #[inline(always)]
-pub(super) fn values<V: Voxel>(brick: &[u8], spots: &[Spot; BATCH], base: f32) -> Row {
-    let (y, z) = (V::SIDE as isize, (V::SIDE * V::SIDE) as isize);
-    let pairs = Pairs::<V, 4>::read(brick, spots, [0, y, z, z + y]);
-    let [fx, fy, fz] = fractions(spots);
+pub(super) fn values<V: Voxel>(brick: &[u8], batch: (&Batch, &Places), base: f32) -> Row {
+    let (y, z) = (V::SIDE, V::SIDE * V::SIDE);
+    let pairs = Pairs::<V, 4>::read(brick, batch, 0, [0, y, z, z + y], z + y);
+    let [fx, fy, fz] = fractions(batch);
     let mut along_x = [[0.0; BATCH]; 4];
     for (row, out) in along_x.iter_mut().enumerate() {
         let [a, b] = pairs.numbers(row);
@@ -109,24 +112,29 @@ pub(super) fn values<V: Voxel>(brick: &[u8], spots: &[Spot; BATCH], base: f32) -
 /// The gradients of a batch in stored numbers a voxel: half the difference of the trilinear values one voxel on either
 /// side, with the weights of the same cell.
 #[inline(always)]
-pub(super) fn gradients<V: Voxel>(brick: &[u8], spots: &[Spot; BATCH]) -> [Row; 3] {
-    let (y, z) = (V::SIDE as isize, (V::SIDE * V::SIDE) as isize);
-    let f = fractions(spots);
-    // Rows of four voxels through the cell, as pairs before and behind the middle of the row, for y and z of 0 and 1.
-    let before = Pairs::<V, 4>::read(brick, spots, [-1, y - 1, z - 1, z + y - 1]);
-    let behind = Pairs::<V, 4>::read(brick, spots, [1, y + 1, z + 1, z + y + 1]);
-    // Pairs beside the cell: y of −1 and 2 at z of 0 and 1; then z of −1 and 2 at y of 0 and 1.
-    let offsets = [-y, 2 * y, z - y, z + 2 * y, -z, 2 * z, y - z, y + 2 * z];
-    let beside = Pairs::<V, 8>::read(brick, spots, offsets);
+pub(super) fn gradients<V: Voxel>(brick: &[u8], batch: (&Batch, &Places)) -> [Row; 3] {
+    let (y, z) = (V::SIDE, V::SIDE * V::SIDE);
+    let f = fractions(batch);
+    // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
+    // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
+    let offsets = [
+        [z - 1, z + y - 1, 2 * z - 1, 2 * z + y - 1],
+        [z + 1, z + y + 1, 2 * z + 1, 2 * z + y + 1],
+        [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y],
+        [0, 3 * z, y, y + 3 * z],
+    ];
+    let [before, behind, beside_y, beside_z] =
+        offsets.map(|offsets| Pairs::<V, 4>::read(brick, batch, z, offsets, y + 3 * z));
     let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
     for row in 0..4 {
         let ([a, b], [c, d]) = (before.numbers(row), behind.numbers(row));
         along_x[row] = lerp(&less(&c, &a), &less(&d, &b), &f[0]);
         through[row] = lerp(&b, &c, &f[0]);
     }
-    for (row, out) in outer.iter_mut().enumerate() {
-        let [a, b] = beside.numbers(row);
-        *out = lerp(&a, &b, &f[0]);
+    for row in 0..4 {
+        let ([a, b], [c, d]) = (beside_y.numbers(row), beside_z.numbers(row));
+        outer[row] = lerp(&a, &b, &f[0]);
+        outer[4 + row] = lerp(&c, &d, &f[0]);
     }
     let dx = lerp(&lerp(&along_x[0], &along_x[1], &f[1]), &lerp(&along_x[2], &along_x[3], &f[1]), &f[2]);
     let dy = lerp(
@@ -185,13 +193,18 @@ mod tests {
             })
             .collect();
         let numbers: Vec<f32> = bytes.chunks_exact(kind.bytes()).map(|bytes| kind.value(bytes)).collect();
-        let spots: [Spot; BATCH] = std::array::from_fn(|i| {
+        let mut of_samples = Places::new();
+        let batch: Batch = std::array::from_fn(|i| 61 * i as u16);
+        for (i, &at) in batch.iter().enumerate() {
             let (cell, within) = places[i % places.len()];
             let cell = cell.map(|c| 1 + c % (n - 3));
-            Spot { voxel: ((cell[2] * n + cell[1]) * n + cell[0]) as u32, at: 0, within }
-        });
-        let values = values::<V>(&bytes, &spots, 3.0);
-        let gradients = gradients::<V>(&bytes, &spots);
+            of_samples.voxel[usize::from(at)] = ((cell[2] * n + cell[1]) * n + cell[0]) as u16;
+            for (row, f) in of_samples.within.iter_mut().zip(within) {
+                row[usize::from(at)] = f;
+            }
+        }
+        let values = values::<V>(&bytes, (&batch, &of_samples), 3.0);
+        let gradients = gradients::<V>(&bytes, (&batch, &of_samples));
         for i in 0..places.len() {
             let (cell, f) = places[i];
             let cell = cell.map(|c| 1 + c % (n - 3));

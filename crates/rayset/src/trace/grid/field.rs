@@ -2,7 +2,8 @@
 
 use super::gradients::Gradients;
 use super::opacity::{Opacities, Values};
-use super::spans::{GridRays, Placement};
+use super::placement::Placement;
+use super::rays::GridRays;
 use crate::field::{LANES, SimdLevel, Slab};
 use crate::trace::access::Access;
 use crate::trace::node_samples::{Live, MATERIAL, Measure, RequiredOutputs};
@@ -45,8 +46,8 @@ pub(in crate::trace) struct GridRequest<'a> {
 
 impl GridRequest<'_> {
     /// The number of a brick among those of all grids of the graph.
-    pub(super) fn key(&self, brick: u64) -> u64 {
-        (self.grid as u64) << u32::BITS | brick
+    pub(super) fn key(&self, brick: u32) -> u64 {
+        (self.grid as u64) << u32::BITS | u64::from(brick)
     }
 }
 

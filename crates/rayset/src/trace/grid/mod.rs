@@ -1,14 +1,18 @@
 //! Grids as volume objects in the world: trilinear samples from bricks that are read as rays reach them.
 //!
-//! A slab of a packet is cut into *segments*, the samples of one ray in one brick (`spans`). Brick by brick, nearest
-//! first, the samples whose surroundings show anything (`visible`) are gathered into batches (`batch`, in `brick`), and a batch is
-//! evaluated at once: values, opacities (`opacity`) and, where they are required and the ray still goes on, gradients.
+//! The samples of a slab are located in their bricks (`places`), and each ray is cut into *segments*, its samples in one
+//! brick (`spans`). Brick by brick, nearest first, the samples whose surroundings show anything (`visible`) are listed, and
+//! evaluated in batches (`brick`, `batch`): values, opacities (`opacity`) and, where they are required and the ray still goes
+//! on, gradients.
 
 mod batch;
 mod brick;
 mod field;
 mod gradients;
 mod opacity;
+mod placement;
+mod places;
+mod rays;
 mod spans;
 mod visible;
 mod volume;

@@ -3,6 +3,9 @@
 //! Values are counted from where the rule begins to show anything, in stored units, so that single precision suffices however large scale,
 //! offset and other values are.
 
+use fearless_simd::f32x16;
+use fearless_simd::prelude::*;
+
 use crate::grid::format::GridHeader;
 use crate::scene::{MAX_OPACITY, OpacityRule};
 use crate::trace::math::{exp_minus, ln};
@@ -107,7 +110,7 @@ impl Opacities {
     /// The opacities of numbers, in a given measure.
     #[expect(clippy::manual_clamp, reason = "what is not a number becomes 0")]
     #[inline(always)]
-    pub(super) fn of<const N: usize>(&self, numbers: &[f32; N], measure: Measure) -> [f32; N] {
+    pub(super) fn of<S: Simd, const N: usize>(&self, simd: S, numbers: &[f32; N], measure: Measure) -> [f32; N] {
         let mut out = [0.0; N];
         match &self.rule {
             Rule::Clamp { factor, offset } => {
@@ -126,7 +129,7 @@ impl Opacities {
                 }
                 return out;
             }
-            Rule::Curve(pieces) => curve(pieces, numbers, &mut out),
+            Rule::Curve(pieces) => curve(simd, pieces, numbers, &mut out),
         }
         if measure == Measure::OpticalDepth {
             for o in &mut out {
@@ -141,7 +144,7 @@ impl Opacities {
 const FEW_PIECES: usize = 24;
 
 #[inline(always)]
-fn curve<const N: usize>(pieces: &[Piece], numbers: &[f32; N], out: &mut [f32; N]) {
+fn curve<S: Simd, const N: usize>(simd: S, pieces: &[Piece], numbers: &[f32; N], out: &mut [f32; N]) {
     if pieces.len() > FEW_PIECES {
         for (o, &n) in out.iter_mut().zip(numbers) {
             let piece = pieces[pieces.partition_point(|piece| piece.from <= n).max(1) - 1];
@@ -149,20 +152,21 @@ fn curve<const N: usize>(pieces: &[Piece], numbers: &[f32; N], out: &mut [f32; N
         }
         return;
     }
-    let first = pieces[0];
-    let mut start = [first.start; N];
-    let mut opacity = [first.opacity; N];
-    let mut slope = [first.slope; N];
-    for piece in &pieces[1..] {
-        for i in 0..N {
-            let in_piece = numbers[i] >= piece.from;
-            start[i] = if in_piece { piece.start } else { start[i] };
-            opacity[i] = if in_piece { piece.opacity } else { opacity[i] };
-            slope[i] = if in_piece { piece.slope } else { slope[i] };
+    for (out, numbers) in out.as_chunks_mut::<16>().0.iter_mut().zip(numbers.as_chunks::<16>().0) {
+        let n = f32x16::from_slice(simd, numbers);
+        let splat = |v| f32x16::splat(simd, v);
+        let first = pieces[0];
+        let (mut start, mut opacity, mut slope) = (splat(first.start), splat(first.opacity), splat(first.slope));
+        for piece in &pieces[1..] {
+            let in_piece = n.simd_ge(splat(piece.from));
+            start = in_piece.select(splat(piece.start), start);
+            opacity = in_piece.select(splat(piece.opacity), opacity);
+            slope = in_piece.select(splat(piece.slope), slope);
         }
+        (opacity + (n - start) * slope).store_slice(out);
     }
-    for i in 0..N {
-        out[i] = limited(opacity[i] + (numbers[i] - start[i]) * slope[i]);
+    for o in out {
+        *o = limited(*o);
     }
 }
 
@@ -231,6 +235,7 @@ fn shown(rule: &OpacityRule) -> Vec<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
+    use fearless_simd::dispatch;
     use proptest::prelude::*;
 
     use super::*;
@@ -265,8 +270,9 @@ mod tests {
             let opacities = Opacities::new(&rule, &values, unit);
             // On the curve's points, and beside them.
             let numbers: [f32; 32] = std::array::from_fn(|i| if i % 2 == 0 { (numbers[i] / 4.0).round() * 4.0 } else { numbers[i] });
-            let found = opacities.of(&numbers, Measure::Opacity);
-            let depths = opacities.of(&numbers, Measure::OpticalDepth);
+            let level = crate::field::SimdLevel::baseline().level();
+            let found = dispatch!(level, simd => opacities.of(simd, &numbers, Measure::Opacity));
+            let depths = dispatch!(level, simd => opacities.of(simd, &numbers, Measure::OpticalDepth));
             for i in 0..32 {
                 let exact = rule.opacity_of_value(values.value(numbers[i]), unit);
                 prop_assert!((f64::from(found[i]) - exact).abs() < 2e-5, "{} at {}: {exact}", found[i], numbers[i]);

@@ -1,200 +1,141 @@
-//! Where the samples of a slab are in a grid: positions in voxels, and segments of rays within one brick.
+//! Which bricks the samples of a slab are in: segments of rays within one brick, brick by brick.
 
+use super::places::Places;
+use super::placement::Placement;
+use super::rays::GridRays;
 use super::voxels::Voxel;
-use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
-use crate::geometry::{Aabb, DAffine3, DVec3, Ray};
-use crate::grid::format::GridHeader;
+use crate::field::{SLAB_SAMPLES, Slab};
+use crate::geometry::DVec3;
 use crate::trace::node_samples::Live;
-
-/// The rays of a packet in voxels, and where they are inside the grid.
-#[derive(Clone, Debug)]
-pub(super) struct GridRays {
-    origin: [[f64; LANES]; 3],
-    direction: [[f64; LANES]; 3],
-    offset: [f64; LANES],
-    /// The first sample inside the grid, and the one after the last.
-    within: [(u64, u64); LANES],
-    step: f64,
-}
-
-impl GridRays {
-    pub(super) fn new(grid: &Placement, packet: &Packet) -> Self {
-        let mut rays = Self {
-            origin: [[0.0; LANES]; 3],
-            direction: [[0.0; LANES]; 3],
-            offset: [0.0; LANES],
-            within: [(0, 0); LANES],
-            step: packet.step_world(),
-        };
-        for lane in 0..packet.len() {
-            let world = packet.ray(lane);
-            let origin = grid.voxel_from_world.transform_point3(world.origin);
-            let direction = grid.voxel_from_world.transform_vector3(world.direction);
-            for axis in 0..3 {
-                (rays.origin[axis][lane], rays.direction[axis][lane]) = (origin[axis], direction[axis]);
-            }
-            rays.offset[lane] = packet.sample_offset(lane);
-            rays.within[lane] = rays.find_within(lane, &Ray { origin, direction }, &grid.bounds_voxel);
-        }
-        rays
-    }
-
-    /// The samples of a ray that are inside a box.
-    fn find_within(&self, lane: usize, ray: &Ray, bounds: &Aabb) -> (u64, u64) {
-        let Some((enter, exit)) = bounds.clip(ray) else { return (0, 0) };
-        let number = |t: f64| (t / self.step - self.offset[lane]).clamp(0.0, MOST_SAMPLES);
-        // Whether a sample is inside is tested at its own position; this range has at most one or two too many at either
-        // end.
-        let (mut first, mut end) =
-            ((number(enter).floor() - 1.0).max(0.0) as u64, (number(exit).ceil() + 2.0) as u64);
-        let slab = |sample: u64| self.ray(lane, Slab { first: sample, samples: 1 });
-        while first < end && !bounds.contains(slab(first).place(0)) {
-            first += 1;
-        }
-        while first < end && !bounds.contains(slab(end - 1).place(0)) {
-            end -= 1;
-        }
-        (first, end)
-    }
-
-    #[inline(always)]
-    pub(super) fn ray(&self, lane: usize, slab: Slab) -> GridRay {
-        GridRay {
-            origin: DVec3::new(self.origin[0][lane], self.origin[1][lane], self.origin[2][lane]),
-            direction: DVec3::new(self.direction[0][lane], self.direction[1][lane], self.direction[2][lane]),
-            offset: self.offset[lane],
-            first: slab.first,
-            step: self.step,
-        }
-    }
-
-    /// The samples of a ray inside the grid, counted from the first of the slab: the first, and the one after the last.
-    #[inline(always)]
-    fn within(&self, lane: usize, slab: Slab) -> (usize, usize) {
-        let (first, end) = self.within[lane];
-        let (first, end) = (first.max(slab.first), end.min(slab.end()));
-        if first < end { ((first - slab.first) as usize, (end - slab.first) as usize) } else { (0, 0) }
-    }
-}
-
-/// Upper bound of sample numbers.
-const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
-
-/// One ray in a slab; positions in voxels, distances in the world.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GridRay {
-    origin: DVec3,
-    direction: DVec3,
-    offset: f64,
-    first: u64,
-    step: f64,
-}
-
-impl GridRay {
-    /// The position of a sample, counted from the first of the slab.
-    #[inline(always)]
-    fn place(&self, j: usize) -> DVec3 {
-        self.origin + self.direction * (((self.first + j as u64) as f64 + self.offset) * self.step)
-    }
-
-    /// The cells of all samples, and how far into its cell each lies, 0 to 1 on each axis. Positions beyond the first or
-    /// the last cell of the grid are in that one: a place on the last voxel of an axis is at 1 in the last cell.
-    ///
-    /// The difference between a position and its cell is between numbers within a cell of each other, so it is not rounded
-    /// until it becomes single precision.
-    #[inline(always)]
-    pub(super) fn cells(&self, last_cell: DVec3) -> ([[i32; SLAB_SAMPLES]; 3], [[f32; SLAB_SAMPLES]; 3]) {
-        let (mut cells, mut within) = ([[0; SLAB_SAMPLES]; 3], [[0.0; SLAB_SAMPLES]; 3]);
-        let mut t = [0.0; SLAB_SAMPLES];
-        for (j, t) in t.iter_mut().enumerate() {
-            *t = ((self.first + j as u64) as f64 + self.offset) * self.step;
-        }
-        for axis in 0..3 {
-            let (origin, direction, last) = (self.origin[axis], self.direction[axis], last_cell[axis]);
-            for j in 0..SLAB_SAMPLES {
-                let place = origin + direction * t[j];
-                let cell = place.floor().max(0.0).min(last);
-                cells[axis][j] = cell as i32;
-                within[axis][j] = (place - cell) as f32;
-            }
-        }
-        (cells, within)
-    }
-}
-
-/// The bricks of a grid.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Bricks {
-    /// Along each axis.
-    count: [u64; 3],
-    /// Cells along an edge.
-    cells: u64,
-}
-
-impl Bricks {
-    pub(super) fn new(header: &GridHeader) -> Self {
-        Self { count: header.bricks(), cells: header.kind.brick_cells() }
-    }
-
-    /// The number of the brick at a place among the bricks.
-    #[inline(always)]
-    pub(super) fn number(&self, [x, y, z]: [u32; 3]) -> u64 {
-        (u64::from(z) * self.count[1] + u64::from(y)) * self.count[0] + u64::from(x)
-    }
-
-    /// The number of the brick of a cell, x fastest.
-    #[inline(always)]
-    fn of<V: Voxel>(&self, [x, y, z]: [i32; 3]) -> u64 {
-        let cells = (V::SIDE - 3) as u32;
-        self.number([x as u32 / cells, y as u32 / cells, z as u32 / cells])
-    }
-
-    /// The first voxel of a brick: one before its first cell on each axis.
-    pub(super) fn first_voxel(&self, brick: u64) -> [i32; 3] {
-        let at = [
-            brick % self.count[0],
-            brick / self.count[0] % self.count[1],
-            brick / self.count[0] / self.count[1],
-        ];
-        at.map(|b| (b * self.cells) as i32 - 1)
-    }
-}
 
 /// Samples of one ray in one brick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Segment {
-    pub(super) brick: u64,
     pub(super) lane: u8,
     /// A bit for each sample.
     pub(super) samples: u32,
+    /// The next segment in the same brick; [`NONE`] behind the last.
+    next: u16,
 }
 
-/// Where a grid is.
+/// A brick that samples of a slab are in.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Placement {
-    pub(super) voxel_from_world: DAffine3,
-    pub(super) bounds_voxel: Aabb,
-    pub(super) bricks: Bricks,
+pub(super) struct MetBrick {
+    pub(super) number: u32,
+    /// Its first sample on any ray.
+    first_sample: u32,
+    /// The first and the last of its segments.
+    segments: [u16; 2],
+    /// Another brick whose number has the same remainder; [`NONE`] behind the last.
+    next: u16,
 }
 
-/// The segments of a slab, ray by ray.
-#[inline(always)]
-pub(super) fn segments<V: Voxel>(
-    grid: &Placement,
-    rays: &GridRays,
-    slab: Slab,
-    live: &Live,
-    out: &mut Vec<Segment>,
-) {
-    out.clear();
-    let mut lanes = live.lanes();
-    while lanes != 0 {
-        let lane = lanes.trailing_zeros() as usize;
-        lanes &= lanes - 1;
-        let (first, end) = rays.within(lane, slab);
-        if first < end {
-            of_ray::<V>(grid, &rays.ray(lane, slab), lane, (first, end), live.0[lane], out);
+/// The bricks of a slab with their segments.
+pub(super) struct MetBricks {
+    bricks: Vec<MetBrick>,
+    segments: Vec<Segment>,
+    /// For each remainder of brick numbers, the brick that was met last.
+    latest: [u16; REMAINDERS],
+}
+
+/// No segment or brick: there are at most 64 · 32 of either.
+const NONE: u16 = u16::MAX;
+const REMAINDERS: usize = 256;
+
+impl MetBricks {
+    /// Bytes of one sample at most.
+    pub(super) const BYTES_OF_SAMPLE: usize = size_of::<MetBrick>() + size_of::<Segment>();
+
+    pub(super) fn new() -> Self {
+        Self { bricks: Vec::new(), segments: Vec::new(), latest: [NONE; REMAINDERS] }
+    }
+
+    /// Finds where the samples of a slab are, and groups those in `live` that are inside the grid by brick; bricks by
+    /// their first sample on any ray.
+    #[inline(always)]
+    pub(super) fn find<V: Voxel>(
+        &mut self,
+        grid: &Placement,
+        rays: &GridRays,
+        slab: Slab,
+        live: &Live,
+        places: &mut Places,
+    ) {
+        self.bricks.clear();
+        self.segments.clear();
+        self.latest.fill(NONE);
+        let mut lanes = live.lanes();
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let (first, end) = rays.within(lane, slab);
+            if first < end {
+                let bricks = places.locate::<V>(grid, &rays.ray(lane, slab), lane);
+                self.add_ray(&bricks, lane, (first, end), live.0[lane]);
+            }
         }
+        self.bricks.sort_unstable_by_key(|brick| (brick.first_sample, brick.number));
+    }
+
+    /// The bricks, nearest first.
+    pub(super) fn bricks(&self) -> &[MetBrick] {
+        &self.bricks
+    }
+
+    /// The segments in a brick, ray by ray.
+    #[inline(always)]
+    pub(super) fn segments(&self, brick: &MetBrick) -> impl Iterator<Item = Segment> + Clone {
+        let mut next = brick.segments[0];
+        std::iter::from_fn(move || {
+            let segment = self.segments.get(usize::from(next)).copied();
+            next = segment.map_or(NONE, |segment| segment.next);
+            segment
+        })
+    }
+
+    /// Adds the segments of a ray, whose samples `first` to `end` − 1 are inside the grid.
+    #[inline(always)]
+    fn add_ray(
+        &mut self,
+        bricks: &[u32; SLAB_SAMPLES],
+        lane: usize,
+        (first, end): (usize, usize),
+        live: u32,
+    ) {
+        let mut changes = 0;
+        for j in 1..SLAB_SAMPLES {
+            changes |= u32::from(bricks[j] != bricks[j - 1]) << j;
+        }
+        changes &= bits(first + 1, end);
+        let mut from = first;
+        while from < end {
+            let to = if changes == 0 { end } else { changes.trailing_zeros() as usize };
+            changes &= changes.wrapping_sub(1);
+            let samples = bits(from, to) & live;
+            if samples != 0 {
+                self.add(bricks[from % SLAB_SAMPLES], Segment { lane: lane as u8, samples, next: NONE });
+            }
+            from = to;
+        }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, number: u32, segment: Segment) {
+        let (own, first_sample) = (self.segments.len() as u16, segment.samples.trailing_zeros());
+        self.segments.push(segment);
+        let latest = &mut self.latest[number as usize % REMAINDERS];
+        let mut at = *latest;
+        while let Some(brick) = self.bricks.get_mut(usize::from(at)) {
+            if brick.number == number {
+                self.segments[usize::from(brick.segments[1])].next = own;
+                brick.segments[1] = own;
+                brick.first_sample = brick.first_sample.min(first_sample);
+                return;
+            }
+            at = brick.next;
+        }
+        let next = std::mem::replace(latest, self.bricks.len() as u16);
+        self.bricks.push(MetBrick { number, first_sample, segments: [own; 2], next });
     }
 }
 
@@ -228,112 +169,22 @@ pub(super) fn bricks_met<V: Voxel>(
     Some([0, 1, 2].map(|axis| [brick(low[axis], axis), brick(high[axis], axis)]))
 }
 
-/// The segments of one ray.
-#[inline(always)]
-fn of_ray<V: Voxel>(
-    grid: &Placement,
-    ray: &GridRay,
-    lane: usize,
-    (first, end): (usize, usize),
-    live: u32,
-    out: &mut Vec<Segment>,
-) {
-    let (cells, _) = ray.cells(grid.bounds_voxel.max - 1.0);
-    let mut from = first;
-    while from < end {
-        // Bricks are convex: if its ends are in one, so is what lies between.
-        let brick = grid.bricks.of::<V>([cells[0][from], cells[1][from], cells[2][from]]);
-        let (mut inside, mut outside) = (from, end);
-        let mut middle = end - 1;
-        while inside + 1 < outside {
-            let at = grid.bricks.of::<V>([cells[0][middle], cells[1][middle], cells[2][middle]]);
-            if at == brick {
-                inside = middle;
-            } else {
-                outside = middle;
-            }
-            middle = (inside + outside) / 2;
-        }
-        let samples = bits(from, inside + 1) & live;
-        if samples != 0 {
-            out.push(Segment { brick, lane: lane as u8, samples });
-        }
-        from = inside + 1;
-    }
-}
-
 /// Bits `first` to `end` − 1.
+#[inline(always)]
 fn bits(first: usize, end: usize) -> u32 {
     let below = |n: usize| if n >= 32 { u32::MAX } else { (1 << n) - 1 };
     below(end) & !below(first)
 }
 
-/// Sorts segments by brick, and bricks by their first sample on any ray.
-pub(super) fn sort(segments: &mut [Segment]) {
-    if segments.iter().all(|s| s.brick == segments[0].brick) {
-        return;
-    }
-    segments.sort_unstable_by_key(|s| (s.brick, s.lane));
-    let mut nearest: Vec<(u32, u64)> = (segments.chunk_by(|a, b| a.brick == b.brick))
-        .map(|of_brick| {
-            let first = of_brick.iter().map(|s| s.samples.trailing_zeros()).min();
-            (first.unwrap_or(u32::MAX), of_brick[0].brick)
-        })
-        .collect();
-    nearest.sort_unstable();
-    let order = |brick: u64| nearest.iter().position(|&(_, b)| b == brick);
-    segments.sort_by_cached_key(|s| (order(s.brick), s.lane));
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::field::Packet;
+    use crate::geometry::{Aabb, DAffine3, Ray};
     use crate::grid::format::VoxelKind;
+    use crate::trace::grid::placement::Bricks;
     use crate::trace::grid::volume::tests::header;
-    use crate::trace::grid::voxels::{self, with_voxel};
-
-    /// Cells and fractions of 32 places along the x axis of a grid.
-    fn along_x(header: &GridHeader, places: &[f64]) -> Vec<(i32, f32)> {
-        let last_cell = header.last_voxel() - 1.0;
-        let found = places.iter().map(|&x| {
-            let ray = GridRay {
-                origin: DVec3::new(x, 0.0, 0.0),
-                direction: DVec3::ZERO,
-                offset: 0.0,
-                first: 0,
-                step: 1.0,
-            };
-            let (cells, within) = ray.cells(last_cell);
-            (cells[0][0], within[0][0])
-        });
-        found.collect()
-    }
-
-    #[test]
-    fn a_place_is_in_its_own_cell_and_in_one_that_its_brick_has() {
-        for &kind in VoxelKind::ALL {
-            let cells = kind.brick_cells() as i32;
-            for n in 2..=130_i32 {
-                let header = header([n as u64, n as u64, 2], kind);
-                let last = f64::from(n - 1);
-                // Every voxel, the floating-point numbers next to it, and places in between.
-                let places = (0..n).flat_map(|i| {
-                    let i = f64::from(i);
-                    [i, i.next_down(), i.next_up(), i + 1e-17, i + 1e-3, i + 0.5, (i + 1.0).next_down()]
-                });
-                let places: Vec<f64> = places.filter(|x| (0.0..=last).contains(x)).collect();
-                for (&x, (cell, within)) in places.iter().zip(along_x(&header, &places)) {
-                    assert_eq!(cell, (x as i32).min(n - 2), "{n} voxels, at {x:e}");
-                    let bricks = Bricks::new(&header);
-                    let number = with_voxel!(kind, V => bricks.of::<V>([cell, 0, 0]));
-                    let first = bricks.first_voxel(number)[0];
-                    assert!((1..=cells).contains(&(cell - first)), "{n} voxels, at {x:e}: cell {cell}");
-                    assert!((0.0..=1.0).contains(&within), "{n} voxels, at {x:e}: {within}");
-                    assert!((f64::from(within) + f64::from(cell) - x).abs() < 1e-7, "{n} voxels, at {x:e}");
-                }
-            }
-        }
-    }
+    use crate::trace::grid::voxels;
 
     #[test]
     fn segments_hold_every_live_sample_in_the_grid_once_nearest_bricks_first() {
@@ -355,21 +206,22 @@ mod tests {
         let mut live = Live::of(u64::MAX);
         live.0[5] = 0x00ff_ff00;
         live.0[6] = 0;
-        let mut found = Vec::new();
+        let (mut found, mut places) = (MetBricks::new(), Places::new());
         let in_voxels = GridRays::new(&grid, &packet);
         for number in 0..5 {
             let slab = Slab { first: 32 * number, samples: SLAB_SAMPLES };
-            segments::<voxels::F32>(&grid, &in_voxels, slab, &live, &mut found);
-            sort(&mut found);
+            found.find::<voxels::F32>(&grid, &in_voxels, slab, &live, &mut places);
             let mut covered = [0_u32; 64];
-            for segment in &found {
-                let lane = usize::from(segment.lane);
-                assert_eq!(covered[lane] & segment.samples, 0, "no sample twice");
-                covered[lane] |= segment.samples;
-                let ray = in_voxels.ray(lane, slab);
-                for j in (0..SLAB_SAMPLES).filter(|j| segment.samples >> j & 1 == 1) {
-                    let cell = ray.place(j).floor().as_ivec3().to_array();
-                    assert_eq!(grid.bricks.of::<voxels::F32>(cell), segment.brick);
+            for brick in found.bricks() {
+                for segment in found.segments(brick) {
+                    let lane = usize::from(segment.lane);
+                    assert_eq!(covered[lane] & segment.samples, 0, "no sample twice");
+                    covered[lane] |= segment.samples;
+                    let ray = in_voxels.ray(lane, slab);
+                    for j in (0..SLAB_SAMPLES).filter(|j| segment.samples >> j & 1 == 1) {
+                        let at = ray.place(j).floor().as_uvec3().to_array().map(|cell| cell / 17);
+                        assert_eq!(grid.bricks.number(at), brick.number);
+                    }
                 }
             }
             for lane in 0..64 {
@@ -380,23 +232,21 @@ mod tests {
                 }
             }
             if let Some(met) = bricks_met::<voxels::F32>(&grid, &in_voxels, slab, live.lanes()) {
-                let at = |number: u64| [number % 6, number / 6 % 5, number / 30].map(|n| n as u32);
+                let at = |number: u32| [number % 6, number / 6 % 5, number / 30];
                 let holds =
                     |brick| at(brick).iter().zip(met).all(|(&b, [low, high])| (low..=high).contains(&b));
-                assert!(found.iter().all(|segment| holds(segment.brick)), "{met:?}");
+                assert!(found.bricks().iter().all(|brick| holds(brick.number)), "{met:?}");
             } else {
-                assert!(found.is_empty());
+                assert!(found.bricks().is_empty());
             }
-            let firsts: Vec<u32> = (found.chunk_by(|a, b| a.brick == b.brick))
-                .map(|of| of.iter().map(|s| s.samples.trailing_zeros()).min().unwrap_or(0))
-                .collect();
+            let first = |brick| found.segments(brick).map(|s| s.samples.trailing_zeros()).min().unwrap_or(0);
+            let firsts: Vec<u32> = found.bricks().iter().map(first).collect();
             assert!(firsts.is_sorted(), "{firsts:?}");
-            let mut bricks: Vec<u64> =
-                found.chunk_by(|a, b| a.brick == b.brick).map(|of| of[0].brick).collect();
-            let chunks = bricks.len();
+            let mut bricks: Vec<u32> = found.bricks().iter().map(|brick| brick.number).collect();
+            let count = bricks.len();
             bricks.sort_unstable();
             bricks.dedup();
-            assert_eq!(bricks.len(), chunks, "a brick is one chunk");
+            assert_eq!(bricks.len(), count, "a brick is there once");
         }
     }
 }

@@ -7,28 +7,22 @@ use super::voxels::Voxel;
 pub(super) const BLOCK_CELLS: usize = 4;
 /// Most blocks along an edge of a brick.
 const MOST_BLOCKS: usize = 7;
+/// A power of two that the words of [`Blocks`] fit in.
+const WORDS: usize = (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64).next_power_of_two();
 /// Bricks whose blocks are remembered. A packet meets few bricks, and its neighbours the same ones.
 const REMEMBERED: usize = 512;
 
 /// A bit for each block of a brick, x fastest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Blocks([u64; (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64)]);
+pub(super) struct Blocks([u64; WORDS]);
 
 impl Blocks {
-    pub(super) const ALL: Self = Self([u64::MAX; (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64)]);
-    pub(super) const NONE: Self = Self([0; (MOST_BLOCKS * MOST_BLOCKS * MOST_BLOCKS).div_ceil(64)]);
-
-    /// The number of the block that contains a cell, counted from the first cell of the brick.
-    #[inline(always)]
-    pub(super) fn number<V: Voxel>([x, y, z]: [u32; 3]) -> u32 {
-        let (side, cells) = (blocks_of::<V>() as u32, BLOCK_CELLS as u32);
-        // Cells outside of the brick wrap around; nobody asks for their blocks.
-        (z / cells).wrapping_mul(side).wrapping_add(y / cells).wrapping_mul(side).wrapping_add(x / cells)
-    }
+    pub(super) const ALL: Self = Self([u64::MAX; WORDS]);
+    pub(super) const NONE: Self = Self([0; WORDS]);
 
     #[inline(always)]
-    pub(super) fn has(&self, number: u32) -> bool {
-        self.0.get(number as usize / 64).is_some_and(|bits| bits >> (number % 64) & 1 == 1)
+    pub(super) fn has(&self, number: u16) -> bool {
+        self.0[usize::from(number) / 64 % WORDS] >> (number % 64) & 1 == 1
     }
 
     /// The blocks of a brick that show anything.
@@ -52,7 +46,7 @@ impl Blocks {
 }
 
 /// Blocks along an edge of a brick of a kind of voxel.
-const fn blocks_of<V: Voxel>() -> usize {
+pub(super) const fn blocks_of<V: Voxel>() -> usize {
     (V::SIDE - 3).div_ceil(BLOCK_CELLS)
 }
 
@@ -129,6 +123,12 @@ mod tests {
     use crate::scene::OpacityRule;
     use crate::trace::grid::voxels::with_voxel;
 
+    /// The block of a cell.
+    fn number<V: Voxel>(cell: [u32; 3]) -> u16 {
+        let [x, y, z] = cell.map(|c| c as usize / BLOCK_CELLS);
+        ((z * blocks_of::<V>() + y) * blocks_of::<V>() + x) as u16
+    }
+
     fn a_voxel_shows_in_the_blocks_of_its_cells<V: Voxel>(kind: VoxelKind) {
         let rule = OpacityRule::Curve(vec![(100.0, 0.0), (120.0, 1.0)]);
         let values = Values::new(&crate::trace::grid::volume::tests::header([200; 3], kind), &rule);
@@ -155,7 +155,7 @@ mod tests {
                             .zip(voxel)
                             .all(|(&c, v)| c as usize + 1 == v || c as usize + 2 == v);
                         if corner {
-                            assert!(blocks.has(Blocks::number::<V>([x, y, z])), "{voxel:?} in {x} {y} {z}");
+                            assert!(blocks.has(number::<V>([x, y, z])), "{voxel:?} in {x} {y} {z}");
                         }
                         // Nothing shows a block away.
                         let far = [x, y, z]
@@ -163,7 +163,7 @@ mod tests {
                             .zip(voxel)
                             .any(|(&c, v)| (c as usize + 1).abs_diff(v) > 1 + BLOCK_CELLS);
                         if far {
-                            assert!(!blocks.has(Blocks::number::<V>([x, y, z])), "{voxel:?} in {x} {y} {z}");
+                            assert!(!blocks.has(number::<V>([x, y, z])), "{voxel:?} in {x} {y} {z}");
                         }
                     }
                 }

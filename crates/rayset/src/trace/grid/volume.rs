@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use fearless_simd::dispatch;
 
-use super::batch::Spot;
-use super::brick::BrickSamples;
+use super::brick::{BrickSamples, List};
 use super::field::{Color, GridField, GridMarch, GridRequest};
 use super::gradients::Gradients;
 use super::opacity::{Opacities, Values};
-use super::spans::{Bricks, GridRays, Placement, Segment, bricks_met, segments, sort};
+use super::places::Places;
+use super::placement::{Bricks, Placement};
+use super::rays::GridRays;
+use super::spans::{MetBricks, bricks_met};
 use super::visible::{Blocks, KnownBlocks};
 use super::voxels::with_voxel;
 use crate::container::PAGE_HEAD_BYTES;
@@ -17,7 +19,7 @@ use crate::field::{LANES, Packet, SLAB_SAMPLES};
 use crate::geometry::{Aabb, DAffine3, DVec3, Ray};
 use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, largest_stretch};
-use crate::trace::access::{Access, Halt};
+use crate::trace::access::Halt;
 use crate::trace::node_samples::{MATERIAL, NodeSamples};
 use crate::trace::transfer::ColorTable;
 use crate::working_set::{Object, PagedFiles};
@@ -35,19 +37,19 @@ const MOST_BRICKS: u32 = 64;
 
 /// Scratch memory shared by all grids of a thread.
 pub(in crate::trace) struct GridScratch {
-    segments: Vec<Segment>,
-    /// Samples of a brick that are not transparent, with their stored numbers less the base.
-    shown: Vec<(Spot, f32)>,
+    met: MetBricks,
+    samples: Option<Box<(Places, List)>>,
     blocks: KnownBlocks,
 }
 
 impl GridScratch {
     /// The most that it takes.
-    pub(in crate::trace) const BYTES: usize =
-        KnownBlocks::BYTES + LANES * SLAB_SAMPLES * (size_of::<(Spot, f32)>() + 2 * size_of::<Segment>());
+    pub(in crate::trace) const BYTES: usize = KnownBlocks::BYTES
+        + size_of::<(Places, List)>()
+        + 2 * LANES * SLAB_SAMPLES * MetBricks::BYTES_OF_SAMPLE;
 
     pub(in crate::trace) fn new() -> Self {
-        Self { segments: Vec::new(), shown: Vec::new(), blocks: KnownBlocks::new() }
+        Self { met: MetBricks::new(), samples: None, blocks: KnownBlocks::new() }
     }
 }
 
@@ -128,50 +130,53 @@ impl GridVolume {
     ) -> Result<(), Halt> {
         out.touched = 0;
         let GridRequest { access, march: GridMarch(rays), slab, live, simd, .. } = *request;
-        let GridScratch { segments: found, shown, blocks } = scratch;
+        let GridScratch { met, samples, blocks } = scratch;
+        let (places, list) = &mut **samples.get_or_insert_with(|| Box::new((Places::new(), List::new())));
         let kind = self.object.grid.header().kind;
         if !request.required.outside && self.known_empty(request, blocks) {
             return Ok(());
         }
         with_voxel!(kind, V => dispatch!(simd.level(), _simd =>
-            segments::<V>(&self.field.placement, rays, slab, live, found)));
-        sort(found);
-        self.fetch(access, found)?;
+            met.find::<V>(&self.field.placement, rays, slab, live, places)));
+        self.fetch(request, met, blocks)?;
         let mut seen = [SLAB_SAMPLES; LANES];
         // Brick by brick, whichever rays pass through them: each brick is retained once, and a small budget need not
         // read it again for every ray. Samples are independent of each other, so their order does not matter.
-        for of_brick in found.chunk_by(|a, b| a.brick == b.brick) {
-            let number = of_brick[0].brick;
-            let key = request.key(number);
-            if !request.required.outside && blocks.get(key) == Some(&Blocks::NONE) {
+        for brick in met.bricks() {
+            if !self.shows(request, brick.number, blocks)? {
                 continue;
             }
-            if !self.shows(access, number)? {
-                blocks.insert(key, Blocks::NONE);
-                continue;
-            }
-            let page = access.retain_page(&self.pages, number as u32)?;
-            let brick = BrickSamples {
-                field: &self.field,
-                request,
-                voxels: &page[PAGE_HEAD_BYTES..PAGE_BYTES],
-                corner: self.field.placement.bricks.first_voxel(number),
-            };
-            with_voxel!(kind, V => {
-                let blocks = match blocks.get(key) {
-                    _ if request.required.outside => Blocks::ALL,
-                    Some(known) => *known,
-                    None => {
-                        let found = dispatch!(simd.level(), _simd =>
-                            Blocks::of::<V>(brick.voxels, &self.field.values, &self.field.opacities));
-                        blocks.insert(key, found);
-                        found
-                    }
-                };
-                dispatch!(simd.level(), _simd => brick.fill::<V>(of_brick, &blocks, &mut seen, shown, out));
-            });
+            let page = access.retain_page(&self.pages, brick.number)?;
+            let voxels = &page[PAGE_HEAD_BYTES..PAGE_BYTES];
+            let blocks = self.blocks_of(request, brick.number, voxels, blocks);
+            let samples = BrickSamples { field: &self.field, request, voxels, places, blocks };
+            let segments = met.segments(brick);
+            with_voxel!(kind, V => dispatch!(simd.level(), simd =>
+                samples.fill::<_, V>(simd, segments.clone(), &mut seen, list, out)));
         }
         Ok(())
+    }
+
+    /// The blocks of a brick that are to be looked at.
+    fn blocks_of(
+        &self,
+        request: &GridRequest<'_>,
+        brick: u32,
+        voxels: &[u8],
+        known: &mut KnownBlocks,
+    ) -> Blocks {
+        if request.required.outside {
+            return Blocks::ALL;
+        }
+        let key = request.key(brick);
+        if let Some(blocks) = known.get(key) {
+            return *blocks;
+        }
+        let GridField { values, opacities, .. } = &self.field;
+        let blocks = with_voxel!(self.object.grid.header().kind, V =>
+            dispatch!(request.simd.level(), _simd => Blocks::of::<V>(voxels, values, opacities)));
+        known.insert(key, blocks);
+        blocks
     }
 
     /// Whether all bricks that the samples of a slab lie in are known to show nothing.
@@ -193,15 +198,20 @@ impl GridVolume {
     }
 
     /// Requests all absent bricks of a slab at once, unless the attempt waits for each page.
-    fn fetch(&self, access: Access<'_>, segments: &[Segment]) -> Result<(), Halt> {
+    fn fetch(
+        &self,
+        request: &GridRequest<'_>,
+        met: &MetBricks,
+        blocks: &mut KnownBlocks,
+    ) -> Result<(), Halt> {
+        let access = request.access;
         if access.waits {
             return Ok(());
         }
         let mut absent = Vec::new();
-        for of_brick in segments.chunk_by(|a, b| a.brick == b.brick) {
-            let brick = of_brick[0].brick;
-            if self.shows(access, brick)? && !self.pages.is_resident(brick as u32) {
-                absent.push(brick as u32);
+        for brick in met.bricks() {
+            if self.shows(request, brick.number, blocks)? && !self.pages.is_resident(brick.number) {
+                absent.push(brick.number);
             }
         }
         if absent.len() > 1 {
@@ -210,17 +220,26 @@ impl GridVolume {
         Ok(())
     }
 
-    /// Whether any value of a brick is visible.
-    fn shows(&self, access: Access<'_>, brick: u64) -> Result<bool, Halt> {
+    /// Whether any sample of a brick is to be looked at.
+    fn shows(&self, request: &GridRequest<'_>, brick: u32, known: &mut KnownBlocks) -> Result<bool, Halt> {
+        let GridRequest { access, required, .. } = *request;
+        let key = request.key(brick);
+        if !required.outside
+            && let Some(blocks) = known.get(key)
+        {
+            return Ok(*blocks != Blocks::NONE);
+        }
         let header = self.object.grid.header();
-        let page = header.brick_pages() + brick / RANGES_PER_PAGE;
+        let page = header.brick_pages() + u64::from(brick) / RANGES_PER_PAGE;
         let guard = access.retain_page(&self.pages, page as u32)?;
-        let at = PAGE_HEAD_BYTES + (brick % RANGES_PER_PAGE) as usize * 8;
+        let at = PAGE_HEAD_BYTES + (u64::from(brick) % RANGES_PER_PAGE) as usize * 8;
         let number = |at: usize| f32::from_le_bytes([guard[at], guard[at + 1], guard[at + 2], guard[at + 3]]);
-        Ok(self
-            .field
-            .opacities
-            .shows(number(at) - self.field.values.base, number(at + 4) - self.field.values.base))
+        let (low, high) = (number(at) - self.field.values.base, number(at + 4) - self.field.values.base);
+        let shows = self.field.opacities.shows(low, high);
+        if !shows {
+            known.insert(key, Blocks::NONE);
+        }
+        Ok(shows)
     }
 }
 

@@ -6,6 +6,8 @@ use crate::grid::format::VoxelKind;
 pub(super) trait Voxel: Copy {
     /// Voxels along an edge of a brick.
     const SIDE: usize;
+    /// Bytes of one voxel.
+    const BYTES: usize;
     /// Two neighbours as they are stored.
     type Pair: Copy + Default;
     /// The voxels with indices `at` and `at + 1` in a brick.
@@ -33,6 +35,7 @@ fn bytes<const N: usize>(brick: &[u8], at: usize) -> [u8; N] {
 
 impl Voxel for U8 {
     const SIDE: usize = VoxelKind::U8.brick_voxels();
+    const BYTES: usize = 1;
     type Pair = u32;
 
     #[inline(always)]
@@ -48,6 +51,7 @@ impl Voxel for U8 {
 
 impl Voxel for U16 {
     const SIDE: usize = VoxelKind::U16.brick_voxels();
+    const BYTES: usize = 2;
     type Pair = u32;
 
     #[inline(always)]
@@ -63,6 +67,7 @@ impl Voxel for U16 {
 
 impl Voxel for I16 {
     const SIDE: usize = VoxelKind::I16.brick_voxels();
+    const BYTES: usize = 2;
     type Pair = u32;
 
     #[inline(always)]
@@ -78,6 +83,7 @@ impl Voxel for I16 {
 
 impl Voxel for F32 {
     const SIDE: usize = VoxelKind::F32.brick_voxels();
+    const BYTES: usize = 4;
     type Pair = u64;
 
     #[inline(always)]
