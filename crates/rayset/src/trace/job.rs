@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
 
 use super::access::{Access, Halt};
 use super::layers::Layers;
@@ -21,13 +22,17 @@ use crate::cancel::CancelToken;
 use crate::field::LANES;
 use crate::image::LayerPixel;
 use crate::scene::{RayMaker, RenderSettings};
-use crate::sync::{Condvar, Mutex, MutexGuard, lock_counting};
+use crate::sync::{Condvar, Mutex, MutexGuard, lock_counting, wait_timeout};
 use crate::working_set::{PageClient, Reuse};
 
 /// Most finished tiles that wait to be handed out; at this many, no further tiles are begun.
 const MOST_WAITING: usize = 32;
 /// With this many or fewer, threads that have left are called back.
 const FEW_WAITING: usize = MOST_WAITING / 2;
+/// The caller is woken at most this often while few tiles wait: waking a thread costs as much as a small tile.
+const BETWEEN_CALLS: Duration = Duration::from_millis(5);
+/// The caller looks for tiles of its own accord after this long.
+const MOST_UNSEEN: Duration = Duration::from_millis(20);
 /// Most tiles that a thread traces together.
 const MOST_TOGETHER: usize = 16;
 
@@ -76,6 +81,8 @@ impl Progress {
 
 #[derive(Default)]
 struct State {
+    /// When the caller was last told of tiles.
+    called: Option<Instant>,
     pass: usize,
     /// The next tile of the pass.
     next: usize,
@@ -174,7 +181,7 @@ impl Job {
             if state.threads == 0 && (complete || stopped) {
                 break;
             }
-            state = self.progress.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = wait_timeout(&self.progress.changed, state, MOST_UNSEEN);
         }
         let complete = state.pass == self.passes.len() && state.outputs.is_empty();
         let (panic, error, counts) = (state.panic.take(), state.error.take(), state.counts);
@@ -242,7 +249,11 @@ impl Job {
         }
     }
 
-    /// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
+    /// The caller is woken at most this often while few tiles wait: waking a thread costs as much as a small tile.
+const BETWEEN_CALLS: Duration = Duration::from_millis(5);
+/// The caller looks for tiles of its own accord after this long.
+const MOST_UNSEEN: Duration = Duration::from_millis(20);
+/// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
     /// follow from different tiles share packets. Those of more sheets than that do not.
     fn most_together(&self) -> usize {
         let world = &self.prepared.world;
@@ -362,8 +373,15 @@ impl Job {
         }
         let is_full = state.outputs.len() >= MOST_WAITING;
         let calls = next_pass && state.pass < self.passes.len();
+        let since = state.called.map_or(BETWEEN_CALLS, |called| called.elapsed());
+        let calls_caller = next_pass || state.is_filling() || since >= BETWEEN_CALLS;
+        if calls_caller {
+            state.called = Some(Instant::now());
+        }
         drop(state);
-        self.progress.changed.notify_all();
+        if calls_caller {
+            self.progress.changed.notify_all();
+        }
         if calls {
             turn.call_others();
         }

@@ -123,8 +123,11 @@ pub(super) fn gradients<V: Voxel>(brick: &[u8], batch: (&Batch, &Places)) -> [Ro
         [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y],
         [0, 3 * z, y, y + 3 * z],
     ];
-    let [before, behind, beside_y, beside_z] =
-        offsets.map(|offsets| Pairs::<V, 4>::read(brick, batch, z, offsets, y + 3 * z));
+    let farthest = y + 3 * z;
+    let before = Pairs::<V, 4>::read(brick, batch, z, offsets[0], farthest);
+    let behind = Pairs::<V, 4>::read(brick, batch, z, offsets[1], farthest);
+    let beside_y = Pairs::<V, 4>::read(brick, batch, z, offsets[2], farthest);
+    let beside_z = Pairs::<V, 4>::read(brick, batch, z, offsets[3], farthest);
     let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
     for row in 0..4 {
         let ([a, b], [c, d]) = (before.numbers(row), behind.numbers(row));
