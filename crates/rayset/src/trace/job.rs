@@ -249,11 +249,7 @@ impl Job {
         }
     }
 
-    /// The caller is woken at most this often while few tiles wait: waking a thread costs as much as a small tile.
-const BETWEEN_CALLS: Duration = Duration::from_millis(5);
-/// The caller looks for tiles of its own accord after this long.
-const MOST_UNSEEN: Duration = Duration::from_millis(20);
-/// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
+    /// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
     /// follow from different tiles share packets. Those of more sheets than that do not.
     fn most_together(&self) -> usize {
         let world = &self.prepared.world;

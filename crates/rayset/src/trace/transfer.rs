@@ -62,8 +62,15 @@ impl ColorTable {
         let least = |at: f64| if at > 0.0 { least_value(at, place) } else { f32::NEG_INFINITY };
         let from: Vec<f32> = stops.iter().map(|&(at, _)| least(at)).collect();
         let places_per_value = (PLACES as f64 / (high - low)) as f32;
-        let mut table =
-            Self { from, knots, index: Vec::new(), sign: sign as f32, low: low as f32, places_per_value, is_even: false };
+        let mut table = Self {
+            from,
+            knots,
+            index: Vec::new(),
+            sign: sign as f32,
+            low: low as f32,
+            places_per_value,
+            is_even: false,
+        };
         let mut knot = 0;
         table.index = (0..=PLACES)
             .map(|number| {
@@ -96,43 +103,22 @@ impl ColorTable {
     }
 
     /// The colour of a value, linear light.
-    #[inline]
+    #[inline(always)]
     pub(super) fn color(&self, value: f32) -> [f32; 3] {
-        self.colors(&[value]).map(|[v]| v)
+        // NaN counts as before the range.
+        let value = (value * self.sign).max(f32::NEG_INFINITY);
+        let Some(knot) = self.knots.get(self.knot(value)) else { return [0.0; 3] };
+        let along = (f64::from(value) - knot.start) * knot.per_value;
+        // Before the first knot, the colour of that knot.
+        let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
+        let (color, change) = (knot.color, knot.change);
+        [color[0] + change[0] * along, color[1] + change[1] * along, color[2] + change[2] * along]
     }
 
-    /// The colours of some values, by channel.
+    /// The last knot that is not above a value, or the first of all.
     #[inline(always)]
-    pub(super) fn colors<const N: usize>(&self, values: &[f32; N]) -> [[f32; N]; 3] {
-        let (mut value, mut first) = ([0.0; N], [0; N]);
-        for i in 0..N {
-            // NaN counts as before the range.
-            value[i] = (values[i] * self.sign).max(f32::NEG_INFINITY);
-            first[i] = self.place(value[i]);
-        }
-        let (mut start, mut per_value) = ([0.0; N], [0.0; N]);
-        let (mut color, mut change) = ([[0.0; N]; 3], [[0.0; N]; 3]);
-        for i in 0..N {
-            let Some(knot) = self.knots.get(self.knot(value[i], first[i] as usize)) else { continue };
-            (start[i], per_value[i]) = (knot.start, knot.per_value);
-            for c in 0..3 {
-                (color[c][i], change[c][i]) = (knot.color[c], knot.change[c]);
-            }
-        }
-        for i in 0..N {
-            let along = (f64::from(value[i]) - start[i]) * per_value[i];
-            // Before the first knot, the colour of that knot.
-            let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
-            for c in 0..3 {
-                color[c][i] += change[c][i] * along;
-            }
-        }
-        color
-    }
-
-    /// The last knot that is not above a value of a place, or the first of all.
-    #[inline(always)]
-    fn knot(&self, value: f32, place: usize) -> usize {
+    fn knot(&self, value: f32) -> usize {
+        let place = self.place(value) as usize;
         let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
         if self.is_even {
             // Without a branch, which nothing could foresee.

@@ -1,24 +1,61 @@
 //! Samples of one brick, evaluated many at a time.
 
-use super::places::Places;
+use super::places::{OfSamples, Places};
 use super::voxels::Voxel;
-use crate::field::{LANES, SLAB_SAMPLES};
+use crate::field::BLOCK_SAMPLES;
 
 /// Samples that are evaluated together.
 pub(super) const BATCH: usize = 32;
-
-/// The samples of a batch: lane · 32 + sample.
-pub(super) type Batch = [u16; BATCH];
-
-/// Lane and sample.
-#[inline(always)]
-pub(super) fn lane_and_sample(at: u16) -> (usize, usize) {
-    let at = usize::from(at);
-    (at / SLAB_SAMPLES % LANES, at % SLAB_SAMPLES)
-}
+/// Groups of samples that are evaluated together.
+pub(super) const BATCH_GROUPS: usize = BATCH / BLOCK_SAMPLES;
 
 /// One number for each sample of a batch.
 pub(super) type Row = [f32; BATCH];
+
+// Loops instead of closures: closures are not always inlined where vector code requires it.
+
+/// The cells of a batch of samples.
+pub(super) struct Cells {
+    /// Index of the first voxel of each in the brick.
+    voxel: [u16; BATCH],
+    /// How far into it each sample lies.
+    within: [Row; 3],
+}
+
+impl Cells {
+    /// Those of some groups of samples.
+    #[inline(always)]
+    pub(super) fn of_groups(places: &Places, groups: &[u8; BATCH_GROUPS]) -> Self {
+        let mut cells = Self { voxel: [0; BATCH], within: [[0.0; BATCH]; 3] };
+        for (i, &group) in groups.iter().enumerate() {
+            cells.voxel.as_chunks_mut().0[i] = places.voxel[usize::from(group)];
+            for (row, within) in cells.within.iter_mut().zip(&places.within) {
+                row.as_chunks_mut().0[i] = within[usize::from(group)];
+            }
+        }
+        cells
+    }
+
+    /// Those of some samples.
+    #[inline(always)]
+    pub(super) fn of_samples(places: &Places, samples: &[u16; BATCH]) -> Self {
+        let mut cells = Self { voxel: [0; BATCH], within: [[0.0; BATCH]; 3] };
+        for (i, &at) in samples.iter().enumerate() {
+            cells.voxel[i] = at_sample(&places.voxel, at);
+            for (row, within) in cells.within.iter_mut().zip(&places.within) {
+                row[i] = at_sample(within, at);
+            }
+        }
+        cells
+    }
+}
+
+/// The number of one sample: lane · 32 + sample.
+#[inline(always)]
+pub(super) fn at_sample<T: Copy>(of_samples: &OfSamples<T>, at: u16) -> T {
+    let of_samples = of_samples.as_flattened();
+    of_samples[usize::from(at) % of_samples.len()]
+}
 
 /// Pairs of voxels of a batch, as they are stored: one row for each place relative to a cell.
 struct Pairs<V: Voxel, const ROWS: usize>([[V::Pair; BATCH]; ROWS]);
@@ -27,17 +64,10 @@ impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
     /// Reads the pairs that begin `offsets` voxels, at most `farthest`, from a place `before` voxels in front of the first voxel
     /// of each cell.
     #[inline(always)]
-    fn read(
-        brick: &[u8],
-        (batch, places): (&Batch, &Places),
-        before: usize,
-        offsets: [usize; ROWS],
-        farthest: usize,
-    ) -> Self {
+    fn read(brick: &[u8], cells: &Cells, before: usize, offsets: [usize; ROWS], farthest: usize) -> Self {
         let mut rows = [[V::Pair::default(); BATCH]; ROWS];
-        for (i, &at) in batch.iter().enumerate() {
-            let voxel = usize::from(places.voxel[usize::from(at) % places.voxel.len()]);
-            let from = voxel.wrapping_sub(before).wrapping_mul(V::BYTES);
+        for (i, &voxel) in cells.voxel.iter().enumerate() {
+            let from = usize::from(voxel).wrapping_sub(before).wrapping_mul(V::BYTES);
             // One test for each cell: its pairs then need none.
             let around = &brick[from..][..(farthest + 2) * V::BYTES];
             for (row, offset) in rows.iter_mut().zip(offsets) {
@@ -56,20 +86,6 @@ impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
         }
         [low, high]
     }
-}
-
-// Loops instead of closures: closures are not always inlined where vector code requires it.
-
-/// How far the samples of a batch are into their cells.
-#[inline(always)]
-fn fractions((batch, places): (&Batch, &Places)) -> [Row; 3] {
-    let mut columns = [[0.0; BATCH]; 3];
-    for (i, &at) in batch.iter().enumerate() {
-        for (column, within) in columns.iter_mut().zip(&places.within) {
-            column[i] = within[usize::from(at) % within.len()];
-        }
-    }
-    columns
 }
 
 #[inline(always)]
@@ -92,10 +108,10 @@ fn less(a: &Row, b: &Row) -> Row {
 
 /// The trilinear values of a batch, in stored numbers less `base`.
 #[inline(always)]
-pub(super) fn values<V: Voxel>(brick: &[u8], batch: (&Batch, &Places), base: f32) -> Row {
+pub(super) fn values<V: Voxel>(brick: &[u8], cells: &Cells, base: f32) -> Row {
     let (y, z) = (V::SIDE, V::SIDE * V::SIDE);
-    let pairs = Pairs::<V, 4>::read(brick, batch, 0, [0, y, z, z + y], z + y);
-    let [fx, fy, fz] = fractions(batch);
+    let pairs = Pairs::<V, 4>::read(brick, cells, 0, [0, y, z, z + y], z + y);
+    let [fx, fy, fz] = &cells.within;
     let mut along_x = [[0.0; BATCH]; 4];
     for (row, out) in along_x.iter_mut().enumerate() {
         let [a, b] = pairs.numbers(row);
@@ -104,17 +120,17 @@ pub(super) fn values<V: Voxel>(brick: &[u8], batch: (&Batch, &Places), base: f32
             out[i] = a + (b - a) * fx[i];
         }
     }
-    let low = lerp(&along_x[0], &along_x[1], &fy);
-    let high = lerp(&along_x[2], &along_x[3], &fy);
-    lerp(&low, &high, &fz)
+    let low = lerp(&along_x[0], &along_x[1], fy);
+    let high = lerp(&along_x[2], &along_x[3], fy);
+    lerp(&low, &high, fz)
 }
 
 /// The gradients of a batch in stored numbers a voxel: half the difference of the trilinear values one voxel on either
 /// side, with the weights of the same cell.
 #[inline(always)]
-pub(super) fn gradients<V: Voxel>(brick: &[u8], batch: (&Batch, &Places)) -> [Row; 3] {
+pub(super) fn gradients<V: Voxel>(brick: &[u8], cells: &Cells) -> [Row; 3] {
     let (y, z) = (V::SIDE, V::SIDE * V::SIDE);
-    let f = fractions(batch);
+    let f = &cells.within;
     // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
     // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
     let offsets = [
@@ -124,10 +140,10 @@ pub(super) fn gradients<V: Voxel>(brick: &[u8], batch: (&Batch, &Places)) -> [Ro
         [0, 3 * z, y, y + 3 * z],
     ];
     let farthest = y + 3 * z;
-    let before = Pairs::<V, 4>::read(brick, batch, z, offsets[0], farthest);
-    let behind = Pairs::<V, 4>::read(brick, batch, z, offsets[1], farthest);
-    let beside_y = Pairs::<V, 4>::read(brick, batch, z, offsets[2], farthest);
-    let beside_z = Pairs::<V, 4>::read(brick, batch, z, offsets[3], farthest);
+    let before = Pairs::<V, 4>::read(brick, cells, z, offsets[0], farthest);
+    let behind = Pairs::<V, 4>::read(brick, cells, z, offsets[1], farthest);
+    let beside_y = Pairs::<V, 4>::read(brick, cells, z, offsets[2], farthest);
+    let beside_z = Pairs::<V, 4>::read(brick, cells, z, offsets[3], farthest);
     let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
     for row in 0..4 {
         let ([a, b], [c, d]) = (before.numbers(row), behind.numbers(row));
@@ -197,17 +213,19 @@ mod tests {
             .collect();
         let numbers: Vec<f32> = bytes.chunks_exact(kind.bytes()).map(|bytes| kind.value(bytes)).collect();
         let mut of_samples = Places::new();
-        let batch: Batch = std::array::from_fn(|i| 61 * i as u16);
-        for (i, &at) in batch.iter().enumerate() {
+        let samples: [u16; BATCH] = std::array::from_fn(|i| 61 * i as u16);
+        for (i, &at) in samples.iter().enumerate() {
             let (cell, within) = places[i % places.len()];
             let cell = cell.map(|c| 1 + c % (n - 3));
-            of_samples.voxel[usize::from(at)] = ((cell[2] * n + cell[1]) * n + cell[0]) as u16;
+            of_samples.voxel.as_flattened_mut()[usize::from(at)] =
+                ((cell[2] * n + cell[1]) * n + cell[0]) as u16;
             for (row, f) in of_samples.within.iter_mut().zip(within) {
-                row[usize::from(at)] = f;
+                row.as_flattened_mut()[usize::from(at)] = f;
             }
         }
-        let values = values::<V>(&bytes, (&batch, &of_samples), 3.0);
-        let gradients = gradients::<V>(&bytes, (&batch, &of_samples));
+        let cells = Cells::of_samples(&of_samples, &samples);
+        let values = values::<V>(&bytes, &cells, 3.0);
+        let gradients = gradients::<V>(&bytes, &cells);
         for i in 0..places.len() {
             let (cell, f) = places[i];
             let cell = cell.map(|c| 1 + c % (n - 3));

@@ -1,14 +1,14 @@
-//! The samples of a slab in one brick: listed ray by ray, evaluated batch by batch.
+//! The samples of a slab in one brick: found ray by ray in groups of eight, evaluated batch by batch.
 
 use fearless_simd::prelude::*;
 
-use super::batch::{BATCH, Batch, gradients, lane_and_sample, values};
+use super::batch::{BATCH, BATCH_GROUPS, Cells, at_sample, gradients, values};
 use super::field::{Color, GridField, GridRequest};
-use super::places::{OfSamples, Places};
+use super::places::{GROUPS, GROUPS_OF_LANE, OfSamples, Places};
 use super::spans::Segment;
 use super::visible::Blocks;
 use super::voxels::Voxel;
-use crate::field::{LANES, SLAB_SAMPLES};
+use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES, SampleRow};
 use crate::trace::node_samples::{NodeSamples, numbers};
 
 /// The samples of a slab in one brick.
@@ -22,30 +22,45 @@ pub(super) struct BrickSamples<'a> {
 }
 
 /// Samples of a brick: first those that are to be evaluated, then those of them that are not transparent.
-pub(super) struct List {
+pub(super) struct Groups {
     len: usize,
-    /// Lane · 32 + sample.
-    at: OfSamples<u16>,
-    /// Stored numbers less the base.
+    /// Eight samples of one ray each: lane · 4 + block.
+    at: [u8; GROUPS],
+    /// A bit for each sample.
+    samples: [u8; GROUPS],
+    /// Stored numbers less the base; valid for evaluated samples.
     number: OfSamples<f32>,
-    opacity: OfSamples<f32>,
 }
 
-impl List {
+impl Groups {
     pub(super) fn new() -> Self {
-        const ALL: usize = LANES * SLAB_SAMPLES;
-        Self { len: 0, at: [0; ALL], number: [0.0; ALL], opacity: [0.0; ALL] }
+        Self { len: 0, at: [0; GROUPS], samples: [0; GROUPS], number: [[0.0; BLOCK_SAMPLES]; GROUPS] }
     }
 
-    /// Batches of samples and of their numbers, and how many there are in each. The last is filled up with one of them.
+    /// Adds a group, if it has any samples.
     #[inline(always)]
-    fn batch(&self, first: usize) -> (Batch, [f32; BATCH], usize) {
-        let len = (self.len - first).min(BATCH);
-        let (mut at, mut number) = ([self.at[first]; BATCH], [self.number[first]; BATCH]);
-        at[..len].copy_from_slice(&self.at[first..first + len]);
-        number[..len].copy_from_slice(&self.number[first..first + len]);
-        (at, number, len)
+    fn push(&mut self, at: u8, samples: u8) {
+        (self.at[self.len % GROUPS], self.samples[self.len % GROUPS]) = (at, samples);
+        self.len += usize::from(samples != 0);
     }
+
+    /// The groups, with a bit for each sample.
+    fn iter(&self) -> impl Iterator<Item = (u8, u8)> {
+        self.at.into_iter().zip(self.samples).take(self.len)
+    }
+}
+
+/// The lane of a group, and the group's number among those of the lane.
+#[inline(always)]
+fn lane_and_block(group: u8) -> (usize, usize) {
+    let group = usize::from(group);
+    (group / GROUPS_OF_LANE, group % GROUPS_OF_LANE)
+}
+
+/// The eight samples of a group among those of a row.
+#[inline(always)]
+fn eight(row: &mut SampleRow, block: usize) -> &mut [f32; BLOCK_SAMPLES] {
+    &mut row.0.as_chunks_mut().0[block]
 }
 
 impl BrickSamples<'_> {
@@ -55,71 +70,79 @@ impl BrickSamples<'_> {
     pub(super) fn fill<S: Simd, V: Voxel>(
         &self,
         simd: S,
-        segments: impl Iterator<Item = Segment> + Clone,
+        segments: impl Iterator<Item = Segment>,
         seen: &mut [usize; LANES],
-        list: &mut List,
+        groups: &mut Groups,
         out: &mut NodeSamples,
     ) {
         let required = self.request.required;
-        self.list_visible(segments.clone(), seen, list);
-        self.opacities::<S, V>(simd, list);
-        self.store_opacities(list, out);
-        self.drop_hidden(segments, seen, list, out);
+        self.find_visible(segments, seen, groups);
+        self.opacities::<S, V>(simd, groups, out);
+        self.drop_hidden(seen, groups, out);
         if required.color || required.attributes != 0 {
-            self.colors(list, out);
+            self.colors(groups, out);
         }
         if required.normal || required.boundary {
-            self.normals::<V>(list, out);
+            self.normals::<V>(groups, out);
         }
     }
 
-    /// Lists the samples whose blocks show anything.
+    /// Collects the samples whose blocks show anything.
     #[inline(always)]
-    fn list_visible(
+    fn find_visible(
         &self,
         segments: impl Iterator<Item = Segment>,
         seen: &[usize; LANES],
-        list: &mut List,
+        groups: &mut Groups,
     ) {
-        list.len = 0;
+        let (mut visible, mut lanes) = ([0_u32; LANES], 0_u64);
         for segment in segments {
             let lane = usize::from(segment.lane) % LANES;
             let mut samples = segment.samples & below(seen[lane]);
+            let blocks = &self.places.block.as_flattened().as_chunks::<SLAB_SAMPLES>().0[lane];
             while samples != 0 {
-                let at = lane * SLAB_SAMPLES + samples.trailing_zeros() as usize % SLAB_SAMPLES;
+                let j = samples.trailing_zeros() as usize % SLAB_SAMPLES;
                 samples &= samples - 1;
-                list.at[list.len % list.at.len()] = at as u16;
-                list.len += usize::from(self.blocks.has(self.places.block[at]));
+                visible[lane] |= u32::from(self.blocks.has(blocks[j])) << j;
+            }
+            lanes |= 1 << lane;
+        }
+        groups.len = 0;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            for (block, samples) in visible[lane].to_le_bytes().into_iter().enumerate() {
+                groups.push((lane * GROUPS_OF_LANE + block) as u8, samples);
             }
         }
     }
 
-    /// Evaluates the listed samples; those that are not transparent stay in the list.
+    /// Evaluates groups of samples; those that are not transparent are kept, and their opacities stored.
     #[inline(always)]
-    fn opacities<S: Simd, V: Voxel>(&self, simd: S, list: &mut List) {
+    fn opacities<S: Simd, V: Voxel>(&self, simd: S, groups: &mut Groups, out: &mut NodeSamples) {
         let GridRequest { measure, required, .. } = *self.request;
-        let mut shown = 0;
-        for first in (0..list.len).step_by(BATCH) {
-            let (batch, _, len) = list.batch(first);
-            let numbers = values::<V>(self.voxels, (&batch, self.places), self.field.values.base);
+        let evaluated = std::mem::take(&mut groups.len);
+        for first in (0..evaluated).step_by(BATCH_GROUPS) {
+            let (mut batch, mut samples) = ([groups.at[first]; BATCH_GROUPS], [0; BATCH_GROUPS]);
+            let count = (evaluated - first).min(BATCH_GROUPS);
+            batch[..count].copy_from_slice(&groups.at[first..first + count]);
+            samples[..count].copy_from_slice(&groups.samples[first..first + count]);
+            let cells = Cells::of_groups(self.places, &batch);
+            let numbers = values::<V>(self.voxels, &cells, self.field.values.base);
             let opacities = self.field.opacities.of(simd, &numbers, measure);
-            for i in 0..len {
-                let to = shown % list.at.len();
-                (list.at[to], list.number[to], list.opacity[to]) = (batch[i], numbers[i], opacities[i]);
-                shown += usize::from(opacities[i] > 0.0 || required.outside);
+            for i in 0..BATCH_GROUPS {
+                let (numbers, opacities) = (&numbers.as_chunks().0[i], &opacities.as_chunks().0[i]);
+                let shown = if required.outside { u8::MAX } else { positive(opacities) } & samples[i];
+                if shown != 0 {
+                    let (lane, block) = lane_and_block(batch[i]);
+                    if out.touched >> lane & 1 == 0 {
+                        self.begin(lane, out);
+                    }
+                    groups.number[usize::from(batch[i])] = *numbers;
+                    replace(eight(&mut out.opacity[lane], block), opacities, shown);
+                }
+                groups.push(batch[i], shown);
             }
-        }
-        list.len = shown;
-    }
-
-    #[inline(always)]
-    fn store_opacities(&self, list: &List, out: &mut NodeSamples) {
-        for (&at, &opacity) in list.at.iter().zip(&list.opacity).take(list.len) {
-            let (lane, j) = lane_and_sample(at);
-            if out.touched >> lane & 1 == 0 {
-                self.begin(lane, out);
-            }
-            out.opacity[lane].0[j] = opacity;
         }
     }
 
@@ -139,83 +162,118 @@ impl BrickSamples<'_> {
         }
     }
 
-    /// Finds where rays end, and drops the samples behind that from the list.
+    /// Finds where rays end, and drops the samples behind that.
     #[inline(always)]
-    fn drop_hidden(
-        &self,
-        segments: impl Iterator<Item = Segment>,
-        seen: &mut [usize; LANES],
-        list: &mut List,
-        out: &NodeSamples,
-    ) {
+    fn drop_hidden(&self, seen: &mut [usize; LANES], groups: &mut Groups, out: &NodeSamples) {
         let Some(ends) = self.request.ends else { return };
-        let mut any = false;
-        for segment in segments {
-            let lane = usize::from(segment.lane) % LANES;
-            if out.touched >> lane & 1 == 1 {
+        let shown = std::mem::take(&mut groups.len);
+        let mut latest = LANES;
+        for i in 0..shown {
+            let (at, samples) = (groups.at[i % GROUPS], groups.samples[i % GROUPS]);
+            let (lane, block) = lane_and_block(at);
+            if lane != latest {
                 seen[lane] = seen[lane].min(samples_within(&out.opacity[lane].0, ends[lane]));
-                any |= seen[lane] < SLAB_SAMPLES;
+                latest = lane;
             }
+            groups.push(at, samples & below(seen[lane]).to_le_bytes()[block]);
         }
-        if !any {
-            return;
-        }
-        let mut kept = 0;
-        for i in 0..list.len {
-            let (lane, j) = lane_and_sample(list.at[i]);
-            (list.at[kept], list.number[kept]) = (list.at[i], list.number[i]);
-            kept += usize::from(j < seen[lane]);
-        }
-        list.len = kept;
     }
 
     #[inline(always)]
-    fn colors(&self, list: &List, out: &mut NodeSamples) {
+    fn colors(&self, groups: &Groups, out: &mut NodeSamples) {
         let required = self.request.required;
-        for first in (0..list.len).step_by(BATCH) {
-            let (batch, numbers_of_batch, len) = list.batch(first);
-            let mut value = [0.0; BATCH];
-            for i in 0..BATCH {
-                value[i] = self.field.values.value(numbers_of_batch[i]) as f32;
+        for (at, samples) in groups.iter() {
+            let (lane, block) = lane_and_block(at);
+            let mut values = [0.0; BLOCK_SAMPLES];
+            for (value, &number) in values.iter_mut().zip(&groups.number[usize::from(at)]) {
+                *value = self.field.values.value(number) as f32;
             }
             if let (true, Color::Map(table)) = (required.color, &self.field.color) {
-                let colors = table.colors(&value);
-                for (rows, colors) in out.color.iter_mut().zip(&colors) {
-                    for (&at, &v) in batch.iter().zip(colors).take(len) {
-                        let (lane, j) = lane_and_sample(at);
-                        rows[lane].0[j] = v;
-                    }
+                let [red, green, blue] = &mut out.color;
+                let red = eight(&mut red[lane], block);
+                let green = eight(&mut green[lane], block);
+                let blue = eight(&mut blue[lane], block);
+                let mut samples = samples;
+                while samples != 0 {
+                    let j = samples.trailing_zeros() as usize % BLOCK_SAMPLES;
+                    samples &= samples - 1;
+                    [red[j], green[j], blue[j]] = table.color(values[j]);
                 }
             }
             for number in numbers(required.attributes) {
                 let own = self.field.value_number == Some(number);
-                for (&at, &value) in batch.iter().zip(&value).take(len) {
-                    let (lane, j) = lane_and_sample(at);
-                    out.attributes[number][lane].0[j] = if own { value } else { 0.0 };
-                }
+                let values = if own { values } else { [0.0; BLOCK_SAMPLES] };
+                replace(eight(&mut out.attributes[number][lane], block), &values, samples);
             }
         }
     }
 
     #[inline(always)]
-    fn normals<V: Voxel>(&self, list: &List, out: &mut NodeSamples) {
-        let required = self.request.required;
-        for first in (0..list.len).step_by(BATCH) {
-            let (batch, numbers, len) = list.batch(first);
-            let gradients = gradients::<V>(self.voxels, (&batch, self.places));
-            let (normal, boundary) = self.field.gradients.of(&numbers, &gradients);
-            for (i, &at) in batch.iter().enumerate().take(len) {
-                let (lane, j) = lane_and_sample(at);
-                if required.normal {
-                    for (rows, row) in out.normal.iter_mut().zip(&normal) {
-                        rows[lane].0[j] = row[i];
-                    }
-                }
-                if required.boundary {
-                    out.boundary[lane].0[j] = boundary[i];
+    fn normals<V: Voxel>(&self, groups: &Groups, out: &mut NodeSamples) {
+        let (mut batch, mut len) = ([0; BATCH], 0);
+        for (at, mut samples) in groups.iter() {
+            while samples != 0 {
+                batch[len % BATCH] = u16::from(at) * BLOCK_SAMPLES as u16 + samples.trailing_zeros() as u16;
+                samples &= samples - 1;
+                len += 1;
+                if len == BATCH {
+                    self.normals_of_batch::<V>(&batch, len, groups, out);
+                    len = 0;
                 }
             }
         }
+        if len > 0 {
+            let first = batch[0];
+            batch[len..].fill(first);
+            self.normals_of_batch::<V>(&batch, len, groups, out);
+        }
+    }
+
+    /// Stores shading vectors and boundaries of the first `len` samples of a batch.
+    #[inline(always)]
+    fn normals_of_batch<V: Voxel>(
+        &self,
+        batch: &[u16; BATCH],
+        len: usize,
+        groups: &Groups,
+        out: &mut NodeSamples,
+    ) {
+        let required = self.request.required;
+        let mut numbers = [0.0; BATCH];
+        for (number, &at) in numbers.iter_mut().zip(batch) {
+            *number = at_sample(&groups.number, at);
+        }
+        let gradients = gradients::<V>(self.voxels, &Cells::of_samples(self.places, batch));
+        let (normal, boundary) = self.field.gradients.of(&numbers, &gradients);
+        for (i, &at) in batch.iter().enumerate().take(len) {
+            let (lane, j) = (usize::from(at) / SLAB_SAMPLES % LANES, usize::from(at) % SLAB_SAMPLES);
+            if required.normal {
+                for (rows, row) in out.normal.iter_mut().zip(&normal) {
+                    rows[lane].0[j] = row[i];
+                }
+            }
+            if required.boundary {
+                out.boundary[lane].0[j] = boundary[i];
+            }
+        }
+    }
+}
+
+/// A bit for each number that is above 0.
+#[inline(always)]
+fn positive(numbers: &[f32; BLOCK_SAMPLES]) -> u8 {
+    let mut bits = 0;
+    for (i, &number) in numbers.iter().enumerate() {
+        bits |= u8::from(number > 0.0) << i;
+    }
+    bits
+}
+
+/// Replaces the numbers whose bits are set.
+#[inline(always)]
+fn replace(numbers: &mut [f32; BLOCK_SAMPLES], with: &[f32; BLOCK_SAMPLES], bits: u8) {
+    for i in 0..BLOCK_SAMPLES {
+        numbers[i] = if bits >> i & 1 == 1 { with[i] } else { numbers[i] };
     }
 }
 

@@ -110,7 +110,12 @@ impl Opacities {
     /// The opacities of numbers, in a given measure.
     #[expect(clippy::manual_clamp, reason = "what is not a number becomes 0")]
     #[inline(always)]
-    pub(super) fn of<S: Simd, const N: usize>(&self, simd: S, numbers: &[f32; N], measure: Measure) -> [f32; N] {
+    pub(super) fn of<S: Simd, const N: usize>(
+        &self,
+        simd: S,
+        numbers: &[f32; N],
+        measure: Measure,
+    ) -> [f32; N] {
         let mut out = [0.0; N];
         match &self.rule {
             Rule::Clamp { factor, offset } => {
@@ -156,7 +161,8 @@ fn curve<S: Simd, const N: usize>(simd: S, pieces: &[Piece], numbers: &[f32; N],
         let n = f32x16::from_slice(simd, numbers);
         let splat = |v| f32x16::splat(simd, v);
         let first = pieces[0];
-        let (mut start, mut opacity, mut slope) = (splat(first.start), splat(first.opacity), splat(first.slope));
+        let (mut start, mut opacity, mut slope) =
+            (splat(first.start), splat(first.opacity), splat(first.slope));
         for piece in &pieces[1..] {
             let in_piece = n.simd_ge(splat(piece.from));
             start = in_piece.select(splat(piece.start), start);

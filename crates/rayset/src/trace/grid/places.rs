@@ -4,10 +4,13 @@ use super::placement::Placement;
 use super::rays::GridRay;
 use super::visible::{BLOCK_CELLS, blocks_of};
 use super::voxels::Voxel;
-use crate::field::{LANES, SLAB_SAMPLES};
+use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES};
 
-/// One number for each sample of a slab, lane by lane.
-pub(super) type OfSamples<T> = [T; LANES * SLAB_SAMPLES];
+/// One number for each sample of a slab, lane by lane, in groups of eight samples that follow each other on a ray.
+pub(super) type OfSamples<T> = [[T; BLOCK_SAMPLES]; GROUPS];
+/// Groups of eight samples in a slab.
+pub(super) const GROUPS: usize = LANES * GROUPS_OF_LANE;
+pub(super) const GROUPS_OF_LANE: usize = SLAB_SAMPLES / BLOCK_SAMPLES;
 
 /// Where the samples of a slab are in their bricks.
 pub(super) struct Places {
@@ -21,8 +24,11 @@ pub(super) struct Places {
 
 impl Places {
     pub(super) fn new() -> Self {
-        const ALL: usize = LANES * SLAB_SAMPLES;
-        Self { voxel: [0; ALL], block: [0; ALL], within: [[0.0; ALL]; 3] }
+        Self {
+            voxel: [[0; BLOCK_SAMPLES]; GROUPS],
+            block: [[0; BLOCK_SAMPLES]; GROUPS],
+            within: [[[0.0; BLOCK_SAMPLES]; GROUPS]; 3],
+        }
     }
 
     /// Finds the places of all samples of a ray. Returns the numbers of their bricks.
@@ -72,7 +78,7 @@ impl Places {
 /// The numbers of one lane.
 #[inline(always)]
 fn row<T>(of_samples: &mut OfSamples<T>, lane: usize) -> &mut [T; SLAB_SAMPLES] {
-    &mut of_samples.as_chunks_mut().0[lane % LANES]
+    &mut of_samples.as_flattened_mut().as_chunks_mut().0[lane % LANES]
 }
 
 /// A whole number from 0 to 2³², as an integer: plus 2⁵² it is the lowest bits of a number in double precision. Vectors of these can
@@ -114,15 +120,15 @@ mod tests {
                     let ray = GridRay { origin, direction, offset: 0.0, first: 0, step: 1.0 };
                     let bricks = with_voxel!(kind, V => found.locate::<V>(&grid, &ray, 3));
                     let at = 3 * SLAB_SAMPLES + 31;
-                    let (brick, voxel) = (bricks[31] as i32, i32::from(found.voxel[at]));
-                    let (within, first) = (found.within[0][at], voxel % side);
+                    let (brick, voxel) = (bricks[31] as i32, i32::from(found.voxel.as_flattened()[at]));
+                    let (within, first) = (found.within[0].as_flattened()[at], voxel % side);
                     assert_eq!((voxel / side % side, voxel / side / side), (1, 1), "y and z");
                     assert!((1..=cells).contains(&first), "{n} voxels, at {x:e}: cell {first}");
                     let cell = brick * cells + first - 1;
                     assert_eq!(cell, (x as i32).min(n - 2), "{n} voxels, at {x:e}");
                     assert!((0.0..=1.0).contains(&within), "{n} voxels, at {x:e}: {within}");
                     assert!((f64::from(within) + f64::from(cell) - x).abs() < 1e-7, "{n} voxels, at {x:e}");
-                    assert_eq!(i32::from(found.block[at]), (first - 1) / BLOCK_CELLS as i32);
+                    assert_eq!(i32::from(found.block.as_flattened()[at]), (first - 1) / BLOCK_CELLS as i32);
                 }
             }
         }

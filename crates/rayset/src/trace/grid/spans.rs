@@ -1,7 +1,7 @@
 //! Which bricks the samples of a slab are in: segments of rays within one brick, brick by brick.
 
-use super::places::Places;
 use super::placement::Placement;
+use super::places::Places;
 use super::rays::GridRays;
 use super::voxels::Voxel;
 use crate::field::{SLAB_SAMPLES, Slab};

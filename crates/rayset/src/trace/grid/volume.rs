@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use fearless_simd::dispatch;
 
-use super::brick::{BrickSamples, List};
+use super::brick::{BrickSamples, Groups};
 use super::field::{Color, GridField, GridMarch, GridRequest};
 use super::gradients::Gradients;
 use super::opacity::{Opacities, Values};
-use super::places::Places;
 use super::placement::{Bricks, Placement};
+use super::places::Places;
 use super::rays::GridRays;
 use super::spans::{MetBricks, bricks_met};
 use super::visible::{Blocks, KnownBlocks};
@@ -38,14 +38,14 @@ const MOST_BRICKS: u32 = 64;
 /// Scratch memory shared by all grids of a thread.
 pub(in crate::trace) struct GridScratch {
     met: MetBricks,
-    samples: Option<Box<(Places, List)>>,
+    samples: Option<Box<(Places, Groups)>>,
     blocks: KnownBlocks,
 }
 
 impl GridScratch {
     /// The most that it takes.
     pub(in crate::trace) const BYTES: usize = KnownBlocks::BYTES
-        + size_of::<(Places, List)>()
+        + size_of::<(Places, Groups)>()
         + 2 * LANES * SLAB_SAMPLES * MetBricks::BYTES_OF_SAMPLE;
 
     pub(in crate::trace) fn new() -> Self {
@@ -131,7 +131,7 @@ impl GridVolume {
         out.touched = 0;
         let GridRequest { access, march: GridMarch(rays), slab, live, simd, .. } = *request;
         let GridScratch { met, samples, blocks } = scratch;
-        let (places, list) = &mut **samples.get_or_insert_with(|| Box::new((Places::new(), List::new())));
+        let (places, groups) = &mut **samples.get_or_insert_with(|| Box::new((Places::new(), Groups::new())));
         let kind = self.object.grid.header().kind;
         if !request.required.outside && self.known_empty(request, blocks) {
             return Ok(());
@@ -152,7 +152,7 @@ impl GridVolume {
             let samples = BrickSamples { field: &self.field, request, voxels, places, blocks };
             let segments = met.segments(brick);
             with_voxel!(kind, V => dispatch!(simd.level(), simd =>
-                samples.fill::<_, V>(simd, segments.clone(), &mut seen, list, out)));
+                samples.fill::<_, V>(simd, segments.clone(), &mut seen, groups, out)));
         }
         Ok(())
     }
