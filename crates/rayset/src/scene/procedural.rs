@@ -1,5 +1,6 @@
 //! Fields given in closed form.
 
+use std::any::Any;
 use std::fmt;
 
 use super::transfer::ColorMap;
@@ -19,7 +20,7 @@ pub struct ProceduralSample {
 }
 
 /// A volume object given in closed form. Programs can implement their own.
-pub trait Procedural: fmt::Debug + Send + Sync {
+pub trait Procedural: Any + fmt::Debug + Send + Sync {
     /// A box outside which the opacity is 0, local space; infinite if the object is unbounded.
     fn bounds(&self) -> Aabb;
 

@@ -1,8 +1,9 @@
-//! The leaves of a scene that have pages: what their marches take.
+//! The leaves of a scene, and what their marches take.
 
 use std::sync::Arc;
 
 use super::grid::{GRID_MARCH_BYTES, GRID_SCRATCH_BYTES};
+use super::procedural_volume::ProceduralMarch;
 use crate::field::BATCH_BYTES;
 use crate::grid::Grid;
 use crate::octree::Cloud;
@@ -18,6 +19,7 @@ pub(super) struct Leaves {
     cloud_places: u64,
     pub(super) grids: Vec<Arc<Grid>>,
     grid_places: u64,
+    field_places: u64,
 }
 
 impl Leaves {
@@ -36,7 +38,8 @@ impl Leaves {
                     leaves.grids.push(object.grid.clone());
                 }
             }
-            Shape::Procedural(_) | Shape::Operator(..) => {}
+            Shape::Procedural(_) => leaves.field_places += 1,
+            Shape::Operator(..) => {}
         });
         leaves
     }
@@ -45,6 +48,11 @@ impl Leaves {
     pub(super) fn march_bytes(&self) -> u64 {
         let of_grids = if self.grids.is_empty() { 0 } else { GRID_SCRATCH_BYTES };
         let of_clouds = if self.clouds.is_empty() { 0 } else { BATCH_BYTES };
-        self.cloud_places * CLOUD_BYTES + of_clouds + self.grid_places * GRID_MARCH_BYTES + of_grids
+        let of_fields = self.field_places * ProceduralMarch::BYTES as u64;
+        self.cloud_places * CLOUD_BYTES
+            + of_clouds
+            + self.grid_places * GRID_MARCH_BYTES
+            + of_grids
+            + of_fields
     }
 }

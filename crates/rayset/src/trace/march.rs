@@ -5,7 +5,7 @@ use super::cloud::{CloudMarch, CloudScratch, Remaining, Request};
 use super::counts::RenderCounts;
 use super::grid::{GridMarch, GridRequest, GridScratch};
 use super::node_samples::{Live, Measure, NodeSamples};
-use super::procedural_volume::ProceduralRequest;
+use super::procedural_volume::{ProceduralMarch, ProceduralRequest};
 use super::program::{Action, Instruction, Program};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;
@@ -20,6 +20,8 @@ pub(super) struct March<'p> {
     clouds: Vec<(Option<Box<CloudMarch>>, bool)>,
     /// For each instruction that is a grid: its march, once the packet has reached it.
     grids: Vec<Option<Box<GridMarch>>>,
+    /// For each instruction that is a procedural field, likewise.
+    fields: Vec<Option<Box<ProceduralMarch>>>,
     /// For each instruction with several uses: its block, once it has been computed for the current slab.
     shared: Vec<Option<NodeSamples>>,
     spare: Vec<NodeSamples>,
@@ -61,6 +63,7 @@ impl<'p> March<'p> {
             spans: vec![None; count],
             clouds: (0..count).map(|_| (None, false)).collect(),
             grids: (0..count).map(|_| None).collect(),
+            fields: (0..count).map(|_| None).collect(),
             shared: (0..count).map(|_| None).collect(),
             spare: Vec::new(),
             scratch: CloudScratch::new(),
@@ -88,6 +91,7 @@ impl<'p> March<'p> {
         }
         self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);
         self.grids.fill_with(|| None);
+        self.fields.fill_with(|| None);
     }
 
     /// Says how much is left of the rays at the beginning of the next slab. Samples behind the end of a ray may then be
@@ -224,7 +228,10 @@ impl<'p> March<'p> {
             Action::Procedural(volume) => {
                 let Asked { packet, slab, live, .. } = asked;
                 let ends = asked.ends_of(instruction);
-                let request = ProceduralRequest { packet, slab, live, measure: measures.0, required, ends };
+                let march =
+                    self.fields[at].get_or_insert_with(|| Box::new(volume.begin(packet, required.outside)));
+                let (measure, simd) = (measures.0, program.simd);
+                let request = ProceduralRequest { packet, march, slab, live, measure, required, ends, simd };
                 volume.sample(&request, out);
             }
             Action::Operator(operator, children) => {

@@ -36,6 +36,7 @@ mod session;
 mod shade;
 mod shadow;
 mod sink;
+mod solid_rows;
 mod steps;
 mod surfaces;
 mod tiles;

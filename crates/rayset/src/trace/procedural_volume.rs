@@ -1,28 +1,53 @@
 //! Procedural fields, given in closed form, as volume objects in the world.
+//!
+//! The samples of a ray are evaluated eight at a time, front to back: a ray that ends in front of more needs none of them.
 
+use std::any::Any;
 use std::sync::Arc;
+
+use fearless_simd::dispatch;
 
 use super::math::ln;
 use super::node_samples::{
-    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, each_lane, numbers,
+    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers,
 };
-use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
+use super::solid_rows::{Row, SolidRows};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
-use crate::scene::{MAX_OPACITY, Procedural, ProceduralSample, largest_stretch};
+use crate::scene::{MAX_OPACITY, Pattern, Procedural, ProceduralSample, Solid, largest_stretch};
 
-/// Samples of a ray that are evaluated together, front to back: a ray that ends in front of more needs none of them.
-const MOST_AT_ONCE: usize = 8;
+/// The march of one packet through one field.
+pub(super) struct ProceduralMarch {
+    /// For each ray, the first sample that may be in the field, and the one after the last.
+    within: [(u64, u64); LANES],
+}
+
+impl ProceduralMarch {
+    pub(super) const BYTES: usize = size_of::<Self>();
+
+    /// The samples of a ray that may be in the field, counted from the first of a slab: the first, and the one after the
+    /// last.
+    #[inline(always)]
+    fn within(&self, lane: usize, slab: Slab) -> (usize, usize) {
+        let (first, end) = self.within[lane];
+        let (first, end) = (first.max(slab.first), end.min(slab.end()));
+        if first < end { ((first - slab.first) as usize, (end - slab.first) as usize) } else { (0, 0) }
+    }
+}
 
 /// What is requested of a field in a slab.
 #[derive(Clone, Copy)]
 pub(super) struct ProceduralRequest<'a> {
     pub(super) packet: &'a Packet,
+    /// The packet in the field ([`ProceduralVolume::begin`]).
+    pub(super) march: &'a ProceduralMarch,
     pub(super) slab: Slab,
     pub(super) live: &'a Live,
     pub(super) measure: Measure,
     pub(super) required: RequiredOutputs,
     /// For each ray, the sum of the optical depths of samples with which it ends, if that is known.
     pub(super) ends: Option<&'a [f32; LANES]>,
+    pub(super) simd: SimdLevel,
 }
 
 /// A field as the scene graph places it in the world.
@@ -74,58 +99,93 @@ impl ProceduralVolume {
         self.field.detail() * largest_stretch(&self.local_from_world.inverse())
     }
 
+    /// Starts a packet. `outside`: the boundary is required around the field as well.
+    pub(super) fn begin(&self, packet: &Packet, outside: bool) -> ProceduralMarch {
+        let mut within = [(0, 0); LANES];
+        let around = self.bounds_local.inflated(self.reach_local);
+        for (lane, within) in within.iter_mut().enumerate().take(packet.len()) {
+            let ray = self.local_ray(packet, lane);
+            let span = if outside { around.clip(&ray) } else { self.field.span(&ray) };
+            let Some((enter, exit)) = span else { continue };
+            let number =
+                |t: f64| (t / packet.step_world() - packet.sample_offset(lane)).clamp(0.0, MOST_SAMPLES);
+            *within = (number(enter).floor() as u64, number(exit).ceil() as u64 + 1);
+        }
+        ProceduralMarch { within }
+    }
+
+    /// A ray of a packet in the field's space; distances along it are those in the world.
+    fn local_ray(&self, packet: &Packet, lane: usize) -> Ray {
+        let world = packet.ray(lane);
+        let origin = self.local_from_world.transform_point3(world.origin);
+        Ray { origin, direction: self.local_from_world.transform_vector3(world.direction) }
+    }
+
     /// Fills the lanes that meet the field.
     pub(super) fn sample(&self, asked: &ProceduralRequest<'_>, out: &mut NodeSamples) {
         out.touched = 0;
-        let ProceduralRequest { packet, slab, required, .. } = *asked;
-        let around = self.bounds_local.inflated(self.reach_local);
-        each_lane(asked.live.lanes(), |lane| {
-            let world = packet.ray(lane);
-            let origin = self.local_from_world.transform_point3(world.origin);
-            let direction = self.local_from_world.transform_vector3(world.direction);
-            let ray = Ray { origin, direction };
-            let span = if required.outside { around.clip(&ray) } else { self.field.span(&ray) };
-            let Some((enter, exit)) = span else { return };
-            let (step, first_t) = (packet.step_world(), packet.sample_t_world(lane, slab.first));
-            let number = |t: f64| ((t - first_t) / step).clamp(-1.0, SLAB_SAMPLES as f64);
-            let mut first = (number(enter).floor().max(0.0)) as usize;
-            let end = ((number(exit).ceil() + 1.0).max(0.0) as usize).min(slab.samples);
-            let mut left = asked.ends.map_or(f32::INFINITY, |ends| ends[lane]);
-            while first < end && left >= 0.0 {
-                let some = first..end.min(first + MOST_AT_ONCE);
-                first = some.end;
-                left -= self.fill(asked, lane, &ray, some, out);
+        let field: &dyn Any = &*self.field;
+        let solid = field.downcast_ref::<Solid>();
+        let mut lanes = asked.live.lanes();
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let (first, end) = asked.march.within(lane, asked.slab);
+            if first == end {
+                continue;
             }
-        });
-    }
-
-    /// Fills some samples of one ray. Returns the sum of their optical depths, or 0 if opacities are requested.
-    fn fill(
-        &self,
-        asked: &ProceduralRequest<'_>,
-        lane: usize,
-        ray: &Ray,
-        range: std::ops::Range<usize>,
-        out: &mut NodeSamples,
-    ) -> f32 {
-        let ProceduralRequest { packet, slab, measure, required, .. } = *asked;
-        let (mut places, mut samples) =
-            ([DVec3::ZERO; MOST_AT_ONCE], [ProceduralSample::default(); MOST_AT_ONCE]);
-        for (place, j) in places.iter_mut().zip(range.clone()) {
-            *place = ray.origin + ray.direction * packet.sample_t_world(lane, slab.first + j as u64);
-        }
-        self.field.sample_all(&places[..range.len()], &mut samples[..range.len()]);
-        if !required.outside && samples[..range.len()].iter().all(|s| s.opacity <= 0.0) {
-            return 0.0;
-        }
-        if out.touched >> lane & 1 == 0 {
-            out.clear_lane(lane, required);
-            if required.material {
-                for (rows, &v) in out.material.iter_mut().zip(&self.material) {
-                    rows[lane].0.fill(v);
+            let ray = self.local_ray(asked.packet, lane);
+            let mut left = asked.ends.map_or(f32::INFINITY, |ends| ends[lane]);
+            for block in first / BLOCK_SAMPLES..end.div_ceil(BLOCK_SAMPLES) {
+                let live = asked.live.0[lane].to_le_bytes()[block];
+                let samples = bits(first, end, block) & live;
+                if samples == 0 {
+                    continue;
+                }
+                let eight = Eight { lane, block, samples, ray: &ray };
+                left -= match solid {
+                    Some(solid) => dispatch!(asked.simd.level(), _simd =>
+                        self.fill_solid(asked, solid, &eight, out)),
+                    None => self.fill(asked, &eight, out),
+                };
+                if !(left >= 0.0) {
+                    break;
                 }
             }
         }
+    }
+
+    /// Makes a lane valid, if it is not yet.
+    fn begin_lane(&self, lane: usize, required: RequiredOutputs, out: &mut NodeSamples) {
+        if out.touched >> lane & 1 == 1 {
+            return;
+        }
+        out.clear_lane(lane, required);
+        if required.material {
+            for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                rows[lane].0.fill(v);
+            }
+        }
+    }
+
+    /// Fills some samples of one ray. Returns the sum of their optical depths, or 0 if opacities are requested.
+    fn fill(&self, asked: &ProceduralRequest<'_>, eight: &Eight<'_>, out: &mut NodeSamples) -> f32 {
+        let ProceduralRequest { packet, slab, measure, required, .. } = *asked;
+        let Eight { lane, block, samples: bits, ray } = *eight;
+        let (mut places, mut samples) =
+            ([DVec3::ZERO; BLOCK_SAMPLES], [ProceduralSample::default(); BLOCK_SAMPLES]);
+        // The samples from the first to the last that is wanted, those in between included.
+        let first = bits.trailing_zeros() as usize;
+        let count = BLOCK_SAMPLES - bits.leading_zeros() as usize - first;
+        let range = block * BLOCK_SAMPLES + first..block * BLOCK_SAMPLES + first + count;
+        for (place, j) in places.iter_mut().zip(range.clone()) {
+            *place = ray.origin + ray.direction * packet.sample_t_world(lane, slab.first + j as u64);
+        }
+        self.field.sample_all(&places[..count], &mut samples[..count]);
+        if !required.outside && samples[..count].iter().all(|s| s.opacity <= 0.0) {
+            return 0.0;
+        }
+        self.begin_lane(lane, required, out);
         let mut sum = 0.0;
         // The logarithm of the last opacity: in most fields most samples have the same.
         let mut known = (0.0, 0.0);
@@ -144,6 +204,106 @@ impl ProceduralVolume {
             self.shade(required, lane, j, (sample, place), out);
         }
         sum
+    }
+
+    /// The same for a solid.
+    #[inline(always)]
+    fn fill_solid(
+        &self,
+        asked: &ProceduralRequest<'_>,
+        solid: &Solid,
+        eight: &Eight<'_>,
+        out: &mut NodeSamples,
+    ) -> f32 {
+        let ProceduralRequest { packet, slab, measure, required, .. } = *asked;
+        let Eight { lane, block, samples, ray } = *eight;
+        let first = (slab.first + (block * BLOCK_SAMPLES) as u64) as f64;
+        let mut places = [[0.0; BLOCK_SAMPLES]; 3];
+        for axis in 0..3 {
+            for i in 0..BLOCK_SAMPLES {
+                let t = (first + i as f64 + packet.sample_offset(lane)) * packet.step_world();
+                places[axis][i] = ray.origin[axis] + ray.direction[axis] * t;
+            }
+        }
+        let rows = SolidRows::new(solid, &places);
+        let mut opacity = [0.0; BLOCK_SAMPLES];
+        let mut most = 0.0_f32;
+        for i in 0..BLOCK_SAMPLES {
+            let wanted = samples >> i & 1 == 1;
+            opacity[i] = if wanted { rows.opacity[i].clamp(0.0, MAX_OPACITY) as f32 } else { 0.0 };
+            most = most.max(opacity[i]);
+        }
+        if !required.outside && !(most > 0.0) {
+            return 0.0;
+        }
+        self.begin_lane(lane, required, out);
+        let mut sum = 0.0;
+        if measure == Measure::OpticalDepth {
+            for depth in &mut opacity {
+                *depth = (-ln(1.0 - *depth)).min(MAX_OPTICAL_DEPTH);
+            }
+            for depth in opacity {
+                sum += depth;
+            }
+        }
+        replace(&mut out.opacity[lane], block, &opacity, samples);
+        if required.color {
+            color_rows(&solid.pattern, &places, &opacity, lane, block, out);
+        }
+        for number in numbers(required.attributes) {
+            let index = self.named.get(number).copied().flatten();
+            for i in (0..BLOCK_SAMPLES).filter(|i| opacity[*i] > 0.0) {
+                let place = DVec3::new(places[0][i], places[1][i], places[2][i]);
+                let value = index.map_or(0.0, |index| self.field.attribute(index, place));
+                out.attributes[number][lane].0[block * BLOCK_SAMPLES + i] = value;
+            }
+        }
+        if required.normal || required.boundary {
+            self.normal_rows(required, &rows, eight, out);
+        }
+        sum
+    }
+
+    /// Fills shading vectors and boundaries of some samples of a solid.
+    #[inline(always)]
+    fn normal_rows(
+        &self,
+        required: RequiredOutputs,
+        rows: &SolidRows,
+        eight: &Eight<'_>,
+        out: &mut NodeSamples,
+    ) {
+        let Eight { lane, block, samples, .. } = *eight;
+        let columns = self.world_gradient.to_cols_array_2d();
+        let [x, y, z] = &rows.gradient;
+        let mut gradient = [[0.0; BLOCK_SAMPLES]; 3];
+        for axis in 0..3 {
+            for i in 0..BLOCK_SAMPLES {
+                gradient[axis][i] =
+                    columns[0][axis] * x[i] + columns[1][axis] * y[i] + columns[2][axis] * z[i];
+            }
+        }
+        let (mut length, mut boundary) = ([0.0; BLOCK_SAMPLES], [0.0; BLOCK_SAMPLES]);
+        for i in 0..BLOCK_SAMPLES {
+            let [a, b, c] = [gradient[0][i], gradient[1][i], gradient[2][i]];
+            length[i] = (a * a + b * b + c * c).sqrt();
+            // A first-order estimate, exact if the implicit function is a distance.
+            boundary[i] = (rows.implicit[i] / length[i]) as f32;
+        }
+        if required.boundary {
+            replace(&mut out.boundary[lane], block, &boundary, samples);
+        }
+        if !required.normal {
+            return;
+        }
+        for (rows, gradient) in out.normal.iter_mut().zip(&gradient) {
+            let mut normal = [0.0; BLOCK_SAMPLES];
+            for i in 0..BLOCK_SAMPLES {
+                let exists = length[i] > 0.0 && length[i] < f64::INFINITY;
+                normal[i] = if exists { (gradient[i] / length[i]) as f32 } else { 0.0 };
+            }
+            replace(&mut rows[lane], block, &normal, samples);
+        }
     }
 
     /// Fills the outputs of one sample besides its opacity.
@@ -178,5 +338,79 @@ impl ProceduralVolume {
                 out.boundary[lane].0[j] = (sample.implicit / length) as f32;
             }
         }
+    }
+}
+
+/// Upper bound of sample numbers.
+const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
+
+/// Eight samples of one ray that follow each other.
+#[derive(Clone, Copy)]
+struct Eight<'a> {
+    lane: usize,
+    /// Their place among those of the slab.
+    block: usize,
+    /// A bit for each that is wanted.
+    samples: u8,
+    /// Local space.
+    ray: &'a Ray,
+}
+
+/// The samples from `first` to `end` − 1 of a slab that are in one of its blocks.
+#[inline(always)]
+fn bits(first: usize, end: usize, block: usize) -> u8 {
+    let below = |n: usize| if n >= SLAB_SAMPLES { u32::MAX } else { (1 << n) - 1 };
+    (below(end) & !below(first)).to_le_bytes()[block]
+}
+
+/// Replaces the numbers of a block whose bits are set.
+#[inline(always)]
+fn replace(row: &mut SampleRow, block: usize, with: &[f32; BLOCK_SAMPLES], bits: u8) {
+    let row = &mut row.0.as_chunks_mut::<BLOCK_SAMPLES>().0[block];
+    for i in 0..BLOCK_SAMPLES {
+        row[i] = if bits >> i & 1 == 1 { with[i] } else { row[i] };
+    }
+}
+
+/// Fills the colours of a block of samples, which are of no importance where there is no opacity.
+#[inline(always)]
+fn color_rows(
+    pattern: &Pattern,
+    places: &[Row; 3],
+    opacity: &[f32; BLOCK_SAMPLES],
+    lane: usize,
+    block: usize,
+    out: &mut NodeSamples,
+) {
+    let mut colors = [[0.0; BLOCK_SAMPLES]; 3];
+    match pattern {
+        Pattern::Uniform(color) => {
+            for (row, &v) in colors.iter_mut().zip(color) {
+                *row = [v as f32; BLOCK_SAMPLES];
+            }
+        }
+        Pattern::Checker { colors: two, size } => {
+            for i in 0..BLOCK_SAMPLES {
+                let sum = (places[0][i] / size).floor()
+                    + (places[1][i] / size).floor()
+                    + (places[2][i] / size).floor();
+                // The remainder of a whole number.
+                let second = sum - 2.0 * (sum * 0.5).floor() >= 1.0;
+                for channel in 0..3 {
+                    colors[channel][i] = (if second { two[1][channel] } else { two[0][channel] }) as f32;
+                }
+            }
+        }
+        Pattern::Gradient { .. } => {
+            for i in (0..BLOCK_SAMPLES).filter(|i| opacity[*i] > 0.0) {
+                let color = pattern.color(DVec3::new(places[0][i], places[1][i], places[2][i]));
+                for (row, v) in colors.iter_mut().zip(color) {
+                    row[i] = v as f32;
+                }
+            }
+        }
+    }
+    for (rows, colors) in out.color.iter_mut().zip(&colors) {
+        rows[lane].0.as_chunks_mut().0[block] = *colors;
     }
 }
