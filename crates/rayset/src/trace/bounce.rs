@@ -9,7 +9,7 @@ use super::composite::RayState;
 use super::node_samples::{
     Constants, MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane,
 };
-use crate::field::{LANES, Packet, Slab};
+use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::geometry::{DVec3, Ray};
 use crate::scene::Footprint;
 
@@ -186,22 +186,31 @@ impl RefractionStates {
             if !touched && state.index == 1.0 {
                 return;
             }
-            for j in 0..slab.samples {
-                let depth = if touched { -f64::from(node.boundary[lane].0[j]) } else { 0.0 };
-                let (mut inside, mut index) = (None, 1.0);
-                if touched && node.opacity[lane].0[j] > 0.0 && depth > 0.0 {
-                    let material = constants.material_at(node, lane, j);
-                    let t = packet.sample_t_world(lane, slab.first + j as u64);
-                    let (normal, reflectance) = (node.normal_at(lane, j), material[REFLECTANCE]);
-                    inside = Some(Inside { t, normal, depth, reflectance });
-                    index = material[REFRACTIVE_INDEX];
+            let samples = Samples { packet, slab, node, constants, lane };
+            let inside = if touched { samples.inside() } else { 0 };
+            let mut left = u32::MAX >> (SLAB_SAMPLES - slab.samples);
+            loop {
+                // Samples that are not at the ray's refractive index. All others leave it as it is.
+                let outside = if state.index == 1.0 { 0 } else { !inside };
+                let changes = (inside & samples.of_other_index(inside, state.index) | outside) & left;
+                let passed = inside & left & changes.wrapping_sub(1) & !changes;
+                if passed != 0 {
+                    state.inside = samples.at(passed.ilog2() as usize);
                 }
-                if state.comes_to(inside, index, packet.step_world()) {
+                if changes == 0 {
+                    return;
+                }
+                let j = changes.trailing_zeros() as usize;
+                let is_inside = inside >> j & 1 == 1;
+                let here = is_inside.then(|| samples.at(j));
+                let index = if is_inside { samples.index(j) } else { 1.0 };
+                if state.comes_to(here, index, packet.step_world()) {
                     if touched {
                         node.opacity[lane].0[j..].fill(0.0);
                     }
                     return;
                 }
+                left &= u32::MAX.checked_shl(j as u32 + 1).unwrap_or(0);
             }
         });
     }
@@ -329,6 +338,61 @@ impl RefractionStates {
     /// The successor rays; those of one lane are in the order in which they arose.
     pub(super) fn next(&self) -> &[(usize, TreeRay)] {
         &self.next
+    }
+}
+
+/// The samples of a ray in a slab.
+struct Samples<'a> {
+    packet: &'a Packet,
+    slab: Slab,
+    node: &'a NodeSamples,
+    constants: &'a Constants,
+    lane: usize,
+}
+
+impl Samples<'_> {
+    /// A bit for each sample inside an object.
+    fn inside(&self) -> u32 {
+        let (opacity, boundary) = (&self.node.opacity[self.lane].0, &self.node.boundary[self.lane].0);
+        let mut bits = 0;
+        for j in 0..SLAB_SAMPLES {
+            bits |= u32::from((opacity[j] > 0.0) & (boundary[j] < 0.0)) << j;
+        }
+        bits
+    }
+
+    /// A bit for each sample inside an object whose refractive index is not `index`.
+    fn of_other_index(&self, inside: u32, index: f32) -> u32 {
+        if inside == 0 {
+            return 0;
+        }
+        match &self.constants.material {
+            Some(material) if material[REFRACTIVE_INDEX] == index => 0,
+            Some(_) => inside,
+            None => {
+                let row = &self.node.material[REFRACTIVE_INDEX][self.lane].0;
+                let mut bits = 0;
+                for (j, &other) in row.iter().enumerate() {
+                    bits |= u32::from(other != index) << j;
+                }
+                bits & inside
+            }
+        }
+    }
+
+    /// The refractive index of a sample inside an object.
+    fn index(&self, j: usize) -> f32 {
+        self.constants.material_at(self.node, self.lane, j)[REFRACTIVE_INDEX]
+    }
+
+    /// A sample inside an object.
+    fn at(&self, j: usize) -> Inside {
+        Inside {
+            t: self.packet.sample_t_world(self.lane, self.slab.first + j as u64),
+            normal: self.node.normal_at(self.lane, j),
+            depth: -f64::from(self.node.boundary[self.lane].0[j]),
+            reflectance: self.constants.material_at(self.node, self.lane, j)[REFLECTANCE],
+        }
     }
 }
 

@@ -283,12 +283,12 @@ impl ProceduralVolume {
                     columns[0][axis] * x[i] + columns[1][axis] * y[i] + columns[2][axis] * z[i];
             }
         }
-        let (mut length, mut boundary) = ([0.0; BLOCK_SAMPLES], [0.0; BLOCK_SAMPLES]);
+        let (mut per_length, mut boundary) = ([0.0; BLOCK_SAMPLES], [0.0; BLOCK_SAMPLES]);
         for i in 0..BLOCK_SAMPLES {
             let [a, b, c] = [gradient[0][i], gradient[1][i], gradient[2][i]];
-            length[i] = (a * a + b * b + c * c).sqrt();
+            per_length[i] = 1.0 / (a * a + b * b + c * c).sqrt();
             // A first-order estimate, exact if the implicit function is a distance.
-            boundary[i] = (rows.implicit[i] / length[i]) as f32;
+            boundary[i] = (rows.implicit[i] * per_length[i]) as f32;
         }
         if required.boundary {
             replace(&mut out.boundary[lane], block, &boundary, samples);
@@ -299,8 +299,8 @@ impl ProceduralVolume {
         for (rows, gradient) in out.normal.iter_mut().zip(&gradient) {
             let mut normal = [0.0; BLOCK_SAMPLES];
             for i in 0..BLOCK_SAMPLES {
-                let exists = length[i] > 0.0 && length[i] < f64::INFINITY;
-                normal[i] = if exists { (gradient[i] / length[i]) as f32 } else { 0.0 };
+                let exists = per_length[i] > 0.0 && per_length[i] < f64::INFINITY;
+                normal[i] = if exists { (gradient[i] * per_length[i]) as f32 } else { 0.0 };
             }
             replace(&mut rows[lane], block, &normal, samples);
         }
