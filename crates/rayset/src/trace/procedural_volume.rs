@@ -5,13 +5,14 @@
 use std::any::Any;
 use std::sync::Arc;
 
-use fearless_simd::dispatch;
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, dispatch, f64x8};
 
 use super::math::ln;
 use super::node_samples::{
     Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers,
 };
-use super::solid_rows::{Row, SolidRows};
+use super::solid_rows::{SolidRows, length};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::scene::{MAX_OPACITY, Pattern, Procedural, ProceduralSample, Solid, largest_stretch};
@@ -144,8 +145,8 @@ impl ProceduralVolume {
                 }
                 let eight = Eight { lane, block, samples, ray: &ray };
                 left -= match solid {
-                    Some(solid) => dispatch!(asked.simd.level(), _simd =>
-                        self.fill_solid(asked, solid, &eight, out)),
+                    Some(solid) => dispatch!(asked.simd.level(), simd =>
+                        self.fill_solid(simd, asked, solid, &eight, out)),
                     None => self.fill(asked, &eight, out),
                 };
                 if !(left >= 0.0) {
@@ -208,8 +209,9 @@ impl ProceduralVolume {
 
     /// The same for a solid.
     #[inline(always)]
-    fn fill_solid(
+    fn fill_solid<S: Simd>(
         &self,
+        simd: S,
         asked: &ProceduralRequest<'_>,
         solid: &Solid,
         eight: &Eight<'_>,
@@ -217,20 +219,19 @@ impl ProceduralVolume {
     ) -> f32 {
         let ProceduralRequest { packet, slab, measure, required, .. } = *asked;
         let Eight { lane, block, samples, ray } = *eight;
+        let splat = |v| f64x8::splat(simd, v);
         let first = (slab.first + (block * BLOCK_SAMPLES) as u64) as f64;
-        let mut places = [[0.0; BLOCK_SAMPLES]; 3];
-        for axis in 0..3 {
-            for i in 0..BLOCK_SAMPLES {
-                let t = (first + i as f64 + packet.sample_offset(lane)) * packet.step_world();
-                places[axis][i] = ray.origin[axis] + ray.direction[axis] * t;
-            }
-        }
-        let rows = SolidRows::new(solid, &places);
+        let numbers_in_block = f64x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        let t = (splat(first) + numbers_in_block + splat(packet.sample_offset(lane)))
+            * splat(packet.step_world());
+        let place = |axis: usize| splat(ray.origin[axis]) + splat(ray.direction[axis]) * t;
+        let places = [place(0), place(1), place(2)];
+        let rows = SolidRows::new(simd, solid, places);
+        let of_solid: [f64; BLOCK_SAMPLES] = rows.opacity.max(splat(0.0)).min(splat(MAX_OPACITY)).into();
         let mut opacity = [0.0; BLOCK_SAMPLES];
         let mut most = 0.0_f32;
         for i in 0..BLOCK_SAMPLES {
-            let wanted = samples >> i & 1 == 1;
-            opacity[i] = if wanted { rows.opacity[i].clamp(0.0, MAX_OPACITY) as f32 } else { 0.0 };
+            opacity[i] = if samples >> i & 1 == 1 { of_solid[i] as f32 } else { 0.0 };
             most = most.max(opacity[i]);
         }
         if !required.outside && !(most > 0.0) {
@@ -247,6 +248,7 @@ impl ProceduralVolume {
             }
         }
         replace(&mut out.opacity[lane], block, &opacity, samples);
+        let places: [[f64; BLOCK_SAMPLES]; 3] = [places[0].into(), places[1].into(), places[2].into()];
         if required.color {
             color_rows(&solid.pattern, &places, &opacity, lane, block, out);
         }
@@ -259,50 +261,40 @@ impl ProceduralVolume {
             }
         }
         if required.normal || required.boundary {
-            self.normal_rows(required, &rows, eight, out);
+            self.normal_rows(simd, required, &rows, eight, out);
         }
         sum
     }
 
     /// Fills shading vectors and boundaries of some samples of a solid.
     #[inline(always)]
-    fn normal_rows(
+    fn normal_rows<S: Simd>(
         &self,
+        simd: S,
         required: RequiredOutputs,
-        rows: &SolidRows,
+        rows: &SolidRows<S>,
         eight: &Eight<'_>,
         out: &mut NodeSamples,
     ) {
         let Eight { lane, block, samples, .. } = *eight;
+        let splat = |v| f64x8::splat(simd, v);
         let columns = self.world_gradient.to_cols_array_2d();
-        let [x, y, z] = &rows.gradient;
-        let mut gradient = [[0.0; BLOCK_SAMPLES]; 3];
-        for axis in 0..3 {
-            for i in 0..BLOCK_SAMPLES {
-                gradient[axis][i] =
-                    columns[0][axis] * x[i] + columns[1][axis] * y[i] + columns[2][axis] * z[i];
-            }
-        }
-        let (mut per_length, mut boundary) = ([0.0; BLOCK_SAMPLES], [0.0; BLOCK_SAMPLES]);
-        for i in 0..BLOCK_SAMPLES {
-            let [a, b, c] = [gradient[0][i], gradient[1][i], gradient[2][i]];
-            per_length[i] = 1.0 / (a * a + b * b + c * c).sqrt();
-            // A first-order estimate, exact if the implicit function is a distance.
-            boundary[i] = (rows.implicit[i] * per_length[i]) as f32;
-        }
+        let [x, y, z] = rows.gradient;
+        let along = |axis: usize| {
+            splat(columns[0][axis]) * x + splat(columns[1][axis]) * y + splat(columns[2][axis]) * z
+        };
+        let gradient = [along(0), along(1), along(2)];
+        let per_length = splat(1.0) / length(gradient);
         if required.boundary {
-            replace(&mut out.boundary[lane], block, &boundary, samples);
+            // A first-order estimate, exact if the implicit function is a distance.
+            replace(&mut out.boundary[lane], block, &single(rows.implicit * per_length), samples);
         }
-        if !required.normal {
-            return;
-        }
-        for (rows, gradient) in out.normal.iter_mut().zip(&gradient) {
-            let mut normal = [0.0; BLOCK_SAMPLES];
-            for i in 0..BLOCK_SAMPLES {
-                let exists = per_length[i] > 0.0 && per_length[i] < f64::INFINITY;
-                normal[i] = if exists { (gradient[i] * per_length[i]) as f32 } else { 0.0 };
+        if required.normal {
+            let exists = per_length.simd_gt(splat(0.0)) & per_length.simd_lt(splat(f64::INFINITY));
+            for (rows, gradient) in out.normal.iter_mut().zip(gradient) {
+                let normal = exists.select(gradient * per_length, splat(0.0));
+                replace(&mut rows[lane], block, &single(normal), samples);
             }
-            replace(&mut rows[lane], block, &normal, samples);
         }
     }
 
@@ -363,6 +355,17 @@ fn bits(first: usize, end: usize, block: usize) -> u8 {
     (below(end) & !below(first)).to_le_bytes()[block]
 }
 
+/// Numbers in single precision.
+#[inline(always)]
+fn single<S: Simd>(numbers: f64x8<S>) -> [f32; BLOCK_SAMPLES] {
+    let numbers: [f64; BLOCK_SAMPLES] = numbers.into();
+    let mut rounded = [0.0; BLOCK_SAMPLES];
+    for i in 0..BLOCK_SAMPLES {
+        rounded[i] = numbers[i] as f32;
+    }
+    rounded
+}
+
 /// Replaces the numbers of a block whose bits are set.
 #[inline(always)]
 fn replace(row: &mut SampleRow, block: usize, with: &[f32; BLOCK_SAMPLES], bits: u8) {
@@ -376,7 +379,7 @@ fn replace(row: &mut SampleRow, block: usize, with: &[f32; BLOCK_SAMPLES], bits:
 #[inline(always)]
 fn color_rows(
     pattern: &Pattern,
-    places: &[Row; 3],
+    places: &[[f64; BLOCK_SAMPLES]; 3],
     opacity: &[f32; BLOCK_SAMPLES],
     lane: usize,
     block: usize,

@@ -1,180 +1,151 @@
 //! Solids at eight places at a time: the same numbers, bit for bit, as [`Solid`] gives for one place.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f64x8};
+
 use crate::field::BLOCK_SAMPLES;
 use crate::geometry::DVec3;
 use crate::scene::{Form, Solid};
 
-/// One number for each of eight places.
-pub(super) type Row = [f64; BLOCK_SAMPLES];
+/// Eight places or vectors, by columns.
+pub(super) type Vectors<S> = [f64x8<S>; 3];
 
 /// A solid at eight places.
-pub(super) struct SolidRows {
+pub(super) struct SolidRows<S: Simd> {
     /// Opacity, 0 to 1.
-    pub(super) opacity: Row,
+    pub(super) opacity: f64x8<S>,
     /// Signed distance to the boundary, negative inside.
-    pub(super) implicit: Row,
-    pub(super) gradient: [Row; 3],
+    pub(super) implicit: f64x8<S>,
+    pub(super) gradient: Vectors<S>,
 }
 
-// Loops instead of closures: closures are not always inlined where vector code requires it.
-
-impl SolidRows {
-    /// A solid at places in its own space, given by columns.
+impl<S: Simd> SolidRows<S> {
+    /// A solid at places in its own space.
     #[inline(always)]
-    pub(super) fn new(solid: &Solid, places: &[Row; 3]) -> Self {
-        let (implicit, gradient) = distances(&solid.form, places);
-        let mut opacity = [0.0; BLOCK_SAMPLES];
-        if solid.edge > 0.0 {
-            for i in 0..BLOCK_SAMPLES {
-                let x = (0.5 - implicit[i] / solid.edge).clamp(0.0, 1.0);
-                opacity[i] = solid.opacity * (x * x * (3.0 - 2.0 * x));
-            }
+    pub(super) fn new(simd: S, solid: &Solid, places: Vectors<S>) -> Self {
+        let (implicit, gradient) = distances(simd, &solid.form, places);
+        let splat = |v| f64x8::splat(simd, v);
+        let inside = if solid.edge > 0.0 {
+            let x = (splat(0.5) - implicit / splat(solid.edge)).max(splat(0.0)).min(splat(1.0));
+            x * x * (splat(3.0) - splat(2.0) * x)
         } else {
-            for i in 0..BLOCK_SAMPLES {
-                opacity[i] = solid.opacity * if implicit[i] <= 0.0 { 1.0 } else { 0.0 };
-            }
-        }
-        Self { opacity, implicit, gradient }
+            implicit.simd_le(splat(0.0)).select(splat(1.0), splat(0.0))
+        };
+        Self { opacity: splat(solid.opacity) * inside, implicit, gradient }
     }
 }
 
 /// [`Form::distance`] at eight places.
 #[inline(always)]
-fn distances(form: &Form, p: &[Row; 3]) -> (Row, [Row; 3]) {
+fn distances<S: Simd>(simd: S, form: &Form, p: Vectors<S>) -> (f64x8<S>, Vectors<S>) {
+    let splat = |v| f64x8::splat(simd, v);
+    let across = [p[0], splat(0.0), p[2]];
     match *form {
-        Form::Sphere { radius } => from_sphere(p, radius, [0.0, 1.0, 0.0]),
-        Form::Box { size } => from_box(p, size * 0.5),
-        Form::Cylinder { radius, height } => from_cylinder(p, radius, height * 0.5),
+        Form::Sphere { radius } => from_sphere(simd, p, radius, DVec3::Y),
+        Form::Box { size } => from_box(simd, p, size * 0.5),
+        Form::Cylinder { radius, height } => {
+            let (around, outward) = from_sphere(simd, across, 0.0, DVec3::X);
+            let (distance, [radial, axial]) = from_rectangle(simd, around, p[1], radius, height * 0.5);
+            (distance, [outward[0] * radial, axial, outward[2] * radial])
+        }
         Form::Torus { major, minor } => {
-            let (_, outward) = from_sphere(&[p[0], [0.0; BLOCK_SAMPLES], p[2]], 0.0, [1.0, 0.0, 0.0]);
-            let mut from_circle = *p;
-            for axis in 0..3 {
-                for i in 0..BLOCK_SAMPLES {
-                    from_circle[axis][i] = p[axis][i] - outward[axis][i] * major;
-                }
-            }
-            from_sphere(&from_circle, minor, [0.0, 1.0, 0.0])
+            let (_, outward) = from_sphere(simd, across, 0.0, DVec3::X);
+            let major = splat(major);
+            let from_circle = [p[0] - outward[0] * major, p[1], p[2] - outward[2] * major];
+            from_sphere(simd, from_circle, minor, DVec3::Y)
         }
         Form::HalfSpace { normal, offset } => {
-            let mut distance = [0.0; BLOCK_SAMPLES];
-            for i in 0..BLOCK_SAMPLES {
-                distance[i] = p[0][i] * normal.x + p[1][i] * normal.y + p[2][i] * normal.z - offset;
-            }
-            (distance, [[normal.x; BLOCK_SAMPLES], [normal.y; BLOCK_SAMPLES], [normal.z; BLOCK_SAMPLES]])
+            let gradient = [splat(normal.x), splat(normal.y), splat(normal.z)];
+            (p[0] * gradient[0] + p[1] * gradient[1] + p[2] * gradient[2] - splat(offset), gradient)
         }
-        Form::Ellipsoid { radii } => from_ellipsoid(p, radii),
-        Form::Cone { .. } => one_by_one(form, p),
+        Form::Ellipsoid { radii } => from_ellipsoid(simd, p, radii),
+        Form::Cone { .. } => one_by_one(simd, form, p),
     }
 }
 
 /// Forms with many cases.
-fn one_by_one(form: &Form, p: &[Row; 3]) -> (Row, [Row; 3]) {
+fn one_by_one<S: Simd>(simd: S, form: &Form, p: Vectors<S>) -> (f64x8<S>, Vectors<S>) {
     let (mut distance, mut gradient) = ([0.0; BLOCK_SAMPLES], [[0.0; BLOCK_SAMPLES]; 3]);
     for i in 0..BLOCK_SAMPLES {
         let (d, g) = form.distance(DVec3::new(p[0][i], p[1][i], p[2][i]));
         distance[i] = d;
         (gradient[0][i], gradient[1][i], gradient[2][i]) = (g.x, g.y, g.z);
     }
-    (distance, gradient)
+    (f64x8::from_slice(simd, &distance), gradient.map(|row| f64x8::from_slice(simd, &row)))
 }
 
 #[inline(always)]
-fn lengths([x, y, z]: &[Row; 3]) -> Row {
-    let mut length = [0.0; BLOCK_SAMPLES];
-    for i in 0..BLOCK_SAMPLES {
-        length[i] = (x[i] * x[i] + y[i] * y[i] + z[i] * z[i]).sqrt();
-    }
-    length
+pub(super) fn length<S: Simd>([x, y, z]: Vectors<S>) -> f64x8<S> {
+    (x * x + y * y + z * z).sqrt()
 }
 
 /// Distance from a sphere around the origin, and its gradient; `at_centre` is the gradient where there is none.
 #[inline(always)]
-fn from_sphere(p: &[Row; 3], radius: f64, at_centre: [f64; 3]) -> (Row, [Row; 3]) {
-    let length = lengths(p);
-    let (mut distance, mut gradient) = ([0.0; BLOCK_SAMPLES], [[0.0; BLOCK_SAMPLES]; 3]);
-    for i in 0..BLOCK_SAMPLES {
-        distance[i] = length[i] - radius;
-    }
-    for axis in 0..3 {
-        for i in 0..BLOCK_SAMPLES {
-            let per_length = 1.0 / length[i];
-            let exists = per_length > 0.0 && per_length < f64::INFINITY;
-            gradient[axis][i] = if exists { p[axis][i] * per_length } else { at_centre[axis] };
-        }
-    }
-    (distance, gradient)
+fn from_sphere<S: Simd>(simd: S, p: Vectors<S>, radius: f64, at_centre: DVec3) -> (f64x8<S>, Vectors<S>) {
+    let splat = |v| f64x8::splat(simd, v);
+    let length = length(p);
+    let per_length = splat(1.0) / length;
+    let exists = per_length.simd_gt(splat(0.0)) & per_length.simd_lt(splat(f64::INFINITY));
+    let unit = |axis: usize| exists.select(p[axis] * per_length, splat(at_centre[axis]));
+    (length - splat(radius), [unit(0), unit(1), unit(2)])
 }
 
 #[inline(always)]
-fn from_box(p: &[Row; 3], half: DVec3) -> (Row, [Row; 3]) {
-    let (mut q, mut outside) = ([[0.0; BLOCK_SAMPLES]; 3], [[0.0; BLOCK_SAMPLES]; 3]);
-    for axis in 0..3 {
-        for i in 0..BLOCK_SAMPLES {
-            q[axis][i] = p[axis][i].abs() - half[axis];
-            outside[axis][i] = q[axis][i].max(0.0);
-        }
-    }
-    let away = lengths(&outside);
-    let (mut distance, mut gradient) = ([0.0; BLOCK_SAMPLES], [[0.0; BLOCK_SAMPLES]; 3]);
-    for i in 0..BLOCK_SAMPLES {
-        let largest = q[0][i].max(q[1][i].max(q[2][i]));
-        let is_outside = largest > 0.0;
-        distance[i] = if is_outside { away[i] } else { largest };
-        // The first axis along which it is nearest to a face.
-        let x = q[0][i] == largest;
-        let y = !x & (q[1][i] == largest);
-        let nearest = [x, y, !x & !y];
+fn from_box<S: Simd>(simd: S, p: Vectors<S>, half: DVec3) -> (f64x8<S>, Vectors<S>) {
+    let splat = |v| f64x8::splat(simd, v);
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let q = [p[0].abs() - splat(half.x), p[1].abs() - splat(half.y), p[2].abs() - splat(half.z)];
+    let largest = q[0].max(q[1]).max(q[2]);
+    let is_outside = largest.simd_gt(zero);
+    // The first axis along which a place inside is nearest to a face.
+    let x = q[0].simd_eq(largest);
+    let y = q[1].simd_eq(largest) & !x;
+    let nearest = [x, y, !x & !y];
+    let signs = [one.copysign(p[0]), one.copysign(p[1]), one.copysign(p[2])];
+    let toward = |axis: usize| nearest[axis].select(signs[axis], zero);
+    let mut gradient = [toward(0), toward(1), toward(2)];
+    let mut distance = largest;
+    if is_outside.any_true() {
+        let outside = [q[0].max(zero), q[1].max(zero), q[2].max(zero)];
+        let away = length(outside);
+        distance = is_outside.select(away, largest);
         for axis in 0..3 {
-            let sign = 1_f64.copysign(p[axis][i]);
-            let toward_face = if nearest[axis] { sign } else { 0.0 };
-            gradient[axis][i] = if is_outside { sign * outside[axis][i] / away[i] } else { toward_face };
+            gradient[axis] = is_outside.select(signs[axis] * outside[axis] / away, gradient[axis]);
         }
     }
     (distance, gradient)
 }
 
+/// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its gradient.
 #[inline(always)]
-fn from_cylinder(p: &[Row; 3], radius: f64, half_height: f64) -> (Row, [Row; 3]) {
-    let across = [p[0], [0.0; BLOCK_SAMPLES], p[2]];
-    let (around, outward) = from_sphere(&across, 0.0, [1.0, 0.0, 0.0]);
-    let (mut distance, mut gradient) = ([0.0; BLOCK_SAMPLES], [[0.0; BLOCK_SAMPLES]; 3]);
-    for i in 0..BLOCK_SAMPLES {
-        let (qx, qy) = (around[i] - radius, p[1][i].abs() - half_height);
-        let (sx, sy) = (1_f64.copysign(around[i]), 1_f64.copysign(p[1][i]));
-        let at_corner = (qx > 0.0) & (qy > 0.0);
-        let d = (qx * qx + qy * qy).sqrt();
-        let radially = qx > qy;
-        distance[i] = if at_corner { d } else { qx.max(qy) };
-        let radial = if at_corner { sx * qx / d } else { f64::from(u8::from(radially)) * sx };
-        let axial = if at_corner { sy * qy / d } else { f64::from(u8::from(!radially)) * sy };
-        gradient[0][i] = outward[0][i] * radial;
-        gradient[1][i] = axial;
-        gradient[2][i] = outward[2][i] * radial;
-    }
+fn from_rectangle<S: Simd>(simd: S, x: f64x8<S>, y: f64x8<S>, a: f64, b: f64) -> (f64x8<S>, [f64x8<S>; 2]) {
+    let splat = |v| f64x8::splat(simd, v);
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let (qx, qy) = (x.abs() - splat(a), y.abs() - splat(b));
+    let (sx, sy) = (one.copysign(x), one.copysign(y));
+    let d = (qx * qx + qy * qy).sqrt();
+    let at_corner = qx.simd_gt(zero) & qy.simd_gt(zero);
+    let first = qx.simd_gt(qy);
+    let distance = at_corner.select(d, first.select(qx, qy));
+    let gradient = [
+        at_corner.select(sx * qx / d, first.select(sx, zero)),
+        at_corner.select(sy * qy / d, first.select(zero, sy)),
+    ];
     (distance, gradient)
 }
 
 #[inline(always)]
-fn from_ellipsoid(p: &[Row; 3], radii: DVec3) -> (Row, [Row; 3]) {
-    let (mut scaled, mut twice) = (*p, *p);
-    for axis in 0..3 {
-        for i in 0..BLOCK_SAMPLES {
-            scaled[axis][i] = p[axis][i] / radii[axis];
-            twice[axis][i] = p[axis][i] / (radii[axis] * radii[axis]);
-        }
-    }
-    let (k0, k1) = (lengths(&scaled), lengths(&twice));
-    let (mut distance, mut gradient) = ([0.0; BLOCK_SAMPLES], [[0.0; BLOCK_SAMPLES]; 3]);
-    let at_centre = [0.0, 1.0, 0.0];
-    for i in 0..BLOCK_SAMPLES {
-        let is_centre = k1[i] == 0.0;
-        distance[i] = if is_centre { -radii.min_element() } else { k0[i] * (k0[i] - 1.0) / k1[i] };
-        for axis in 0..3 {
-            let per_length = 1.0 / k1[i];
-            gradient[axis][i] = if is_centre { at_centre[axis] } else { twice[axis][i] * per_length };
-        }
-    }
-    (distance, gradient)
+fn from_ellipsoid<S: Simd>(simd: S, p: Vectors<S>, radii: DVec3) -> (f64x8<S>, Vectors<S>) {
+    let splat = |v| f64x8::splat(simd, v);
+    let scaled = [p[0] / splat(radii.x), p[1] / splat(radii.y), p[2] / splat(radii.z)];
+    let squared = radii * radii;
+    let twice = [p[0] / splat(squared.x), p[1] / splat(squared.y), p[2] / splat(squared.z)];
+    let (k0, k1) = (length(scaled), length(twice));
+    let is_centre = k1.simd_eq(splat(0.0));
+    let distance = is_centre.select(splat(-radii.min_element()), k0 * (k0 - splat(1.0)) / k1);
+    let per_length = splat(1.0) / k1;
+    let unit = |axis: usize| is_centre.select(splat(DVec3::Y[axis]), twice[axis] * per_length);
+    (distance, [unit(0), unit(1), unit(2)])
 }
 
 #[cfg(test)]
@@ -185,6 +156,14 @@ mod tests {
     use super::*;
     use crate::field::SimdLevel;
     use crate::scene::Procedural;
+
+    type Row = [f64; BLOCK_SAMPLES];
+
+    fn numbers<S: Simd>(simd: S, solid: &Solid, places: &[Row; 3]) -> (Row, Row, [Row; 3]) {
+        let places = places.map(|row| f64x8::from_slice(simd, &row));
+        let SolidRows { opacity, implicit, gradient } = SolidRows::new(simd, solid, places);
+        (opacity.into(), implicit.into(), gradient.map(Into::into))
+    }
 
     fn forms() -> impl Strategy<Value = Form> {
         let length = || prop::sample::select(vec![0.25_f64, 0.5, 0.7, 1.3]);
@@ -212,11 +191,11 @@ mod tests {
             let solid = Solid { edge, opacity: 0.7, ..Solid::new(form) };
             let columns = [0, 1, 2].map(|axis| places.map(|p| p[axis]));
             for simd in SimdLevel::available() {
-                let rows = dispatch!(simd.level(), _simd => SolidRows::new(&solid, &columns));
+                let (opacity, implicit, gradient) = dispatch!(simd.level(), simd => numbers(simd, &solid, &columns));
                 for (i, place) in places.into_iter().enumerate() {
                     let one = solid.sample(DVec3::from_array(place));
-                    let gradient = DVec3::new(rows.gradient[0][i], rows.gradient[1][i], rows.gradient[2][i]);
-                    prop_assert_eq!((rows.opacity[i], rows.implicit[i]), (one.opacity, one.implicit));
+                    let gradient = DVec3::new(gradient[0][i], gradient[1][i], gradient[2][i]);
+                    prop_assert_eq!((opacity[i], implicit[i]), (one.opacity, one.implicit));
                     prop_assert_eq!(gradient, one.gradient, "{:?} at {:?}", form, place);
                 }
             }
