@@ -256,11 +256,12 @@ impl RefractionStates {
         if self.bounces.turns.refracts { going & self.deepens } else { 0 }
     }
 
-    /// The fraction of a sample's light that comes from the mirrored direction. Refracting materials reflect at their
-    /// boundary only.
-    pub(super) fn reflectance(&self, lane: usize, material: &[f32; MATERIAL]) -> f32 {
+    /// The fraction of a sample's light that comes from the mirrored direction, given the values of its material.
+    /// Refracting materials reflect at their boundary only.
+    #[inline(always)]
+    pub(super) fn reflectance(&self, lane: usize, material: impl Fn(usize) -> f32) -> f32 {
         let reflects = self.bounces.turns.reflects && self.deepens >> lane & 1 == 1;
-        if reflects && material[REFRACTIVE_INDEX] == 1.0 { material[REFLECTANCE] } else { 0.0 }
+        if reflects && material(REFRACTIVE_INDEX) == 1.0 { material(REFLECTANCE) } else { 0.0 }
     }
 
     /// Adds a sample that reflects `weight` of its ray's light and has the given colour of its own. Returns the light
@@ -382,7 +383,7 @@ impl Samples<'_> {
 
     /// The refractive index of a sample inside an object.
     fn index(&self, j: usize) -> f32 {
-        self.constants.material_at(self.node, self.lane, j)[REFRACTIVE_INDEX]
+        self.constants.material_at(self.node, REFRACTIVE_INDEX, self.lane, j)
     }
 
     /// A sample inside an object.
@@ -391,7 +392,7 @@ impl Samples<'_> {
             t: self.packet.sample_t_world(self.lane, self.slab.first + j as u64),
             normal: self.node.normal_at(self.lane, j),
             depth: -f64::from(self.node.boundary[self.lane].0[j]),
-            reflectance: self.constants.material_at(self.node, self.lane, j)[REFLECTANCE],
+            reflectance: self.constants.material_at(self.node, REFLECTANCE, self.lane, j),
         }
     }
 }

@@ -97,15 +97,13 @@ impl Constants {
         }
     }
 
-    /// The material of a sample of the root.
-    pub(super) fn material_at(&self, root: &NodeSamples, lane: usize, j: usize) -> [f32; MATERIAL] {
-        self.material.unwrap_or_else(|| {
-            let mut material = [0.0; MATERIAL];
-            for (value, rows) in material.iter_mut().zip(&root.material) {
-                *value = rows[lane].0[j];
-            }
-            material
-        })
+    /// One of the values of the material of a sample of the root.
+    #[inline(always)]
+    pub(super) fn material_at(&self, root: &NodeSamples, value: usize, lane: usize, j: usize) -> f32 {
+        match &self.material {
+            Some(material) => material[value],
+            None => root.material[value][lane].0[j],
+        }
     }
 }
 

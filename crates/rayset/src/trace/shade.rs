@@ -1,13 +1,13 @@
 //! Shading of samples: the contributing samples of a slab are gathered, lit many at a time (`surfaces`), and added to
-//! their rays one by one, front to back.
+//! their rays front to back.
 
 use fearless_simd::dispatch;
 
 use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
-use super::node_samples::{Constants, NodeSamples, each_lane};
-use super::surfaces::{BATCH, LightSource, Row, Surfaces};
-use crate::field::{LANES, Packet, SampleRow, SimdLevel, Slab};
+use super::node_samples::{Constants, NodeSamples, each_lane, numbers};
+use super::surfaces::{BATCH, Group, LightSource, Row, Surfaces, eight};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SampleRow, SimdLevel, Slab};
 use crate::scene::Lighting;
 
 /// The lights of a scene, and the outputs that all samples share.
@@ -57,18 +57,18 @@ impl Shader {
         };
         let mut surfaces = Surfaces::new();
         each_lane(shown.shares.lanes(), |lane| {
-            let mut samples = shown.shares.samples[lane];
-            while samples != 0 {
-                let j = samples.trailing_zeros() as usize;
-                samples &= samples - 1;
-                surfaces.push(shown.packet, shown.node, &self.constants, lane, j);
-                if surfaces.len() == BATCH {
+            for (block, samples) in shown.shares.samples[lane].to_le_bytes().into_iter().enumerate() {
+                if samples == 0 {
+                    continue;
+                }
+                surfaces.push(shown.packet, shown.node, &self.constants, Group { lane, block, samples });
+                if surfaces.is_full() {
                     self.add(lights, &surfaces, shown, refraction.as_deref_mut(), states);
                     surfaces.clear();
                 }
             }
         });
-        if surfaces.len() > 0 {
+        if !surfaces.is_empty() {
             self.add(lights, &surfaces, shown, refraction, states);
         }
     }
@@ -100,27 +100,37 @@ impl Shader {
         for (number, light) in lights.iter().enumerate() {
             let mut reaching: Row = [1.0; BATCH];
             if let Some(Some(rows)) = shadows.get(number) {
-                for (reaching, (lane, j)) in reaching.iter_mut().zip(surfaces.samples()) {
-                    *reaching = rows[lane].0[j].max(0.0);
+                for (i, group) in surfaces.groups().iter().enumerate() {
+                    for (reaching, shadow) in eight(&mut reaching, i).iter_mut().zip(group.of(rows)) {
+                        *reaching = shadow.max(0.0);
+                    }
                 }
             }
             let from = light.arrives(packet, slab, surfaces);
             dispatch!(self.simd.level(), _simd => surfaces.light(light.color, &from, &reaching, &mut lit));
         }
-        for (i, (lane, j)) in surfaces.samples().enumerate() {
-            let color = [lit[0][i], lit[1][i], lit[2][i]];
-            let share = shares.share[lane].0[j];
-            let mut given = color.map(|v| share * v);
-            if let Some(refraction) = &mut refraction {
-                let mirrored = refraction.reflectance(lane, &self.constants.material_at(node, lane, j));
-                if mirrored > 0.0 {
-                    let before = refraction.reflect(packet, slab, node, lane, j, share * mirrored, color);
-                    given = [0, 1, 2].map(|c| before[c] + (1.0 - mirrored) * given[c]);
+        for (number, group) in surfaces.groups().iter().enumerate() {
+            let Group { lane, block, samples } = *group;
+            let share = group.of(&shares.share);
+            let mut sum = states[lane].color;
+            for in_group in numbers(samples.into()) {
+                let i = number * BLOCK_SAMPLES + in_group;
+                let (color, share) = ([lit[0][i], lit[1][i], lit[2][i]], share[in_group]);
+                let mut given = color.map(|v| share * v);
+                if let Some(refraction) = &mut refraction {
+                    let j = block * BLOCK_SAMPLES + in_group;
+                    let mirrored = refraction
+                        .reflectance(lane, |value| self.constants.material_at(node, value, lane, j));
+                    if mirrored > 0.0 {
+                        let before = refraction.reflect(packet, slab, node, lane, j, share * mirrored, color);
+                        given = [0, 1, 2].map(|c| before[c] + (1.0 - mirrored) * given[c]);
+                    }
+                }
+                for channel in 0..3 {
+                    sum[channel] += given[channel];
                 }
             }
-            for channel in 0..3 {
-                states[lane].color[channel] += given[channel];
-            }
+            states[lane].color = sum;
         }
     }
 

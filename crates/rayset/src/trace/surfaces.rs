@@ -1,16 +1,23 @@
 //! Blinn's local model, two-sided, for many samples at a time.
 
 use super::math::power;
-use super::node_samples::{Constants, NodeSamples};
-use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
+use super::node_samples::{Constants, NodeSamples, numbers};
+use crate::field::{BLOCK_SAMPLES, Packet, SampleRow, Slab};
 use crate::geometry::DVec3;
 use crate::scene::{Light, LightKind};
 
 /// Samples that are lit together.
-pub(super) const BATCH: usize = 32;
+pub(super) const BATCH: usize = BATCH_GROUPS * BLOCK_SAMPLES;
+const BATCH_GROUPS: usize = 4;
 
 /// One number for each of them.
 pub(super) type Row = [f32; BATCH];
+
+/// The numbers of one group.
+#[inline(always)]
+pub(super) fn eight(row: &mut Row, group: usize) -> &mut [f32; BLOCK_SAMPLES] {
+    &mut row.as_chunks_mut().0[group]
+}
 
 /// A light, prepared for samples.
 pub(super) struct LightSource {
@@ -59,13 +66,17 @@ impl LightSource {
             SourceKind::Directional(direction) => Arrival::From(direction),
             SourceKind::Point { position, decays } => {
                 let mut each = Box::new(([[0.0; BATCH]; 3], [0.0; BATCH]));
-                for (i, (lane, j)) in surfaces.samples().enumerate() {
-                    let place = packet.ray(lane).at(packet.sample_t_world(lane, slab.first + j as u64));
-                    let (direction, weakened) = to_point(position - place, decays);
-                    for (row, v) in each.0.iter_mut().zip(direction) {
-                        row[i] = v;
+                for (number, &Group { lane, block, samples }) in surfaces.groups().iter().enumerate() {
+                    for in_group in numbers(samples.into()) {
+                        let sample = slab.first + (block * BLOCK_SAMPLES + in_group) as u64;
+                        let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
+                        let (direction, weakened) = to_point(position - place, decays);
+                        let i = number * BLOCK_SAMPLES + in_group;
+                        for (row, v) in each.0.iter_mut().zip(direction) {
+                            row[i] = v;
+                        }
+                        each.1[i] = weakened;
                     }
-                    each.1[i] = weakened;
                 }
                 Arrival::Each(each)
             }
@@ -82,11 +93,11 @@ fn to_point(toward: DVec3, decays: bool) -> ([f32; 3], f32) {
     (direction, weakened)
 }
 
-/// Samples as surfaces to be lit.
+/// Samples as surfaces to be lit, in groups of eight samples that follow each other on a ray. Not all of a group need
+/// count; what becomes of the others is of no importance.
 pub(super) struct Surfaces {
     len: usize,
-    /// Lane and sample.
-    at: [(u8, u8); BATCH],
+    groups: [Group; BATCH_GROUPS],
     color: [Row; 3],
     normal: [Row; 3],
     /// Ambient, diffuse, specular, shininess.
@@ -95,12 +106,30 @@ pub(super) struct Surfaces {
     view: [Row; 3],
 }
 
+/// Eight samples of a ray.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Group {
+    pub(super) lane: usize,
+    /// Their place among the groups of the lane.
+    pub(super) block: usize,
+    /// A bit for each that counts.
+    pub(super) samples: u8,
+}
+
+impl Group {
+    /// Its numbers among those of some rows.
+    #[inline(always)]
+    pub(super) fn of<'r>(&self, rows: &'r [SampleRow]) -> &'r [f32; BLOCK_SAMPLES] {
+        &rows[self.lane].0.as_chunks().0[self.block]
+    }
+}
+
 impl Surfaces {
     pub(super) fn new() -> Self {
         let zero = [0.0; BATCH];
         Self {
             len: 0,
-            at: [(0, 0); BATCH],
+            groups: [Group::default(); BATCH_GROUPS],
             color: [zero; 3],
             normal: [zero; 3],
             material: [zero; 4],
@@ -108,42 +137,44 @@ impl Surfaces {
         }
     }
 
-    pub(super) fn len(&self) -> usize {
-        self.len
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(super) fn is_full(&self) -> bool {
+        self.len == BATCH_GROUPS
     }
 
     pub(super) fn clear(&mut self) {
         self.len = 0;
     }
 
-    /// The lanes and samples that it holds, in the order in which they were added.
-    pub(super) fn samples(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let at = self.at;
-        (0..self.len).map(move |i| (usize::from(at[i].0) % LANES, usize::from(at[i].1) % SLAB_SAMPLES))
+    /// The groups that it holds, in the order in which they were added.
+    pub(super) fn groups(&self) -> &[Group] {
+        &self.groups[..self.len]
     }
 
-    /// Adds a sample of the root; there must be room.
+    /// Adds samples of the root; there must be room.
     #[inline(always)]
-    pub(super) fn push(
-        &mut self,
-        packet: &Packet,
-        root: &NodeSamples,
-        constants: &Constants,
-        lane: usize,
-        j: usize,
-    ) {
-        let i = self.len;
-        self.at[i] = (lane as u8, j as u8);
-        let color = constants.color_at(root, lane, j);
-        let view = packet.direction_f32(lane);
+    pub(super) fn push(&mut self, packet: &Packet, root: &NodeSamples, constants: &Constants, group: Group) {
+        let at = self.len;
+        self.groups[at] = group;
+        let view = packet.direction_f32(group.lane);
         for axis in 0..3 {
-            self.color[axis][i] = color[axis];
-            self.view[axis][i] = -view[axis];
-            self.normal[axis][i] = root.normal[axis].get(lane).map_or(0.0, |row| row.0[j]);
+            *eight(&mut self.color[axis], at) = match constants.color {
+                Some(color) => [color[axis]; BLOCK_SAMPLES],
+                None => *group.of(&root.color[axis]),
+            };
+            *eight(&mut self.view[axis], at) = [-view[axis]; BLOCK_SAMPLES];
+            let normal = &root.normal[axis];
+            *eight(&mut self.normal[axis], at) =
+                if normal.is_empty() { [0.0; BLOCK_SAMPLES] } else { *group.of(normal) };
         }
-        match constants.material {
-            Some(material) => (0..4).for_each(|k| self.material[k][i] = material[k]),
-            None => (0..4).for_each(|k| self.material[k][i] = root.material[k][lane].0[j]),
+        for k in 0..4 {
+            *eight(&mut self.material[k], at) = match constants.material {
+                Some(material) => [material[k]; BLOCK_SAMPLES],
+                None => *group.of(&root.material[k]),
+            };
         }
         self.len += 1;
     }
