@@ -133,25 +133,23 @@ pub(super) fn gradients<V: Voxel>(brick: &[u8], cells: &Cells) -> [Row; 3] {
     let f = &cells.within;
     // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
     // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
-    let offsets = [
-        [z - 1, z + y - 1, 2 * z - 1, 2 * z + y - 1],
-        [z + 1, z + y + 1, 2 * z + 1, 2 * z + y + 1],
-        [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y],
-        [0, 3 * z, y, y + 3 * z],
-    ];
-    let farthest = y + 3 * z;
-    let before = Pairs::<V, 4>::read(brick, cells, z, offsets[0], farthest);
-    let behind = Pairs::<V, 4>::read(brick, cells, z, offsets[1], farthest);
-    let beside_y = Pairs::<V, 4>::read(brick, cells, z, offsets[2], farthest);
-    let beside_z = Pairs::<V, 4>::read(brick, cells, z, offsets[3], farthest);
+    let before = [z - 1, z + y - 1, 2 * z - 1, 2 * z + y - 1];
+    let beside_y = [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y];
+    let beside_z = [0, 3 * z, y, y + 3 * z];
+    let mut offsets = [0; 16];
+    for row in 0..4 {
+        (offsets[row], offsets[4 + row]) = (before[row], before[row] + 2);
+        (offsets[8 + row], offsets[12 + row]) = (beside_y[row], beside_z[row]);
+    }
+    let pairs = Pairs::<V, 16>::read(brick, cells, z, offsets, y + 3 * z);
     let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
     for row in 0..4 {
-        let ([a, b], [c, d]) = (before.numbers(row), behind.numbers(row));
+        let ([a, b], [c, d]) = (pairs.numbers(row), pairs.numbers(4 + row));
         along_x[row] = lerp(&less(&c, &a), &less(&d, &b), &f[0]);
         through[row] = lerp(&b, &c, &f[0]);
     }
     for row in 0..4 {
-        let ([a, b], [c, d]) = (beside_y.numbers(row), beside_z.numbers(row));
+        let ([a, b], [c, d]) = (pairs.numbers(8 + row), pairs.numbers(12 + row));
         outer[row] = lerp(&a, &b, &f[0]);
         outer[4 + row] = lerp(&c, &d, &f[0]);
     }
