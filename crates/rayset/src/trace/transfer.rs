@@ -95,7 +95,6 @@ impl ColorTable {
     }
 
     /// The place of the index that a value belongs to; never descends as values ascend.
-    #[expect(clippy::manual_clamp, reason = "what is not a number becomes 0")]
     #[inline(always)]
     fn place(&self, value: f32) -> u32 {
         // NaN becomes 0.
