@@ -2,6 +2,7 @@
 
 use super::opacity::{Opacities, Values};
 use super::voxels::Voxel;
+use crate::grid::format::VoxelKind;
 
 /// Cells along an edge of a block.
 pub(super) const BLOCK_CELLS: usize = 4;
@@ -29,11 +30,13 @@ impl Blocks {
     #[inline(always)]
     pub(super) fn of<V: Voxel>(brick: &[u8], values: &Values, opacities: &Opacities) -> Self {
         let mut blocks = Self([0; _]);
-        let side = blocks_of::<V>();
+        let (n, side) = (V::SIDE, blocks_of::<V>());
+        let mut layers = Layers::<V>::new();
         for z in 0..side {
+            layers.merge(brick, first_corner::<V>(z));
             for y in 0..side {
-                let ranges = ranges_along_x::<V>(brick, y, z);
-                for (x, &(low, high)) in ranges.iter().enumerate().take(side) {
+                for x in 0..side {
+                    let (low, high) = layers.range(first_corner::<V>(y) * n + first_corner::<V>(x));
                     if opacities.shows(low - values.base, high - values.base) {
                         let number = (z * side + y) * side + x;
                         blocks.0[number / 64] |= 1 << (number % 64);
@@ -50,44 +53,61 @@ pub(super) const fn blocks_of<V: Voxel>() -> usize {
     (V::SIDE - 3).div_ceil(BLOCK_CELLS)
 }
 
-/// The voxels at the corners of the cells of a block, along one axis.
+/// Voxels at the corners of the cells of a block, along one axis.
+const CORNERS: usize = BLOCK_CELLS + 1;
+
+/// The first of them; the last block, which may have fewer cells, has some of the one before it.
 #[inline(always)]
-fn corners<V: Voxel>(block: usize) -> std::ops::Range<usize> {
-    1 + block * BLOCK_CELLS..(2 + (block + 1) * BLOCK_CELLS).min(V::SIDE - 1)
+fn first_corner<V: Voxel>(block: usize) -> usize {
+    (1 + block * BLOCK_CELLS).min(V::SIDE - 1 - CORNERS)
 }
 
-/// Most voxels along an edge of a brick.
-const MOST_VOXELS: usize = 31;
+/// Most voxels in a layer of a brick.
+const MOST_IN_LAYER: usize = VoxelKind::U8.brick_voxels() * VoxelKind::U8.brick_voxels();
 
-/// Least and largest stored number in each block of one row of blocks, with the voxels on both of its faces.
-#[inline(always)]
-fn ranges_along_x<V: Voxel>(brick: &[u8], y: usize, z: usize) -> [(f32, f32); MOST_BLOCKS] {
-    let n = V::SIDE;
-    // First over all rows of voxels of these blocks, voxel by voxel; then along x.
-    let (mut low, mut high) = ([f32::INFINITY; MOST_VOXELS + 1], [f32::NEG_INFINITY; MOST_VOXELS + 1]);
-    for k in corners::<V>(z) {
-        for j in corners::<V>(y) {
-            let row = (k * n + j) * n;
-            let mut numbers = [0.0; MOST_VOXELS + 1];
-            for (i, two) in numbers.as_chunks_mut::<2>().0.iter_mut().enumerate() {
-                *two = V::numbers(V::pair(brick, row + (2 * i).min(n - 2)));
+/// The least and the largest stored numbers of a layer of blocks: for each place of a layer of voxels, of the cube of
+/// [`CORNERS`]³ voxels that begins there. They are found for all places, by vectors, though few are needed.
+struct Layers<V: Voxel> {
+    low: [V::Stored; MOST_IN_LAYER],
+    high: [V::Stored; MOST_IN_LAYER],
+}
+
+impl<V: Voxel> Layers<V> {
+    #[inline(always)]
+    fn new() -> Self {
+        Self { low: [V::Stored::default(); MOST_IN_LAYER], high: [V::Stored::default(); MOST_IN_LAYER] }
+    }
+
+    /// Finds those of the cubes that begin in a layer.
+    #[inline(always)]
+    fn merge(&mut self, brick: &[u8], first: usize) {
+        let count = V::SIDE * V::SIDE;
+        let (low, high) = (&mut self.low[..count], &mut self.high[..count]);
+        for layer in 0..CORNERS {
+            let voxels = &brick[(first + layer) * count * V::BYTES..][..count * V::BYTES];
+            for i in 0..count {
+                let number = V::stored(&voxels[i * V::BYTES..(i + 1) * V::BYTES]);
+                low[i] = if layer == 0 { number } else { V::least(low[i], number) };
+                high[i] = if layer == 0 { number } else { V::largest(high[i], number) };
             }
-            // An odd number of voxels ends with a pair that overlaps the one before.
-            if n % 2 == 1 {
-                numbers[n - 1] = numbers[n.min(MOST_VOXELS)];
-            }
-            for i in 0..n {
-                (low[i], high[i]) = (low[i].min(numbers[i]), high[i].max(numbers[i]));
+        }
+        for stride in [V::SIDE, 1] {
+            // Of two, of four, and of five that follow each other.
+            for ahead in [1, 2, 1] {
+                let ahead = ahead * stride;
+                for i in 0..count - ahead {
+                    low[i] = V::least(low[i], low[i + ahead]);
+                    high[i] = V::largest(high[i], high[i + ahead]);
+                }
             }
         }
     }
-    let mut ranges = [(f32::INFINITY, f32::NEG_INFINITY); MOST_BLOCKS];
-    for (block, range) in ranges.iter_mut().enumerate().take(blocks_of::<V>()) {
-        for i in corners::<V>(block) {
-            *range = (range.0.min(low[i]), range.1.max(high[i]));
-        }
+
+    /// That of the cube that begins at a place.
+    #[inline(always)]
+    fn range(&self, at: usize) -> (f32, f32) {
+        (V::number(self.low[at]), V::number(self.high[at]))
     }
-    ranges
 }
 
 /// The blocks of the bricks that a thread has met last.

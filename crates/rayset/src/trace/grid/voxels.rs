@@ -14,6 +14,40 @@ pub(super) trait Voxel: Copy {
     fn pair(brick: &[u8], at: usize) -> Self::Pair;
     /// Their stored numbers.
     fn numbers(pair: Self::Pair) -> [f32; 2];
+    /// A voxel in the type that it is stored in.
+    type Stored: Copy + Default;
+    fn stored(bytes: &[u8]) -> Self::Stored;
+    fn least(a: Self::Stored, b: Self::Stored) -> Self::Stored;
+    fn largest(a: Self::Stored, b: Self::Stored) -> Self::Stored;
+    fn number(stored: Self::Stored) -> f32;
+}
+
+/// The part of [`Voxel`] that is the same for all types but for their names.
+macro_rules! stored {
+    ($type:ty) => {
+        const BYTES: usize = size_of::<$type>();
+        type Stored = $type;
+
+        #[inline(always)]
+        fn stored(voxel: &[u8]) -> $type {
+            <$type>::from_le_bytes(bytes(voxel, 0))
+        }
+
+        #[inline(always)]
+        fn least(a: $type, b: $type) -> $type {
+            a.min(b)
+        }
+
+        #[inline(always)]
+        fn largest(a: $type, b: $type) -> $type {
+            a.max(b)
+        }
+
+        #[inline(always)]
+        fn number(stored: $type) -> f32 {
+            stored.into()
+        }
+    };
 }
 
 #[derive(Clone, Copy)]
@@ -34,8 +68,9 @@ fn bytes<const N: usize>(brick: &[u8], at: usize) -> [u8; N] {
 }
 
 impl Voxel for U8 {
+    stored!(u8);
+
     const SIDE: usize = VoxelKind::U8.brick_voxels();
-    const BYTES: usize = 1;
     type Pair = u32;
 
     #[inline(always)]
@@ -50,8 +85,9 @@ impl Voxel for U8 {
 }
 
 impl Voxel for U16 {
+    stored!(u16);
+
     const SIDE: usize = VoxelKind::U16.brick_voxels();
-    const BYTES: usize = 2;
     type Pair = u32;
 
     #[inline(always)]
@@ -66,8 +102,9 @@ impl Voxel for U16 {
 }
 
 impl Voxel for I16 {
+    stored!(i16);
+
     const SIDE: usize = VoxelKind::I16.brick_voxels();
-    const BYTES: usize = 2;
     type Pair = u32;
 
     #[inline(always)]
@@ -82,8 +119,9 @@ impl Voxel for I16 {
 }
 
 impl Voxel for F32 {
+    stored!(f32);
+
     const SIDE: usize = VoxelKind::F32.brick_voxels();
-    const BYTES: usize = 4;
     type Pair = u64;
 
     #[inline(always)]
