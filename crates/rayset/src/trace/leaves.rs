@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::grid::{GRID_MARCH_BYTES, GRID_SCRATCH_BYTES};
-use super::procedural_volume::ProceduralMarch;
+use super::procedural::ProceduralMarch;
 use crate::field::BATCH_BYTES;
 use crate::grid::Grid;
 use crate::octree::Cloud;

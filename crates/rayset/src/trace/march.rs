@@ -5,7 +5,7 @@ use super::cloud::{CloudMarch, CloudScratch, Remaining, Request};
 use super::counts::RenderCounts;
 use super::grid::{GridMarch, GridRequest, GridScratch};
 use super::node_samples::{Live, Measure, NodeSamples};
-use super::procedural_volume::{ProceduralMarch, ProceduralRequest};
+use super::procedural::{ProceduralMarch, ProceduralRequest};
 use super::program::{Action, Instruction, Program};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;

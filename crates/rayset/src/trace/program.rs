@@ -12,7 +12,7 @@ use super::bounce::ScatterKinds;
 use super::cloud::CloudVolume;
 use super::grid::GridVolume;
 use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
-use super::procedural_volume::ProceduralVolume;
+use super::procedural::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
 use crate::geometry::{Aabb, DAffine3};

@@ -1,30 +1,26 @@
-//! Procedural fields, given in closed form, as volume objects in the world.
-//!
-//! The samples of a ray are evaluated eight at a time, front to back: a ray that ends in front of more needs none of them.
+//! A procedural field as the scene graph places it in the world, and its samples in a slab.
 
 use std::any::Any;
 use std::sync::Arc;
 
-use fearless_simd::prelude::*;
-use fearless_simd::{Simd, dispatch, f64x8};
+use fearless_simd::dispatch;
 
-use super::math::ln;
-use super::node_samples::{
-    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers,
-};
-use super::solid_rows::{SolidRows, length};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
-use crate::scene::{MAX_OPACITY, Pattern, Procedural, ProceduralSample, Solid, largest_stretch};
+use crate::scene::{MAX_OPACITY, Procedural, ProceduralSample, Solid, largest_stretch};
+use crate::trace::math::ln;
+use crate::trace::node_samples::{
+    Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers,
+};
 
 /// The march of one packet through one field.
-pub(super) struct ProceduralMarch {
+pub(in crate::trace) struct ProceduralMarch {
     /// For each ray, the first sample that may be in the field, and the one after the last.
     within: [(u64, u64); LANES],
 }
 
 impl ProceduralMarch {
-    pub(super) const BYTES: usize = size_of::<Self>();
+    pub(in crate::trace) const BYTES: usize = size_of::<Self>();
 
     /// The samples of a ray that may be in the field, counted from the first of a slab: the first, and the one after the
     /// last.
@@ -38,35 +34,35 @@ impl ProceduralMarch {
 
 /// What is requested of a field in a slab.
 #[derive(Clone, Copy)]
-pub(super) struct ProceduralRequest<'a> {
-    pub(super) packet: &'a Packet,
+pub(in crate::trace) struct ProceduralRequest<'a> {
+    pub(in crate::trace) packet: &'a Packet,
     /// The packet in the field ([`ProceduralVolume::begin`]).
-    pub(super) march: &'a ProceduralMarch,
-    pub(super) slab: Slab,
-    pub(super) live: &'a Live,
-    pub(super) measure: Measure,
-    pub(super) required: RequiredOutputs,
+    pub(in crate::trace) march: &'a ProceduralMarch,
+    pub(in crate::trace) slab: Slab,
+    pub(in crate::trace) live: &'a Live,
+    pub(in crate::trace) measure: Measure,
+    pub(in crate::trace) required: RequiredOutputs,
     /// For each ray, the sum of the optical depths of samples with which it ends, if that is known.
-    pub(super) ends: Option<&'a [f32; LANES]>,
-    pub(super) simd: SimdLevel,
+    pub(in crate::trace) ends: Option<&'a [f32; LANES]>,
+    pub(in crate::trace) simd: SimdLevel,
 }
 
 /// A field as the scene graph places it in the world.
-pub(super) struct ProceduralVolume {
-    field: Arc<dyn Procedural>,
+pub(in crate::trace) struct ProceduralVolume {
+    pub(super) field: Arc<dyn Procedural>,
     local_from_world: DAffine3,
     /// Transforms gradients from local space to world space.
-    world_gradient: DMat3,
+    pub(super) world_gradient: DMat3,
     bounds_local: Aabb,
     /// How far outside the bounds the field is sampled if its boundary is required there; local space.
     reach_local: f64,
-    pub(super) material: [f32; MATERIAL],
+    pub(in crate::trace) material: [f32; MATERIAL],
     /// For each of the program's attributes, its index among those of the field, if the field has it.
-    named: Vec<Option<usize>>,
+    pub(super) named: Vec<Option<usize>>,
 }
 
 impl ProceduralVolume {
-    pub(super) fn new(
+    pub(in crate::trace) fn new(
         field: Arc<dyn Procedural>,
         world_from_local: &DAffine3,
         reach_world: f64,
@@ -85,23 +81,23 @@ impl ProceduralVolume {
     }
 
     /// Sets the names of the program's attributes.
-    pub(super) fn carry(&mut self, names: &[Arc<str>]) {
+    pub(in crate::trace) fn carry(&mut self, names: &[Arc<str>]) {
         let own = self.field.attributes();
         self.named = names.iter().map(|name| own.iter().position(|own| *own == &**name)).collect();
     }
 
     /// The length over which the field changes along a ray; world space.
-    pub(super) fn detail_world(&self, ray: &Ray) -> f64 {
+    pub(in crate::trace) fn detail_world(&self, ray: &Ray) -> f64 {
         self.field.detail() / self.local_from_world.transform_vector3(ray.direction).length()
     }
 
     /// The largest such length along any ray.
-    pub(super) fn largest_detail_world(&self) -> f64 {
+    pub(in crate::trace) fn largest_detail_world(&self) -> f64 {
         self.field.detail() * largest_stretch(&self.local_from_world.inverse())
     }
 
     /// Starts a packet. `outside`: the boundary is required around the field as well.
-    pub(super) fn begin(&self, packet: &Packet, outside: bool) -> ProceduralMarch {
+    pub(in crate::trace) fn begin(&self, packet: &Packet, outside: bool) -> ProceduralMarch {
         let mut within = [(0, 0); LANES];
         let around = self.bounds_local.inflated(self.reach_local);
         for (lane, within) in within.iter_mut().enumerate().take(packet.len()) {
@@ -123,7 +119,7 @@ impl ProceduralVolume {
     }
 
     /// Fills the lanes that meet the field.
-    pub(super) fn sample(&self, asked: &ProceduralRequest<'_>, out: &mut NodeSamples) {
+    pub(in crate::trace) fn sample(&self, asked: &ProceduralRequest<'_>, out: &mut NodeSamples) {
         out.touched = 0;
         let field: &dyn Any = &*self.field;
         let solid = field.downcast_ref::<Solid>();
@@ -157,7 +153,7 @@ impl ProceduralVolume {
     }
 
     /// Makes a lane valid, if it is not yet.
-    fn begin_lane(&self, lane: usize, required: RequiredOutputs, out: &mut NodeSamples) {
+    pub(super) fn begin_lane(&self, lane: usize, required: RequiredOutputs, out: &mut NodeSamples) {
         if out.touched >> lane & 1 == 1 {
             return;
         }
@@ -207,97 +203,6 @@ impl ProceduralVolume {
         sum
     }
 
-    /// The same for a solid.
-    #[inline(always)]
-    fn fill_solid<S: Simd>(
-        &self,
-        simd: S,
-        asked: &ProceduralRequest<'_>,
-        solid: &Solid,
-        eight: &Eight<'_>,
-        out: &mut NodeSamples,
-    ) -> f32 {
-        let ProceduralRequest { packet, slab, measure, required, .. } = *asked;
-        let Eight { lane, block, samples, ray } = *eight;
-        let splat = |v| f64x8::splat(simd, v);
-        let first = (slab.first + (block * BLOCK_SAMPLES) as u64) as f64;
-        let numbers_in_block = f64x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-        let t = (splat(first) + numbers_in_block + splat(packet.sample_offset(lane)))
-            * splat(packet.step_world());
-        let place = |axis: usize| splat(ray.origin[axis]) + splat(ray.direction[axis]) * t;
-        let places = [place(0), place(1), place(2)];
-        let rows = SolidRows::new(simd, solid, places);
-        let of_solid: [f64; BLOCK_SAMPLES] = rows.opacity.max(splat(0.0)).min(splat(MAX_OPACITY)).into();
-        let mut opacity = [0.0; BLOCK_SAMPLES];
-        let mut most = 0.0_f32;
-        for i in 0..BLOCK_SAMPLES {
-            opacity[i] = if samples >> i & 1 == 1 { of_solid[i] as f32 } else { 0.0 };
-            most = most.max(opacity[i]);
-        }
-        if !required.outside && !(most > 0.0) {
-            return 0.0;
-        }
-        self.begin_lane(lane, required, out);
-        let mut sum = 0.0;
-        if measure == Measure::OpticalDepth {
-            for depth in &mut opacity {
-                *depth = (-ln(1.0 - *depth)).min(MAX_OPTICAL_DEPTH);
-            }
-            for depth in opacity {
-                sum += depth;
-            }
-        }
-        replace(&mut out.opacity[lane], block, &opacity, samples);
-        let places: [[f64; BLOCK_SAMPLES]; 3] = [places[0].into(), places[1].into(), places[2].into()];
-        if required.color {
-            color_rows(&solid.pattern, &places, &opacity, lane, block, out);
-        }
-        for number in numbers(required.attributes) {
-            let index = self.named.get(number).copied().flatten();
-            for i in (0..BLOCK_SAMPLES).filter(|i| opacity[*i] > 0.0) {
-                let place = DVec3::new(places[0][i], places[1][i], places[2][i]);
-                let value = index.map_or(0.0, |index| self.field.attribute(index, place));
-                out.attributes[number][lane].0[block * BLOCK_SAMPLES + i] = value;
-            }
-        }
-        if required.normal || required.boundary {
-            self.normal_rows(simd, required, &rows, eight, out);
-        }
-        sum
-    }
-
-    /// Fills shading vectors and boundaries of some samples of a solid.
-    #[inline(always)]
-    fn normal_rows<S: Simd>(
-        &self,
-        simd: S,
-        required: RequiredOutputs,
-        rows: &SolidRows<S>,
-        eight: &Eight<'_>,
-        out: &mut NodeSamples,
-    ) {
-        let Eight { lane, block, samples, .. } = *eight;
-        let splat = |v| f64x8::splat(simd, v);
-        let columns = self.world_gradient.to_cols_array_2d();
-        let [x, y, z] = rows.gradient;
-        let along = |axis: usize| {
-            splat(columns[0][axis]) * x + splat(columns[1][axis]) * y + splat(columns[2][axis]) * z
-        };
-        let gradient = [along(0), along(1), along(2)];
-        let per_length = splat(1.0) / length(gradient);
-        if required.boundary {
-            // A first-order estimate, exact if the implicit function is a distance.
-            replace(&mut out.boundary[lane], block, &single(rows.implicit * per_length), samples);
-        }
-        if required.normal {
-            let exists = per_length.simd_gt(splat(0.0)) & per_length.simd_lt(splat(f64::INFINITY));
-            for (rows, gradient) in out.normal.iter_mut().zip(gradient) {
-                let normal = exists.select(gradient * per_length, splat(0.0));
-                replace(&mut rows[lane], block, &single(normal), samples);
-            }
-        }
-    }
-
     /// Fills the outputs of one sample besides its opacity.
     fn shade(
         &self,
@@ -338,14 +243,14 @@ const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
 
 /// Eight samples of one ray that follow each other.
 #[derive(Clone, Copy)]
-struct Eight<'a> {
-    lane: usize,
+pub(super) struct Eight<'a> {
+    pub(super) lane: usize,
     /// Their place among those of the slab.
-    block: usize,
+    pub(super) block: usize,
     /// A bit for each that is wanted.
-    samples: u8,
+    pub(super) samples: u8,
     /// Local space.
-    ray: &'a Ray,
+    pub(super) ray: &'a Ray,
 }
 
 /// The samples from `first` to `end` − 1 of a slab that are in one of its blocks.
@@ -355,65 +260,11 @@ fn bits(first: usize, end: usize, block: usize) -> u8 {
     (below(end) & !below(first)).to_le_bytes()[block]
 }
 
-/// Numbers in single precision.
-#[inline(always)]
-fn single<S: Simd>(numbers: f64x8<S>) -> [f32; BLOCK_SAMPLES] {
-    let numbers: [f64; BLOCK_SAMPLES] = numbers.into();
-    let mut rounded = [0.0; BLOCK_SAMPLES];
-    for i in 0..BLOCK_SAMPLES {
-        rounded[i] = numbers[i] as f32;
-    }
-    rounded
-}
-
 /// Replaces the numbers of a block whose bits are set.
 #[inline(always)]
-fn replace(row: &mut SampleRow, block: usize, with: &[f32; BLOCK_SAMPLES], bits: u8) {
+pub(super) fn replace(row: &mut SampleRow, block: usize, with: &[f32; BLOCK_SAMPLES], bits: u8) {
     let row = &mut row.0.as_chunks_mut::<BLOCK_SAMPLES>().0[block];
     for i in 0..BLOCK_SAMPLES {
         row[i] = if bits >> i & 1 == 1 { with[i] } else { row[i] };
-    }
-}
-
-/// Fills the colours of a block of samples, which are of no importance where there is no opacity.
-#[inline(always)]
-fn color_rows(
-    pattern: &Pattern,
-    places: &[[f64; BLOCK_SAMPLES]; 3],
-    opacity: &[f32; BLOCK_SAMPLES],
-    lane: usize,
-    block: usize,
-    out: &mut NodeSamples,
-) {
-    let mut colors = [[0.0; BLOCK_SAMPLES]; 3];
-    match pattern {
-        Pattern::Uniform(color) => {
-            for (row, &v) in colors.iter_mut().zip(color) {
-                *row = [v as f32; BLOCK_SAMPLES];
-            }
-        }
-        Pattern::Checker { colors: two, size } => {
-            for i in 0..BLOCK_SAMPLES {
-                let sum = (places[0][i] / size).floor()
-                    + (places[1][i] / size).floor()
-                    + (places[2][i] / size).floor();
-                // The remainder of a whole number.
-                let second = sum - 2.0 * (sum * 0.5).floor() >= 1.0;
-                for channel in 0..3 {
-                    colors[channel][i] = (if second { two[1][channel] } else { two[0][channel] }) as f32;
-                }
-            }
-        }
-        Pattern::Gradient { .. } => {
-            for i in (0..BLOCK_SAMPLES).filter(|i| opacity[*i] > 0.0) {
-                let color = pattern.color(DVec3::new(places[0][i], places[1][i], places[2][i]));
-                for (row, v) in colors.iter_mut().zip(color) {
-                    row[i] = v as f32;
-                }
-            }
-        }
-    }
-    for (rows, colors) in out.color.iter_mut().zip(&colors) {
-        rows[lane].0.as_chunks_mut().0[block] = *colors;
     }
 }
