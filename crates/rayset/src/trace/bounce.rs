@@ -6,6 +6,7 @@
 //! sum of their weights.
 
 use super::composite::RayState;
+use super::inside::{Inside, Samples};
 use super::node_samples::{
     Constants, MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane,
 };
@@ -106,17 +107,6 @@ struct Mirror {
     last_sample: u64,
 }
 
-/// A sample inside an object.
-#[derive(Clone, Copy, Debug)]
-struct Inside {
-    /// Distance along the ray; world space.
-    t: f64,
-    normal: DVec3,
-    /// Distance to the boundary; world space.
-    depth: f64,
-    reflectance: f32,
-}
-
 /// The rays that replace a refracted ray. Their weights are set by [`RefractionStates::follow`].
 #[derive(Clone, Copy, Debug)]
 struct Bent {
@@ -190,7 +180,7 @@ impl RefractionStates {
             let inside = if touched { samples.inside() } else { 0 };
             let mut left = u32::MAX >> (SLAB_SAMPLES - slab.samples);
             loop {
-                // Samples that are not at the ray's refractive index. All others leave it as it is.
+                // Samples that are not at the ray's refractive index. At all others that stays as it is.
                 let outside = if state.index == 1.0 { 0 } else { !inside };
                 let changes = (inside & samples.of_other_index(inside, state.index) | outside) & left;
                 let passed = inside & left & changes.wrapping_sub(1) & !changes;
@@ -339,61 +329,6 @@ impl RefractionStates {
     /// The successor rays; those of one lane are in the order in which they arose.
     pub(super) fn next(&self) -> &[(usize, TreeRay)] {
         &self.next
-    }
-}
-
-/// The samples of a ray in a slab.
-struct Samples<'a> {
-    packet: &'a Packet,
-    slab: Slab,
-    node: &'a NodeSamples,
-    constants: &'a Constants,
-    lane: usize,
-}
-
-impl Samples<'_> {
-    /// A bit for each sample inside an object.
-    fn inside(&self) -> u32 {
-        let (opacity, boundary) = (&self.node.opacity[self.lane].0, &self.node.boundary[self.lane].0);
-        let mut bits = 0;
-        for j in 0..SLAB_SAMPLES {
-            bits |= u32::from((opacity[j] > 0.0) & (boundary[j] < 0.0)) << j;
-        }
-        bits
-    }
-
-    /// A bit for each sample inside an object whose refractive index is not `index`.
-    fn of_other_index(&self, inside: u32, index: f32) -> u32 {
-        if inside == 0 {
-            return 0;
-        }
-        match &self.constants.material {
-            Some(material) if material[REFRACTIVE_INDEX] == index => 0,
-            Some(_) => inside,
-            None => {
-                let row = &self.node.material[REFRACTIVE_INDEX][self.lane].0;
-                let mut bits = 0;
-                for (j, &other) in row.iter().enumerate() {
-                    bits |= u32::from(other != index) << j;
-                }
-                bits & inside
-            }
-        }
-    }
-
-    /// The refractive index of a sample inside an object.
-    fn index(&self, j: usize) -> f32 {
-        self.constants.material_at(self.node, REFRACTIVE_INDEX, self.lane, j)
-    }
-
-    /// A sample inside an object.
-    fn at(&self, j: usize) -> Inside {
-        Inside {
-            t: self.packet.sample_t_world(self.lane, self.slab.first + j as u64),
-            normal: self.node.normal_at(self.lane, j),
-            depth: -f64::from(self.node.boundary[self.lane].0[j]),
-            reflectance: self.constants.material_at(self.node, REFLECTANCE, self.lane, j),
-        }
     }
 }
 

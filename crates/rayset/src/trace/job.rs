@@ -357,7 +357,8 @@ impl Job {
         sums
     }
 
-    /// Hands over finished tiles; after the last tile of a pass, begins the next pass. Returns whether too many tiles
+    /// Hands over finished tiles; after the last tile of a pass, begins the next pass. Wakes the caller at the end of a pass,
+    /// while more than [`FEW_WAITING`] tiles wait, and otherwise at most every [`BETWEEN_CALLS`]. Returns whether too many tiles
     /// wait.
     fn finish(&self, outputs: Vec<Output>, turn: &Turn<'_>) -> bool {
         let mut state = self.lock();

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::grid::{GRID_MARCH_BYTES, GRID_SCRATCH_BYTES};
+use super::march::MOST_FIELDS;
 use super::procedural::ProceduralMarch;
 use crate::field::BATCH_BYTES;
 use crate::grid::Grid;
@@ -12,7 +13,7 @@ use crate::scene::{Scene, Shape};
 /// What each cloud of a graph adds to a march: a packet in the cloud's space and the part of its octree ahead.
 const CLOUD_BYTES: u64 = 48 << 10;
 
-/// The clouds and grids of a scene, each once, and the number of places that they have in the graph.
+/// The clouds and grids of a scene, each once, and how many places these and procedural fields have in the graph.
 #[derive(Default)]
 pub(super) struct Leaves {
     pub(super) clouds: Vec<Arc<Cloud>>,
@@ -48,7 +49,7 @@ impl Leaves {
     pub(super) fn march_bytes(&self) -> u64 {
         let of_grids = if self.grids.is_empty() { 0 } else { GRID_SCRATCH_BYTES };
         let of_clouds = if self.clouds.is_empty() { 0 } else { BATCH_BYTES };
-        let of_fields = self.field_places * ProceduralMarch::BYTES as u64;
+        let of_fields = self.field_places.min(MOST_FIELDS as u64) * ProceduralMarch::BYTES as u64;
         self.cloud_places * CLOUD_BYTES
             + of_clouds
             + self.grid_places * GRID_MARCH_BYTES

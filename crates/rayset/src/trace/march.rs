@@ -5,10 +5,13 @@ use super::cloud::{CloudMarch, CloudScratch, Remaining, Request};
 use super::counts::RenderCounts;
 use super::grid::{GridMarch, GridRequest, GridScratch};
 use super::node_samples::{Live, Measure, NodeSamples};
-use super::procedural::{ProceduralMarch, ProceduralRequest};
+use super::procedural::{ProceduralMarch, ProceduralRequest, ProceduralVolume};
 use super::program::{Action, Instruction, Program};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;
+
+/// Most procedural fields of which it is remembered where a packet is in them. Of further ones it is found for each slab.
+pub(super) const MOST_FIELDS: usize = 64;
 
 /// The progress of a packet through a graph, with scratch memory.
 pub(super) struct March<'p> {
@@ -22,6 +25,8 @@ pub(super) struct March<'p> {
     grids: Vec<Option<Box<GridMarch>>>,
     /// For each instruction that is a procedural field, likewise.
     fields: Vec<Option<Box<ProceduralMarch>>>,
+    /// How many of them are there.
+    known_fields: usize,
     /// For each instruction with several uses: its block, once it has been computed for the current slab.
     shared: Vec<Option<NodeSamples>>,
     spare: Vec<NodeSamples>,
@@ -64,6 +69,7 @@ impl<'p> March<'p> {
             clouds: (0..count).map(|_| (None, false)).collect(),
             grids: (0..count).map(|_| None).collect(),
             fields: (0..count).map(|_| None).collect(),
+            known_fields: 0,
             shared: (0..count).map(|_| None).collect(),
             spare: Vec::new(),
             scratch: CloudScratch::new(),
@@ -92,6 +98,7 @@ impl<'p> March<'p> {
         self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);
         self.grids.fill_with(|| None);
         self.fields.fill_with(|| None);
+        self.known_fields = 0;
     }
 
     /// Says how much is left of the rays at the beginning of the next slab. Samples behind the end of a ray may then be
@@ -225,15 +232,7 @@ impl<'p> March<'p> {
                     GridRequest { access, march, slab, live, measure, required, simd, ends, grid: at };
                 volume.sample(&request, &mut self.grid_scratch, out)?;
             }
-            Action::Procedural(volume) => {
-                let Asked { packet, slab, live, .. } = asked;
-                let ends = asked.ends_of(instruction);
-                let march =
-                    self.fields[at].get_or_insert_with(|| Box::new(volume.begin(packet, required.outside)));
-                let (measure, simd) = (measures.0, program.simd);
-                let request = ProceduralRequest { packet, march, slab, live, measure, required, ends, simd };
-                volume.sample(&request, out);
-            }
+            Action::Procedural(volume) => self.sample_field(at, volume, asked, out),
             Action::Operator(operator, children) => {
                 // Only what a union or a blend has of one child, it has at least.
                 let keeps = matches!(operator, Operator::Union | Operator::Blend);
@@ -246,6 +245,32 @@ impl<'p> March<'p> {
         }
         out.measure(measures.0, measures.1, program.simd);
         Ok(())
+    }
+
+    fn sample_field(
+        &mut self,
+        at: usize,
+        volume: &ProceduralVolume,
+        asked: Asked<'_>,
+        out: &mut NodeSamples,
+    ) {
+        let instruction = &self.program.instructions[at];
+        let Instruction { measures, required, .. } = *instruction;
+        let Asked { packet, slab, live, .. } = asked;
+        let begin = || volume.begin(packet, required.outside);
+        let of_slab;
+        let march = match &mut self.fields[at] {
+            None if self.known_fields == MOST_FIELDS => {
+                of_slab = begin();
+                &of_slab
+            }
+            known => {
+                self.known_fields += usize::from(known.is_none());
+                &**known.get_or_insert_with(|| Box::new(begin()))
+            }
+        };
+        let (measure, ends, simd) = (measures.0, asked.ends_of(instruction), self.program.simd);
+        volume.sample(&ProceduralRequest { packet, march, slab, live, measure, required, ends, simd }, out);
     }
 
     /// Evaluates the children of an operator where they can affect the result, and combines them.

@@ -29,8 +29,9 @@ const THREAD_BYTES: u64 = 640 << 10;
 const LOOKAHEAD_BYTES: u64 = 24;
 /// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for everything else.
 const ALLOCATOR_PART: u64 = 32;
-/// What a march through the graph keeps for every place: its range of samples, its cloud's state, its shared block.
-const MARCH_BYTES: u64 = (24 + 24 + size_of::<Option<NodeSamples>>()) as u64;
+/// What a march through the graph keeps for every place: its range of samples, the states of its cloud, grid or field, its
+/// shared block.
+const MARCH_BYTES: u64 = (24 + 32 + size_of::<Option<NodeSamples>>()) as u64;
 /// Bytes per column for the blocks of 16 rows of layers that are being written to an OpenEXR file: six blocks,
 /// including what compression takes.
 const EXR_BYTES: u64 = 6 * 16 * 60;

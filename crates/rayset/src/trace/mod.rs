@@ -14,6 +14,7 @@ mod composite;
 mod counts;
 mod engine;
 mod grid;
+mod inside;
 mod interior;
 mod job;
 mod layers;

@@ -18,7 +18,7 @@ pub(super) const MAX_OPTICAL_DEPTH: f32 = 8.317_766;
 /// lie.
 pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 pub(super) const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
-const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
+pub(super) const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
 /// Number of values of a material.
 pub(super) const MATERIAL: usize = 7;
 /// Index of the reflectance among them.

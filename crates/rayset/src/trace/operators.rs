@@ -1,7 +1,7 @@
 //! How operators combine what nodes yield at the samples of a slab.
 
 use super::node_samples::{
-    MATERIAL, NodeSamples, REFRACTIVE_INDEX, RequiredOutputs, ZERO, each_lane, normalize, numbers,
+    FAR, MATERIAL, NodeSamples, REFRACTIVE_INDEX, RequiredOutputs, ZERO, each_lane, normalize, numbers,
 };
 use crate::field::{SLAB_SAMPLES, SampleRow};
 use crate::scene::MAX_OPACITY;
@@ -88,12 +88,15 @@ impl NodeSamples {
             let fresh = self.touched >> lane & 1 == 0;
             let o = other.opacity[lane];
             let sum = if fresh { ZERO } else { self.opacity[lane] };
-            let nearer = required.boundary && !fresh;
-            let takes = if nearer {
+            let takes = if required.boundary {
+                if fresh {
+                    self.boundary[lane] = FAR;
+                }
+                // An operand that is transparent here has no part in the blend, nor has its boundary.
                 let (s, t) = (self.boundary[lane], other.boundary[lane]);
-                bits_where(|j| t.0[j].abs() < s.0[j].abs())
+                bits_where(|j| o.0[j] > 0.0 && (!(sum.0[j] > 0.0) || t.0[j].abs() < s.0[j].abs()))
             } else {
-                u32::MAX
+                0
             };
             self.touched |= 1 << lane;
             let weighted = |to: &mut SampleRow, from: &SampleRow| {

@@ -1,5 +1,5 @@
-//! Shading of samples: the contributing samples of a slab are gathered, lit many at a time (`surfaces`), and added to
-//! their rays front to back.
+//! Shading of samples: groups of eight with a contributing sample are gathered and lit many at a time (`surfaces`); those that
+//! contribute are added to their rays front to back.
 
 use fearless_simd::dispatch;
 

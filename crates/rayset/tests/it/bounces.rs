@@ -200,3 +200,27 @@ fn more_rays_than_are_held_at_a_time_give_the_same_picture_as_each_pixel_alone()
         |l: &LayerPixel| (l.samples, l.depth.to_bits(), l.normal.map(f32::to_bits), l.opacity.to_bits());
     assert!(layers.iter().map(told).eq(layers_alone.iter().map(told)));
 }
+
+#[test]
+fn a_blend_takes_no_boundary_of_what_is_transparent_there_however_slabs_are_cut() {
+    let ball = |radius, x, color| {
+        let ball = Solid { opacity: 0.8, ..Solid::new(Form::Sphere { radius }).colored(color) };
+        let moved = DAffine3::from_translation(DVec3::new(x, 0.0, 0.0));
+        Node::new(Shape::Procedural(Arc::new(ball))).moved(moved).of(mirror(0.4))
+    };
+    // Rays leave the small ball within the large one.
+    let root = Node::operator(
+        Operator::Blend,
+        [ball(0.35, 0.3, [0.9, 0.4, 0.2]), ball(0.5, -0.1, [0.2, 0.4, 0.9]), floor()],
+    );
+    let sun = rayset::scene::Light { shadow: true, ..sun() };
+    let scene = scene(root, vec![light(LightKind::Ambient, [0.4; 3], false), sun]);
+    check("balls that overlap", &scene, WRONG);
+    let settings = RenderSettings { step: Step::Fixed(0.03), ..settings(40, 40) };
+    let expected = bits(&plain_picture(&scene, &settings));
+    for slab_samples in [1, 7, 13] {
+        let exec = ExecSettings { slab_samples, ..ExecSettings::default() };
+        let found = picture(&scene, &camera(), &settings, &exec, &paged(&scene, 1 << 20));
+        assert!(bits(&found.expect("a picture")) == expected, "slabs of {slab_samples}");
+    }
+}

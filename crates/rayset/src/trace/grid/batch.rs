@@ -50,7 +50,7 @@ impl Cells {
     }
 }
 
-/// The number of one sample: lane · 32 + sample.
+/// What belongs to the sample `at`, which is lane · 32 + sample.
 #[inline(always)]
 pub(super) fn at_sample<T: Copy>(of_samples: &OfSamples<T>, at: u16) -> T {
     let of_samples = of_samples.as_flattened();
@@ -61,8 +61,8 @@ pub(super) fn at_sample<T: Copy>(of_samples: &OfSamples<T>, at: u16) -> T {
 struct Pairs<V: Voxel, const ROWS: usize>([[V::Pair; BATCH]; ROWS]);
 
 impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
-    /// Reads the pairs that begin `offsets` voxels, at most `farthest`, from a place `before` voxels in front of the first voxel
-    /// of each cell.
+    /// Reads pairs at `offsets` voxels (`farthest` is the largest) from the voxel `before` voxels in front of each cell's
+    /// first.
     #[inline(always)]
     fn read(brick: &[u8], cells: &Cells, before: usize, offsets: [usize; ROWS], farthest: usize) -> Self {
         let mut rows = [[V::Pair::default(); BATCH]; ROWS];

@@ -21,7 +21,9 @@ pub(super) struct BrickSamples<'a> {
     pub(super) blocks: Blocks,
 }
 
-/// Samples of a brick: first those that are to be evaluated, then those of them that are not transparent.
+/// Samples of a brick: first those that are to be evaluated, then those of them that are kept, which are not transparent
+/// unless the surroundings of the grid are required. Whole groups are evaluated: the other samples of a group, in other bricks
+/// or outside, read voxels of this brick and are dropped.
 pub(super) struct Groups {
     len: usize,
     /// Eight samples of one ray each: lane · 4 + block.

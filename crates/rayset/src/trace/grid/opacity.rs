@@ -157,6 +157,7 @@ fn curve<S: Simd, const N: usize>(simd: S, pieces: &[Piece], numbers: &[f32; N],
         }
         return;
     }
+    const { assert!(N.is_multiple_of(16)) };
     for (out, numbers) in out.as_chunks_mut::<16>().0.iter_mut().zip(numbers.as_chunks::<16>().0) {
         let n = f32x16::from_slice(simd, numbers);
         let splat = |v| f32x16::splat(simd, v);

@@ -18,7 +18,7 @@ pub(super) struct Places {
     pub(super) voxel: OfSamples<u16>,
     /// The block of the cell in the brick.
     pub(super) block: OfSamples<u16>,
-    /// How far into the cell on each axis, 0 to 1.
+    /// How far into the cell on each axis, 0 to 1 inside the grid.
     pub(super) within: [OfSamples<f32>; 3],
 }
 
@@ -81,7 +81,7 @@ fn row<T>(of_samples: &mut OfSamples<T>, lane: usize) -> &mut [T; SLAB_SAMPLES] 
     &mut of_samples.as_flattened_mut().as_chunks_mut().0[lane % LANES]
 }
 
-/// A whole number from 0 to 2³², as an integer: plus 2⁵² it is the lowest bits of a number in double precision. Vectors of these can
+/// A whole number below 2³², as an integer: plus 2⁵² it is the lowest bits of a number in double precision. Vectors of these can
 /// be converted like this at every level of instructions.
 #[inline(always)]
 fn whole(number: f64) -> u32 {

@@ -22,11 +22,11 @@ pub(super) struct Segment {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MetBrick {
     pub(super) number: u32,
-    /// Its first sample on any ray.
+    /// Its first live sample on any ray.
     first_sample: u32,
     /// The first and the last of its segments.
     segments: [u16; 2],
-    /// Another brick whose number has the same remainder; [`NONE`] behind the last.
+    /// Another brick of the same chain; [`NONE`] behind the last.
     next: u16,
 }
 
@@ -34,20 +34,27 @@ pub(super) struct MetBrick {
 pub(super) struct MetBricks {
     bricks: Vec<MetBrick>,
     segments: Vec<Segment>,
-    /// For each remainder of brick numbers, the brick that was met last.
-    latest: [u16; REMAINDERS],
+    /// For each chain, the brick that was met last.
+    latest: [u16; CHAINS],
 }
 
 /// No segment or brick: there are at most 64 · 32 of either.
 const NONE: u16 = u16::MAX;
-const REMAINDERS: usize = 256;
+/// Bricks are found again in chains, by their numbers.
+const CHAINS: usize = 256;
+
+/// Knuth's multiplicative hash: bricks above each other, whose numbers differ by powers of two, are in different chains.
+#[inline(always)]
+fn chain(number: u32) -> usize {
+    (number.wrapping_mul(0x9e37_79b1) >> 24) as usize
+}
 
 impl MetBricks {
     /// Bytes of one sample at most.
     pub(super) const BYTES_OF_SAMPLE: usize = size_of::<MetBrick>() + size_of::<Segment>();
 
     pub(super) fn new() -> Self {
-        Self { bricks: Vec::new(), segments: Vec::new(), latest: [NONE; REMAINDERS] }
+        Self { bricks: Vec::new(), segments: Vec::new(), latest: [NONE; CHAINS] }
     }
 
     /// Finds where the samples of a slab are, and groups those in `live` that are inside the grid by brick; bricks by
@@ -123,7 +130,7 @@ impl MetBricks {
     fn add(&mut self, number: u32, segment: Segment) {
         let (own, first_sample) = (self.segments.len() as u16, segment.samples.trailing_zeros());
         self.segments.push(segment);
-        let latest = &mut self.latest[number as usize % REMAINDERS];
+        let latest = &mut self.latest[chain(number)];
         let mut at = *latest;
         while let Some(brick) = self.bricks.get_mut(usize::from(at)) {
             if brick.number == number {

@@ -1,4 +1,4 @@
-//! Voxels as they are stored in bricks, read in pairs of neighbours along x.
+//! Voxels as they are stored in bricks, read one by one or in pairs of neighbours along x.
 
 use crate::grid::format::VoxelKind;
 
@@ -10,7 +10,7 @@ pub(super) trait Voxel: Copy {
     const BYTES: usize;
     /// Two neighbours as they are stored.
     type Pair: Copy + Default;
-    /// The voxels with indices `at` and `at + 1` in a brick.
+    /// The voxels with indices `at` and `at + 1` among some of a brick.
     fn pair(brick: &[u8], at: usize) -> Self::Pair;
     /// Their stored numbers.
     fn numbers(pair: Self::Pair) -> [f32; 2];

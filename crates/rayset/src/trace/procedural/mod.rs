@@ -1,7 +1,7 @@
 //! Procedural fields, given in closed form, as volume objects in the world.
 //!
 //! Where a ray is in a field is found once a packet. Its samples there are evaluated eight at a time, front to back: a ray
-//! that ends in front of more needs none of them. Solids are evaluated in vectors (`solid`, `solid_rows`), other fields as
+//! that ends needs none of the samples behind its end. Solids are evaluated in vectors (`solid`, `solid_rows`), other fields as
 //! they implement it.
 
 mod solid;

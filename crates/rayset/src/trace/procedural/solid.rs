@@ -32,7 +32,8 @@ impl ProceduralVolume {
         let place = |axis: usize| splat(ray.origin[axis]) + splat(ray.direction[axis]) * t;
         let places = [place(0), place(1), place(2)];
         let rows = SolidRows::new(simd, solid, places);
-        let of_solid: [f64; BLOCK_SAMPLES] = rows.opacity.max(splat(0.0)).min(splat(MAX_OPACITY)).into();
+        let of_solid: [f64; BLOCK_SAMPLES] =
+            rows.opacity.max_precise(splat(0.0)).min(splat(MAX_OPACITY)).into();
         let mut opacity = [0.0; BLOCK_SAMPLES];
         let mut most = 0.0_f32;
         for i in 0..BLOCK_SAMPLES {
