@@ -442,14 +442,15 @@ fn pages_are_asked_for_only_where_they_reach_samples_that_matter() {
 
 #[test]
 fn more_solids_than_a_march_remembers_agree_with_the_reference_renderer() {
-    // 10 x 8 balls in front of each other and side by side; a packet remembers its way in 64 fields.
+    // Faint balls behind each other, so that a packet meets them all; it remembers its way in 64 fields.
     let ball = |i: u32| {
         let place = DVec3::new(
-            f64::from(i % 10) * 0.12 - 0.54,
-            f64::from(i / 10) * 0.12 - 0.42,
-            f64::from(i % 7) * 0.1,
+            f64::from(i % 4) * 0.1 - 0.15,
+            f64::from(i / 4 % 4) * 0.1 - 0.15,
+            0.8 - f64::from(i) * 0.02,
         );
-        soft(Form::Sphere { radius: 0.1 }, [0.9, 0.5, 0.2], 0.08).moved(DAffine3::from_translation(place))
+        let faint = Solid { edge: 0.08, opacity: 0.05, ..Solid::new(Form::Sphere { radius: 0.15 }) };
+        Node::new(Shape::Procedural(Arc::new(faint))).moved(DAffine3::from_translation(place))
     };
     let root = Node::operator(Operator::Union, (0..80).map(ball));
     check("eighty balls", &scene(root, Vec::new()), 16);
