@@ -150,6 +150,26 @@ fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
     std::os::windows::fs::FileExt::seek_read(file, buffer, offset)
 }
 
+/// Fills `buffer` from a file if the page cache has all of it, without waiting for the disk; returns whether it did. `false` also for
+/// files that bypass the page cache.
+#[cfg(target_os = "linux")]
+pub(crate) fn read_if_cached(file: &File, buffer: &mut [u8], offset: u64) -> bool {
+    use rustix::io::{ReadWriteFlags, preadv2};
+    // Without the page cache, the call would wait for the disk all the same.
+    let bypasses = |flags: rustix::fs::OFlags| flags.contains(rustix::fs::OFlags::DIRECT);
+    if rustix::fs::fcntl_getfl(file).map_or(true, bypasses) {
+        return false;
+    }
+    let wanted = buffer.len();
+    let read = preadv2(file, &mut [io::IoSliceMut::new(buffer)], offset, ReadWriteFlags::NOWAIT);
+    read == Ok(wanted)
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn read_if_cached(_file: &File, _buffer: &mut [u8], _offset: u64) -> bool {
+    false
+}
+
 /// The error for a file that is shorter than it was or should be.
 fn ends_early(end: u64, wanted: u64) -> io::Error {
     let what = format!("the file ends at byte {end}, before byte {wanted}, up to which it is needed");

@@ -10,7 +10,7 @@ use super::counts::RenderCounts;
 use super::layers::Layers;
 use super::march::March;
 use super::node_samples::NodeSamples;
-use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
+use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet};
 use super::shade::Shown;
 use super::shadow::Shadows;
 use super::world::World;
@@ -148,7 +148,7 @@ impl<'a> PacketTracer<'a> {
         let before = self.layers.clone();
         tree.start_again(sheet, self.rays, pixels.clone(), at);
         let mut traced = Traced::Whole;
-        while traced == Traced::Whole && !tree.rays.is_empty() {
+        while traced == Traced::Whole && !tree.generation().is_empty() {
             traced = self.generation(access, tree, pixels.len() > 1)?;
             tree.advance();
         }
@@ -169,9 +169,9 @@ impl<'a> PacketTracer<'a> {
         tree: &mut RayTree,
         is_limited: bool,
     ) -> Result<Traced, Halt> {
-        let known = tree.next.len();
+        let known = tree.following();
         tree.ends.clear();
-        tree.ends.resize(tree.rays.len(), End::default());
+        tree.ends.resize(tree.generation().len(), End::default());
         for (step, members) in tree.packets(access, self.world)? {
             self.packet(access, tree, &members, step)?;
             if is_limited && tree.has_too_many() {
@@ -182,15 +182,15 @@ impl<'a> PacketTracer<'a> {
         Ok(Traced::Whole)
     }
 
-    /// Traces one packet; stores the results of its rays in `ends` and their successors in `next`.
+    /// Traces one packet; adds the results of its rays and their successors to the tree.
     fn packet(
         &mut self,
         access: Access<'_>,
-        RayTree { rays, ends, next, .. }: &mut RayTree,
+        tree: &mut RayTree,
         members: &[usize],
         step: f64,
     ) -> Result<(), Halt> {
-        let rays: Vec<TreeRay> = members.iter().map(|&i| rays[i].ray).collect();
+        let rays: Vec<TreeRay> = members.iter().map(|&i| tree.generation()[i].ray).collect();
         let lanes: Vec<(Ray, f64)> = rays.iter().map(|ray| (ray.ray, ray.sample_offset)).collect();
         let packet = Packet::new(&lanes, step);
         let mut refraction = self.refraction.take();
@@ -212,8 +212,7 @@ impl<'a> PacketTracer<'a> {
         self.march.give_back(node);
         if let Some(refraction) = &refraction {
             for &(lane, ray) in refraction.next() {
-                let (parent, order) = (members[lane] as u32, next.len() as u32);
-                next.push(Successor { ray, parent, order });
+                tree.follow(ray, members[lane]);
             }
         }
         self.refraction = refraction;
@@ -228,7 +227,7 @@ impl<'a> PacketTracer<'a> {
             let flat =
                 self.world.shader.flat_color().map(|flat| flat.map(|v| v * (1.0 - transmittance as f32)));
             let open = if replaced >> lane & 1 == 1 { 0.0 } else { transmittance };
-            ends[i] = End { color: flat.unwrap_or(color), open };
+            tree.ends[i] = End { color: flat.unwrap_or(color), open };
         }
         Ok(())
     }

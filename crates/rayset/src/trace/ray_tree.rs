@@ -12,16 +12,18 @@ use crate::scene::RayMaker;
 
 /// Most rays, of one generation and the next, that are held at a time if they belong to several pixels.
 const MOST_RAYS: usize = 2816;
+/// Room for these, and for those of the packet after which they are too many.
+const RAY_ROOM: usize = MOST_RAYS + 4 * LANES;
 /// With so many rays that follow, no further sheet is begun: each of them may have about two successors.
 const ENOUGH_RAYS: usize = MOST_RAYS / 3;
 /// Most sheets whose rays are traced together.
 pub(super) const MOST_SHEETS: usize = 64;
-/// Bytes for each ray: in one generation or in the other, and its result.
-const RAY_BYTES: usize = 2 * size_of::<Successor>() + size_of::<End>();
+/// Bytes for each ray and its result.
+const RAY_BYTES: usize = size_of::<Successor>() + size_of::<End>();
 
 /// The most bytes that the rays of some tiles take.
 pub(super) fn tree_bytes(max_depth: u32) -> u64 {
-    let rays = (MOST_RAYS + LANES).max(2 * most_rays_of_a_pixel(max_depth));
+    let rays = RAY_ROOM.max(2 * most_rays_of_a_pixel(max_depth));
     (rays * RAY_BYTES + MOST_SHEETS * LANES * size_of::<Seen>()) as u64
 }
 
@@ -32,10 +34,13 @@ pub(super) type Sheet = Vec<(Ray, f64)>;
 /// fragment the heap, and the process would exceed its budget.
 #[derive(Default)]
 pub(super) struct RayTree {
-    pub(super) rays: Vec<Successor>,
-    /// The results of `rays`.
+    /// The generation that is being traced, and behind it the next: one grows as the other is done, so that both need no more
+    /// room than the larger of them and a few.
+    rays: Vec<Successor>,
+    /// Number of rays in the generation that is being traced.
+    traced: usize,
+    /// The results of these.
     pub(super) ends: Vec<End>,
-    pub(super) next: Vec<Successor>,
     /// What the pixels of each sheet see, 64 for each.
     seen: Vec<Seen>,
 }
@@ -61,14 +66,13 @@ pub(super) struct End {
 impl RayTree {
     /// Sets memory aside for rays that follow from others, so that it does not grow by more than is needed.
     pub(super) fn with_room() -> Self {
-        let rays = || Vec::with_capacity(MOST_RAYS + LANES);
-        Self { rays: rays(), next: rays(), ends: Vec::with_capacity(MOST_RAYS + LANES), seen: Vec::new() }
+        Self { rays: Vec::with_capacity(RAY_ROOM), ends: Vec::with_capacity(RAY_ROOM), ..Self::default() }
     }
 
     /// Forgets everything.
     pub(super) fn begin(&mut self) {
         self.rays.clear();
-        self.next.clear();
+        self.traced = 0;
         self.seen.clear();
     }
 
@@ -80,43 +84,61 @@ impl RayTree {
 
     /// Makes some rays of sheet `at` the only ones, as if they had not been traced before.
     pub(super) fn start_again(&mut self, sheet: &Sheet, rays: &RayMaker, pixels: Range<usize>, at: usize) {
-        self.next.clear();
+        self.rays.truncate(self.traced);
         self.seen[at * LANES + pixels.start..at * LANES + pixels.end].fill(Seen::default());
         self.start(sheet, rays, pixels, at);
     }
 
     fn start(&mut self, sheet: &Sheet, rays: &RayMaker, pixels: Range<usize>, at: usize) {
-        self.rays.clear();
-        self.rays.extend(pixels.map(|pixel| {
+        let primary = pixels.clone().map(|pixel| {
             let (ray, sample_offset) = sheet[pixel];
             let number = (at * LANES + pixel) as u32;
             let ray = TreeRay::primary(ray, sample_offset, number, rays.footprint(&ray));
             Successor { ray, parent: 0, order: 0 }
-        }));
+        });
+        self.rays.splice(..self.traced, primary);
+        self.traced = pixels.len();
     }
 
     /// Makes the next generation the one to trace. Returns whether there is any.
     pub(super) fn advance(&mut self) -> bool {
-        std::mem::swap(&mut self.rays, &mut self.next);
-        self.next.clear();
-        !self.rays.is_empty()
+        self.rays.drain(..self.traced);
+        self.traced = self.rays.len();
+        self.traced > 0
+    }
+
+    /// The rays of the generation that is being traced.
+    pub(super) fn generation(&self) -> &[Successor] {
+        &self.rays[..self.traced]
+    }
+
+    /// Number of rays in the next generation, so far.
+    pub(super) fn following(&self) -> usize {
+        self.rays.len() - self.traced
+    }
+
+    /// Adds a ray that follows from one of this generation, whose index is `parent`.
+    pub(super) fn follow(&mut self, ray: TreeRay, parent: usize) {
+        let (parent, order) = (parent as u32, self.following() as u32);
+        self.rays.push(Successor { ray, parent, order });
     }
 
     /// Whether the rays that follow are enough to be traced.
     pub(super) fn is_full(&self) -> bool {
-        self.next.len() >= ENOUGH_RAYS
+        self.following() >= ENOUGH_RAYS
     }
 
     pub(super) fn has_too_many(&self) -> bool {
-        self.rays.len() + self.next.len() > MOST_RAYS
+        self.rays.len() > MOST_RAYS
     }
 
     /// Adds the light of the rays to their pixels, and sorts the successors from number `known` on by their parents.
     pub(super) fn gather(&mut self, known: usize, background: Option<[f32; 3]>) {
-        for (Successor { ray, .. }, end) in self.rays.iter().zip(&self.ends) {
+        let (generation, next) = self.rays.split_at_mut(self.traced);
+        for (Successor { ray, .. }, end) in generation.iter().zip(&self.ends) {
             self.seen[ray.pixel as usize].add(ray, end, background);
         }
-        self.next[known..].sort_unstable_by_key(|successor| (successor.parent, successor.order));
+        next[known..].sort_unstable_by_key(|successor| (successor.parent, successor.order));
     }
 
     /// What the pixels of a sheet have seen.
@@ -128,7 +150,7 @@ impl RayTree {
     /// directions are in the same octant and their first slabs near to each other.
     pub(super) fn packets(&self, access: Access<'_>, world: &World) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
         let place = |&i: &usize| (self.rays[i].ray.ray, self.rays[i].ray.sample_offset);
-        let mut order: Vec<usize> = (0..self.rays.len()).collect();
+        let mut order: Vec<usize> = (0..self.traced).collect();
         let by_step = |some: &[usize]| -> Result<Vec<(f64, Vec<usize>)>, Halt> {
             let places: Vec<(Ray, f64)> = some.iter().map(place).collect();
             let groups = world.steps.groups(access, &world.program, &places)?;

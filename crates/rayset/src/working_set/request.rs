@@ -91,11 +91,11 @@ impl PageClient {
         }
     }
 
-    /// Makes room for a page that this thread has set to loading, and submits its read.
+    /// Makes room for a page that this thread has set to loading and will wait for, and submits its read.
     fn read(&self, object: &Arc<Object>, page: u32, reuse: Option<&RefCell<Reuse>>) -> Result<(), PageFault> {
         let buffer = self.make_room(object, page, reuse)?;
         let read = self.shared.read_of(object, page, buffer, self.number, None);
-        self.shared.backend.submit(vec![read]);
+        self.shared.backend.submit_awaited(read);
         Ok(())
     }
 

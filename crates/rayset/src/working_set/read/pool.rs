@@ -73,6 +73,12 @@ impl ReadBackend for Pool {
         if one { self.shared.filled.notify_one() } else { self.shared.filled.notify_all() }
     }
 
+    fn submit_awaited(&self, read: Read) {
+        if let Err(read) = read.run_if_cached() {
+            self.submit(vec![read]);
+        }
+    }
+
     fn name(&self) -> String {
         format!("pool of {} threads", self.threads.len())
     }

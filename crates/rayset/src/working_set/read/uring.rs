@@ -211,6 +211,12 @@ impl ReadBackend for Uring {
         }
     }
 
+    fn submit_awaited(&self, read: Read) {
+        if let Err(read) = read.run_if_cached() {
+            self.submit(vec![read]);
+        }
+    }
+
     fn name(&self) -> String {
         "io_uring".into()
     }
