@@ -53,9 +53,10 @@ fn what_threads_have_in_common_does_not_grow_with_their_number() {
     for threads in [2, 16, 64] {
         let many = counts(threads);
         assert_eq!(many.requests, alone.requests, "{threads} threads: requests for pages");
-        // All are woken when the render begins, and later no more of them than there is room for tiles.
+        // All are woken when the render begins, and later no more of them than there is room for tiles. Those that were woken at the
+        // end of the first picture may count it when the second has begun.
         let most = threads as u64 + TILES;
-        assert!(many.joined <= most && many.woken <= most, "{threads} threads: {many:?}");
+        assert!(many.joined <= most && many.woken <= most + threads as u64, "{threads} threads: {many:?}");
         // Three locks a tile and one a request: of all these few are waited for.
         assert!(many.lock_waits <= (many.requests + 3 * TILES) / 50, "{threads} threads: {many:?}");
     }
