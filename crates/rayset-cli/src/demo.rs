@@ -1,6 +1,6 @@
 //! `rayset demo`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
@@ -51,32 +51,9 @@ pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     Ok(())
 }
 
-fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
+fn make(args: &DemoArgs, folder: &Path) -> Result<()> {
     let workload = &args.workload;
-    let (points, cloud) = (folder.join("points.ply"), folder.join("cloud.rset"));
-    report::say(format_args!("1. generate {} points", report::count(workload.points())));
-    generate::write_source(&mut *workload.source(), &Destination::new(&points)?)?;
-
-    report::say(format_args!("2. build their octree on disk, within {}", report::bytes(args.memory)));
-    let options = BuildOptions::default()
-        .with_radius(workload.radius().map(build::Rule::Number))
-        .with_radius_scale(RADIUS_SCALE)
-        .with_memory_bytes(args.memory.saturating_sub(memory::PROCESS_BYTES));
-    let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
-    let meter = Meter::new("points", false);
-    let built = build::to_file(
-        vec![source],
-        &cloud,
-        &options,
-        &build::BuildControl::from(&meter as &dyn build::Progress),
-    )
-    .map_err(|e| crate::budget::name_smallest_budget(e, args.memory))?;
-    meter.finish();
-    report::say(format_args!(
-        "   {} of pages, {:.1} times the memory that may be used",
-        report::bytes(built.header.file_bytes),
-        built.header.file_bytes as f64 / args.memory as f64
-    ));
+    let cloud = make_cloud(workload, args.memory, folder)?;
 
     report::say(format_args!("3. render them, within {}", report::bytes(args.memory)));
     let view = workload.view();
@@ -90,4 +67,33 @@ fn make(args: &DemoArgs, folder: &std::path::Path) -> Result<()> {
     let (width, height) = args.size;
     let render = render::defaults(&cloud, &args.output)?;
     render::run(&render.with_memory(args.memory).with_camera(camera).with_size(width, height))
+}
+
+/// Generates points and builds their cloud in a folder, within a budget.
+pub(crate) fn make_cloud(workload: &Workload, memory: u64, folder: &Path) -> Result<PathBuf> {
+    let (points, cloud) = (folder.join("points.ply"), folder.join("cloud.rset"));
+    report::say(format_args!("1. generate {} points", report::count(workload.points())));
+    generate::write_source(&mut *workload.source(), &Destination::new(&points)?)?;
+
+    report::say(format_args!("2. build their octree on disk, within {}", report::bytes(memory)));
+    let options = BuildOptions::default()
+        .with_radius(workload.radius().map(build::Rule::Number))
+        .with_radius_scale(RADIUS_SCALE)
+        .with_memory_bytes(memory.saturating_sub(memory::PROCESS_BYTES));
+    let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
+    let meter = Meter::new("points", false);
+    let built = build::to_file(
+        vec![source],
+        &cloud,
+        &options,
+        &build::BuildControl::from(&meter as &dyn build::Progress),
+    )
+    .map_err(|e| crate::budget::name_smallest_budget(e, memory))?;
+    meter.finish();
+    report::say(format_args!(
+        "   {} of pages, {:.1} times the memory that may be used",
+        report::bytes(built.header.file_bytes),
+        built.header.file_bytes as f64 / memory as f64
+    ));
+    Ok(cloud)
 }

@@ -27,6 +27,8 @@ mod report;
 mod statistics;
 mod values;
 mod verify;
+#[cfg(feature = "view")]
+mod view;
 
 use std::process::ExitCode;
 
@@ -59,6 +61,9 @@ enum Command {
     Check(check::CheckArgs),
     /// Render a scene, a cloud, a grid, or any file of points or voxels to a picture
     Render(Box<render::RenderArgs>),
+    /// Look around in a scene, a cloud, a grid, or any file of points or voxels, in a browser
+    #[cfg(feature = "view")]
+    View(Box<view::ViewArgs>),
     /// Make a figure of the paper
     Figure(figure::FigureArgs),
     /// Build and render the standard workloads, and say how long it took
@@ -95,6 +100,8 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Render(args) => render::run(&args),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(&args),
         Command::Figure(args) => figure::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Completions(args) => manual::completions(&args, Cli::command()),

@@ -2,7 +2,8 @@
 
 use std::io::{self, Write};
 
-use super::{Band, DisplayTransform, srgb_from_linear};
+use super::display::Rgba8;
+use super::{Band, DisplayTransform};
 use crate::output::OutputError;
 
 /// Why a picture could not be written.
@@ -27,15 +28,11 @@ fn encode_error(error: png::EncodingError) -> PngError {
     }
 }
 
-/// Entries of the table from linear light to bytes. Near black, one entry is a fifth of a byte step.
-const TABLE: usize = 1 << 14;
-
 /// Writes an 8-bit sRGB picture with straight alpha, from bands in order from top to bottom.
 pub struct PngBands<W: Write + 'static> {
     writer: png::StreamWriter<'static, W>,
     row: Vec<u8>,
-    table: Vec<u8>,
-    display_transform: DisplayTransform,
+    encoder: Rgba8,
 }
 
 impl<W: Write + 'static> PngBands<W> {
@@ -56,8 +53,7 @@ impl<W: Write + 'static> PngBands<W> {
         encoder.set_compression(png::Compression::Fast);
         let writer = encoder.write_header().map_err(encode_error)?;
         let writer = writer.into_stream_writer().map_err(encode_error)?;
-        let byte = |i| (srgb_from_linear(i as f64 / (TABLE - 1) as f64) * 255.0).round() as u8;
-        Ok(Self { writer, row: Vec::new(), table: (0..TABLE).map(byte).collect(), display_transform })
+        Ok(Self { writer, row: Vec::new(), encoder: Rgba8::new(display_transform) })
     }
 
     /// Appends a band.
@@ -80,16 +76,7 @@ impl<W: Write + 'static> PngBands<W> {
     ) -> Result<(), PngError> {
         for (number, pixels) in (band.first_row..).zip(band.pixels.chunks(band.width.max(1) as usize)) {
             self.row.clear();
-            for &[r, g, b, opacity] in pixels {
-                let straight = if opacity > 0.0 { 1.0 / opacity } else { 0.0 };
-                // A component that is NaN becomes 0 in the cast.
-                let byte = |v: f32| {
-                    let shown = self.display_transform.apply(v * straight).clamp(0.0, 1.0);
-                    self.table[(shown * (TABLE - 1) as f32).round() as usize]
-                };
-                let alpha = (opacity.clamp(0.0, 1.0) * 255.0).round() as u8;
-                self.row.extend_from_slice(&[byte(r), byte(g), byte(b), alpha]);
-            }
+            self.row.extend(pixels.iter().flat_map(|&pixel| self.encoder.encode(pixel)));
             retouch(number, &mut self.row);
             self.writer.write_all(&self.row)?;
         }

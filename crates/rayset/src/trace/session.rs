@@ -267,12 +267,7 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
     if !(settings.stop_transmittance >= 0.0 && settings.stop_transmittance < 1.0) {
         return wrong("stop transmittance", format!("{} is not in [0, 1)", settings.stop_transmittance));
     }
-    if !(1..=64).contains(&settings.samples) {
-        return wrong(
-            "samples",
-            format!("{} is not between 1 and 64 along a side of a pixel", settings.samples),
-        );
-    }
+    check_samples(settings.samples)?;
     if let Shadows::Cached { resolution } = settings.shadows
         && !(1..=FINEST_SHADOWS).contains(&resolution)
     {
@@ -285,6 +280,15 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
         return wrong("ambient occlusion", format!("{} is not between 0 and 4", settings.ambient_occlusion));
     }
     Ok(())
+}
+
+/// Refuses numbers of rays along a side of a pixel that are out of range.
+pub(super) fn check_samples(samples: u32) -> Result<(), RenderError> {
+    if (1..=64).contains(&samples) {
+        return Ok(());
+    }
+    let what = format!("{samples} is not between 1 and 64 along a side of a pixel");
+    Err(RenderError::Setting { setting: "samples", what })
 }
 
 /// Opens the files of a graph that are not open yet.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::job::{Job, Next};
 use super::prepared::{Prepared, PreparedScene};
+use super::session::check_samples;
 use super::sink::{FinishedTile, TileSink};
 use super::work::{LOOKAHEAD_TILE_PIXELS, MAX_TILE_PIXELS, Region, Tile, Work};
 use super::{RenderCounts, RenderError};
@@ -61,6 +62,16 @@ impl Drop for CancelWhenDropped<'_> {
 }
 
 impl View {
+    /// The same view with another number of rays along each side of a pixel, 1 to 64: fewer for a preview.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] if the number is out of range.
+    pub fn with_samples(mut self, samples: u32) -> Result<Self, RenderError> {
+        self.settings.samples = samples;
+        check_samples(samples)?;
+        Ok(self)
+    }
+
     /// The whole picture.
     #[must_use]
     pub fn region(&self) -> Region {

@@ -11,7 +11,7 @@ use rayset::points::ArraySource;
 use rayset::scene::{Camera, RenderSettings, SampleOffset, Scene, Step};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
-use rayset::trace::{ExecSettings, Picture, Region, Session, render_once};
+use rayset::trace::{ExecSettings, Picture, Region, Session, View, render_once};
 use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
 
 use crate::common::{
@@ -157,6 +157,25 @@ fn steps_that_single_precision_cannot_count_give_the_same_picture_for_every_slab
     assert!(f32::from_bits(pictures[0][5][3]) > 0.0);
     pictures.sort_unstable();
     assert!(pictures[0] == pictures[2]);
+}
+
+#[test]
+fn a_view_with_other_samples_is_that_of_a_scene_prepared_with_them() {
+    let folder = folder();
+    let (scene, settings) = scenes(folder.path()).swap_remove(1);
+    let session = Session::over(paged(&scene, 1 << 30), exec(1)).expect("a session");
+    let view = |samples| {
+        let settings = RenderSettings { samples, ..settings };
+        session.prepare(&scene, &settings).expect("a scene").view(&camera()).expect("a view")
+    };
+    let pixels = |view: &View| bits(&view.picture().expect("a picture").pixels);
+    let (one, four) = (pixels(&view(1)), pixels(&view(2)));
+    assert!(one != four);
+    assert!(pixels(&view(2).with_samples(1).expect("in range")) == one);
+    assert!(pixels(&view(1).with_samples(2).expect("in range")) == four);
+    for samples in [0, 65] {
+        assert!(view(1).with_samples(samples).is_err(), "{samples}");
+    }
 }
 
 #[test]

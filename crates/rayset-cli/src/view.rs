@@ -1,0 +1,208 @@
+//! `rayset view`
+
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use rayset::Session;
+use rayset::points::Workload;
+use rayset_view::{Options, SECRET_BYTES, Server, Subject, secret};
+use serde_json::Value;
+
+use crate::input::{self, CacheArgs, Input, Opened, Resources};
+use crate::interrupts::TemporaryFolder;
+use crate::look::{self, CameraArgs, LookArgs};
+use crate::memory::PROCESS_BYTES;
+use crate::report::{bytes, remark, say};
+use crate::{demo, values};
+
+/// Memory for the whole process if nothing else is said.
+const DEFAULT_MEMORY: u64 = 256 << 20;
+/// Memory of the server, and of the pictures on their way to pages.
+const SERVER_BYTES: u64 = 24 << 20;
+/// The least that a session is of use with.
+const LEAST_SESSION_BYTES: u64 = 8 << 20;
+/// Size for which a look is chosen; the page then asks for its own.
+const SIZE: (u32, u32) = (1280, 720);
+
+/// Look around in a scene, a cloud, a grid, or any file of points or voxels, in a browser.
+///
+/// The program serves a page on this machine, traces what it looks at within --memory, and ends on Ctrl-C. Without a file it
+/// makes a cloud to look at.
+#[derive(Args)]
+pub(crate) struct ViewArgs {
+    /// Scene file (.json), cloud or grid file, one volume, or files of points: several, folders and patterns make one cloud
+    inputs: Vec<PathBuf>,
+    /// Memory for the whole process
+    #[arg(long, value_parser = values::size, default_value = "256MiB")]
+    memory: u64,
+    /// Threads; as many as there are processors by default
+    #[arg(long)]
+    threads: Option<usize>,
+    /// Port on 127.0.0.1; 0 for any that is free
+    #[arg(long, default_value_t = 0)]
+    port: u16,
+    /// Only print the address
+    #[arg(long)]
+    no_open: bool,
+    /// A name, with or without a port, under which a proxy in front may be reached; may be given several times
+    #[arg(long, value_name = "NAME")]
+    allow_host: Vec<String>,
+    #[command(flatten)]
+    cache: CacheArgs,
+    #[command(flatten)]
+    look: LookArgs,
+    #[command(flatten)]
+    camera: CameraArgs,
+}
+
+pub(crate) fn run(args: &ViewArgs) -> Result<()> {
+    let least = PROCESS_BYTES + SERVER_BYTES + LEAST_SESSION_BYTES;
+    ensure!(
+        args.memory >= least,
+        "--memory {} is too small to look around; at least {} will do",
+        bytes(args.memory),
+        bytes(least)
+    );
+    // Both keep what was made for as long as it is looked at.
+    let made = args.inputs.is_empty().then(|| made_cloud(args.memory)).transpose()?;
+    let inputs = made.as_ref().map_or_else(|| args.inputs.clone(), |(_, cloud)| vec![cloud.clone()]);
+    let opened = input::open(&inputs, &args.cache, Resources { memory: args.memory, threads: args.threads })?;
+    let subject = subject(args, &inputs, &opened)?;
+
+    let mut session = Session::builder().memory(args.memory - PROCESS_BYTES - SERVER_BYTES);
+    if let Some(threads) = args.threads {
+        session = session.threads(threads);
+    }
+    let mut options = Options::new(key(), args.port);
+    options.allowed_hosts.clone_from(&args.allow_host);
+    let server = Server::start(subject, session.build()?, options, |line| remark(line))?;
+    let invitation = server.invitation()?;
+    say(&invitation);
+    remark("the address opens once; Enter prints another, Ctrl-C ends");
+    if !args.no_open {
+        open_browser(&invitation);
+    }
+    if std::io::stdin().is_terminal() {
+        let invite = server.inviter();
+        std::thread::spawn(move || {
+            for _ in std::io::stdin().lines().map_while(Result::ok) {
+                match invite() {
+                    Ok(address) => say(address),
+                    Err(error) => remark(format_args!("no address: {error}")),
+                }
+            }
+        });
+    }
+    Ok(server.run()?)
+}
+
+/// The scene to look at: a scene file, or what is chosen for a cloud or grid.
+fn subject(args: &ViewArgs, inputs: &[PathBuf], opened: &Opened) -> Result<Subject> {
+    let name = inputs[0].file_name().unwrap_or(inputs[0].as_os_str()).to_string_lossy();
+    let title = if args.inputs.is_empty() { "a knot of points".into() } else { name.into_owned() };
+    let (path, scene) = match &opened.input {
+        Input::Scene(path) => {
+            if let Some(option) = args.look.given() {
+                anyhow::bail!(
+                    "{option} is for clouds and grids; {} says itself what it looks like",
+                    path.display()
+                );
+            }
+            (path.clone(), scene_of_file(path)?)
+        }
+        Input::Cloud(cloud) => {
+            let chosen = look::of_cloud(cloud, &args.look, &args.camera, SIZE)?;
+            remark(&chosen.line);
+            (cloud.path().to_owned(), chosen.scene)
+        }
+        Input::Grid(grid) => {
+            let chosen = look::of_grid(grid, &args.look, &args.camera, SIZE)?;
+            remark(&chosen.line);
+            (grid.path().to_owned(), chosen.scene)
+        }
+    };
+    Ok(Subject { title, path, scene })
+}
+
+/// The text of a scene file, once the strict reader has found it good.
+fn scene_of_file(path: &Path) -> Result<Value> {
+    rayset::scene_file::SceneFile::load(path)?;
+    let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_slice(&text).with_context(|| format!("{} is not JSON", path.display()))
+}
+
+/// Makes a cloud to look at, in a temporary folder.
+fn made_cloud(memory: u64) -> Result<(TemporaryFolder, PathBuf)> {
+    let folder = TemporaryFolder::new("view")?;
+    let workload: Workload = "knot-1m".parse()?;
+    let cloud = demo::make_cloud(&workload, memory.min(DEFAULT_MEMORY), folder.path())?;
+    Ok((folder, cloud))
+}
+
+/// The key that cookies are signed with, kept in the user's state folder so that pages connect again after a restart; one for this
+/// run alone if there is no such folder.
+fn key() -> [u8; SECRET_BYTES] {
+    match kept_key() {
+        Ok(key) => key,
+        Err(error) => {
+            remark(format_args!("pages will not connect again after a restart: {error:#}"));
+            // Without random numbers the server issues no invitation either, and says so.
+            secret().unwrap_or_default()
+        }
+    }
+}
+
+fn kept_key() -> Result<[u8; SECRET_BYTES]> {
+    let state =
+        std::env::var_os("XDG_STATE_HOME").filter(|path| Path::new(path).is_absolute()).map(PathBuf::from);
+    let home = || std::env::home_dir().map(|home| home.join(".local/state"));
+    let folder = state.or_else(home).context("there is no home folder")?.join("rayset");
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let path = folder.join("view-key");
+    if let Ok(bytes) = std::fs::read(&path)
+        && let Ok(key) = bytes.try_into()
+        && is_private(&path)
+    {
+        return Ok(key);
+    }
+    let key = secret()?;
+    // Beside its name first, so that no other run reads half of it, and private from the beginning.
+    let beside = folder.join(format!("view-key.{}", std::process::id()));
+    let mut options = std::fs::File::options();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let written = options.open(&beside).and_then(|mut file| file.write_all(&key));
+    written
+        .and_then(|()| std::fs::rename(&beside, &path))
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(key)
+}
+
+/// Whether nobody else may read a file.
+fn is_private(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        std::fs::metadata(path).is_ok_and(|metadata| metadata.mode() & 0o077 == 0)
+    }
+    #[cfg(not(unix))]
+    path.exists()
+}
+
+/// Opens the user's browser, if there is one.
+fn open_browser(address: &str) {
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let quiet = std::process::Stdio::null;
+    let started = std::process::Command::new(opener)
+        .arg(address)
+        .stdin(quiet())
+        .stdout(quiet())
+        .stderr(quiet())
+        .spawn();
+    if started.is_err() {
+        remark("no browser was found; open the address in one");
+    }
+}

@@ -1,0 +1,276 @@
+//! The pictures of one page: a thread takes what the page wants, has the session trace it, and sends it, coarse first.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rayset::image::{Band, DisplayTransform};
+use rayset::scene_file::SceneFile;
+use rayset::{
+    BandSink, CancelToken, FinishedTile, PreparedScene, RenderError, Session, SinkError, View, Work,
+};
+use serde_json::Value;
+
+use crate::compose::{self, Opened};
+use crate::pacing::Pacing;
+use crate::payload::{self, Rectangle, Shown};
+use crate::protocol::{Show, ToPage};
+use crate::wanted::{Grade, Order, Wanted};
+
+/// Finished parts of a picture are sent at most this often.
+const BETWEEN_PARTS: Duration = Duration::from_millis(40);
+/// Rows of a finished picture that are sent together.
+const BAND_ROWS: u32 = 64;
+/// Most rectangles in a message.
+const MOST_RECTANGLES: usize = 4096;
+/// What the page shows where a moving picture is transparent.
+const BEHIND: [u8; 3] = [0x26, 0x2a, 0x31];
+
+/// What goes to a page.
+#[derive(Debug)]
+pub(crate) enum Outgoing {
+    Text(ToPage),
+    Frame(Vec<u8>),
+}
+
+/// Where it goes; `false` if the page has gone.
+pub(crate) type Send = Box<dyn Fn(Outgoing) -> bool + std::marker::Send>;
+
+/// Makes the pictures of one page.
+pub(crate) struct Frames {
+    session: Session,
+    opened: Arc<Opened>,
+    wanted: Arc<Wanted>,
+    send: Send,
+    /// What was shown last.
+    prepared: Option<Prepared>,
+    pacing: Pacing,
+    shown: Shown,
+}
+
+/// A scene that is ready to be traced.
+struct Prepared {
+    /// What it was made from, without the camera.
+    composed: Value,
+    scene: PreparedScene,
+    display_transform: DisplayTransform,
+    /// Whether shading of the whole picture follows once it is traced.
+    is_shaded_at_the_end: bool,
+}
+
+/// Why a picture was not completed.
+enum Unfinished {
+    /// Something else is wanted, or nobody looks any more.
+    GivenUp,
+    /// It cannot be made.
+    Problem(String),
+}
+
+impl From<RenderError> for Unfinished {
+    fn from(error: RenderError) -> Self {
+        match error {
+            // A sink refuses what it cannot send.
+            RenderError::Cancelled | RenderError::Sink(_) => Self::GivenUp,
+            other => Self::Problem(other.to_string()),
+        }
+    }
+}
+
+impl Frames {
+    pub(crate) fn new(session: Session, opened: Arc<Opened>, wanted: Arc<Wanted>, send: Send) -> Self {
+        let (pacing, shown) = (Pacing::new(), Shown::default());
+        Self { session, opened, wanted, send, prepared: None, pacing, shown }
+    }
+
+    /// Makes pictures until nobody looks any more.
+    pub(crate) fn run(mut self) {
+        let mut at_rest_since = Instant::now();
+        while let Some(order) = self.wanted.next() {
+            if order.grade == Grade::Quick {
+                at_rest_since = Instant::now();
+            }
+            let generation = order.show.generation;
+            match self.picture(&order) {
+                Ok(()) => {
+                    self.wanted.done(&order);
+                    if order.grade == Grade::Fine {
+                        let seconds = at_rest_since.elapsed().as_secs_f64();
+                        (self.send)(Outgoing::Text(ToPage::Converged { generation, seconds }));
+                    }
+                }
+                Err(Unfinished::GivenUp) => self.wanted.given_up(),
+                Err(Unfinished::Problem(what)) => {
+                    // What cannot be shown quickly cannot be shown finely either.
+                    self.wanted.done(&Order { grade: Grade::Fine, ..order });
+                    (self.send)(Outgoing::Text(ToPage::Problem { generation, what }));
+                }
+            }
+        }
+    }
+
+    fn picture(&mut self, order: &Order) -> Result<(), Unfinished> {
+        let show = &*order.show;
+        let scene = self.scene(show)?;
+        let camera = compose::camera(&show.camera);
+        match order.grade {
+            Grade::Quick => {
+                let [width, height] = self.pacing.next_size(show.size);
+                let view = scene.view_of_size(&camera, width, height)?.with_samples(1)?;
+                self.quick(order, &view, [width, height])
+            }
+            Grade::Fine => self.fine(order, &scene.view_of_size(&camera, show.size[0], show.size[1])?),
+        }
+    }
+
+    /// The scene that a page wants. Only what has changed is prepared anew: never for the camera alone.
+    fn scene(&mut self, show: &Show) -> Result<PreparedScene, Unfinished> {
+        show.check().map_err(Unfinished::Problem)?;
+        let mut composed = self.opened.composed(show);
+        composed["camera"] = Value::Null;
+        composed["image"]["size"] = Value::Null;
+        let known = self.prepared.take().filter(|prepared| prepared.composed == composed);
+        let prepared = match known {
+            Some(prepared) => prepared,
+            None => self.prepare(show, composed)?,
+        };
+        Ok(self.prepared.insert(prepared).scene.clone())
+    }
+
+    fn prepare(&self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
+        let whole = self.opened.composed(show);
+        let SceneFile { scene, settings, display_transform, .. } =
+            compose::parse(&self.opened.subject.path, &whole).map_err(Unfinished::Problem)?;
+        let is_shaded_at_the_end = settings.ambient_occlusion > 0.0;
+        let scene = self.session.prepare(&scene, &settings)?;
+        Ok(Prepared { composed, scene, display_transform, is_shaded_at_the_end })
+    }
+
+    /// One frame of as many rays as its time allows, as JPEG.
+    fn quick(&mut self, order: &Order, view: &View, size: [u32; 2]) -> Result<(), Unfinished> {
+        let started = Instant::now();
+        self.shown.resize(size);
+        let encode = self.encoder();
+        let shown = &mut self.shown;
+        let mut sink = |finished: &FinishedTile<'_>| -> Result<(), SinkError> {
+            put(shown, finished, &encode);
+            Ok(())
+        };
+        view.render(&Work::tiles(view.tiles(&view.region())), &order.cancel, &mut sink)?;
+        self.pacing.traced(size, started.elapsed());
+        let frame = self.wanted.wait_to_send(&order.cancel).ok_or(Unfinished::GivenUp)?;
+        self.give(payload::whole(order.show.generation, frame, &self.shown, BEHIND))
+    }
+
+    /// The picture that `rayset render` makes, part by part, without loss: one ray a pixel first, then all.
+    fn fine(&mut self, order: &Order, view: &View) -> Result<(), Unfinished> {
+        self.shown.resize(order.show.size);
+        let shaded_at_the_end = self.prepared.as_ref().is_some_and(|prepared| prepared.is_shaded_at_the_end);
+        let encode = self.encoder();
+        let mut parts = Parts {
+            generation: order.show.generation,
+            shown: &mut self.shown,
+            waiting: Vec::new(),
+            sent: Instant::now(),
+            wanted: &self.wanted,
+            send: &self.send,
+            cancel: &order.cancel,
+        };
+        let tiles = Work::tiles(view.tiles(&view.region()));
+        let mut sink = |finished: &FinishedTile<'_>| {
+            put(parts.shown, finished, &encode);
+            let tile = finished.tile;
+            parts.add([tile.x as u16, tile.y as u16, tile.width as u16, tile.height as u16])
+        };
+        if shaded_at_the_end {
+            view.clone().with_samples(1)?.render(&tiles, &order.cancel, &mut sink)?;
+            let mut bands = Bands { parts: &mut parts, encode: &encode };
+            view.render_bands(&view.region(), BAND_ROWS, &order.cancel, &mut bands)?;
+        } else {
+            view.render(&tiles.progressive(), &order.cancel, &mut sink)?;
+        }
+        Ok(parts.flush()?)
+    }
+
+    /// What makes bytes of light.
+    fn encoder(&self) -> impl Fn([f32; 4]) -> [u8; 4] + use<> {
+        let display_transform =
+            self.prepared.as_ref().map_or_else(DisplayTransform::default, |p| p.display_transform);
+        display_transform.rgba8()
+    }
+
+    fn give(&self, frame: Vec<u8>) -> Result<(), Unfinished> {
+        if (self.send)(Outgoing::Frame(frame)) { Ok(()) } else { Err(Unfinished::GivenUp) }
+    }
+}
+
+/// Puts a tile in its place.
+fn put(shown: &mut Shown, finished: &FinishedTile<'_>, encode: &impl Fn([f32; 4]) -> [u8; 4]) {
+    let tile = finished.tile;
+    for (row, pixels) in finished.pixels.chunks(tile.width as usize).enumerate() {
+        shown.set_row(tile.x, tile.y + row as u32, pixels.iter().map(|&pixel| encode(pixel)));
+    }
+}
+
+/// Parts of a picture that have been finished and not yet sent.
+struct Parts<'a> {
+    generation: u32,
+    shown: &'a mut Shown,
+    waiting: Vec<Rectangle>,
+    sent: Instant,
+    wanted: &'a Wanted,
+    send: &'a Send,
+    cancel: &'a CancelToken,
+}
+
+impl Parts<'_> {
+    /// Adds a part, and sends all if it is time and the page has drawn what it got before.
+    fn add(&mut self, part: Rectangle) -> Result<(), SinkError> {
+        self.waiting.push(part);
+        if self.waiting.len() >= MOST_RECTANGLES {
+            return self.flush();
+        }
+        if self.sent.elapsed() >= BETWEEN_PARTS
+            && let Some(frame) = self.wanted.try_send()
+        {
+            return self.send_as(frame);
+        }
+        Ok(())
+    }
+
+    /// Sends what waits, as soon as the page can take it.
+    fn flush(&mut self) -> Result<(), SinkError> {
+        if self.waiting.is_empty() {
+            return Ok(());
+        }
+        let frame = self.wanted.wait_to_send(self.cancel).ok_or(RenderError::Cancelled)?;
+        self.send_as(frame)
+    }
+
+    fn send_as(&mut self, frame: u32) -> Result<(), SinkError> {
+        let message = payload::parts(self.generation, frame, self.shown, &self.waiting);
+        self.waiting.clear();
+        self.sent = Instant::now();
+        if (self.send)(Outgoing::Frame(message)) { Ok(()) } else { Err(RenderError::Cancelled.into()) }
+    }
+}
+
+impl From<SinkError> for Unfinished {
+    fn from(_: SinkError) -> Self {
+        Self::GivenUp
+    }
+}
+
+/// Takes a finished picture band by band.
+struct Bands<'a, 'p, E> {
+    parts: &'a mut Parts<'p>,
+    encode: &'a E,
+}
+
+impl<E: Fn([f32; 4]) -> [u8; 4]> BandSink for Bands<'_, '_, E> {
+    fn band(&mut self, band: &Band) -> Result<(), SinkError> {
+        for (y, pixels) in (band.first_row..).zip(band.pixels.chunks(band.width as usize)) {
+            self.parts.shown.set_row(0, y, pixels.iter().map(|&pixel| (self.encode)(pixel)));
+        }
+        let rows = band.pixels.len() / band.width as usize;
+        self.parts.add([0, band.first_row as u16, band.width as u16, rows as u16])
+    }
+}

@@ -1,0 +1,25 @@
+//! A viewer in the browser: a server on the user's own machine, whose page looks around in a scene that the session traces
+//! within its memory.
+//!
+//! One visit, followed through the files: [`Server::start`] (`server`) listens; a visitor with a token (`access`) gets the page
+//! (`page`), which opens a socket and says what it wants to see (`protocol`); its wishes (`wanted`) are fulfilled by a thread
+//! (`frames`) that makes a scene of them (`compose`), has the session trace it, at a resolution that keeps up with motion
+//! (`pacing`), and sends the pictures (`payload`).
+//!
+//! Nothing of the engine is reached around: pictures come from [`rayset::View::render`], and the last of them is that of
+//! `rayset render`, bit for bit.
+
+mod access;
+mod compose;
+mod frames;
+mod pacing;
+mod page;
+mod payload;
+mod protocol;
+mod rate;
+mod server;
+mod wanted;
+
+pub use self::access::{SECRET_BYTES, secret};
+pub use self::compose::Subject;
+pub use self::server::{Options, ServeError, Server};

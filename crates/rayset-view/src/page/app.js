@@ -1,0 +1,71 @@
+// @ts-check
+/** The page: one view, its panels, and what it remembers. */
+
+import { listen } from "./gestures.js";
+import { build } from "./panels.js";
+import { RaysetView } from "./view.js";
+
+/** Most changes that can be taken back. */
+const MOST_UNDO = 200;
+const KEPT = "rayset-view";
+
+/** @template {HTMLElement} T @param {string} id @returns {T} */
+const by = (id) => /** @type {T} */ (document.getElementById(id));
+
+const view = new RaysetView(/** @type {HTMLCanvasElement} */ (by("picture")), { socket: "socket" });
+const status = by("status");
+
+/** @type {string[]} states before changes, the latest last */
+const undo = [];
+const begin = () => {
+  const state = JSON.stringify(view.state);
+  if (undo.at(-1) !== state) undo.push(state);
+  if (undo.length > MOST_UNDO) undo.shift();
+};
+const restore = (/** @type {string | null | undefined} */ text) => {
+  if (!text) return;
+  const { camera, changes } = JSON.parse(text);
+  view.changes = changes ?? {};
+  if (camera) view.camera = camera;
+};
+
+let isBuilt = false;
+view.addEventListener("hello", () => {
+  by("title").textContent = document.title = view.title;
+  if (isBuilt) return;
+  isBuilt = true;
+  // A page that is loaded again goes on where it was, if it is the same scene.
+  const kept = sessionStorage.getItem(KEPT);
+  if (kept && JSON.parse(kept).title === view.title) restore(kept);
+  build(by("panels"), view, begin);
+});
+view.addEventListener("change", () => {
+  status.textContent = "tracing";
+  sessionStorage.setItem(KEPT, JSON.stringify({ title: view.title, ...view.state }));
+});
+view.addEventListener("converged", (event) => {
+  const seconds = /** @type {CustomEvent} */ (event).detail.seconds;
+  status.textContent = `complete, ${seconds.toFixed(1)} s`;
+});
+view.addEventListener("problem", (event) => {
+  status.textContent = /** @type {CustomEvent} */ (event).detail.what;
+});
+view.addEventListener("connection", (event) => {
+  if (!(/** @type {CustomEvent} */ (event).detail.open)) status.textContent = "not connected; trying again";
+});
+
+listen(view, begin);
+document.addEventListener("keydown", (event) => {
+  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") {
+    event.preventDefault();
+    restore(undo.pop());
+  }
+});
+const fold = by("fold");
+fold.addEventListener("click", () => {
+  const folded = document.querySelector("aside")?.classList.toggle("folded") ?? false;
+  fold.setAttribute("aria-expanded", String(!folded));
+});
+
+// For tests, and for whoever is curious.
+Object.assign(window, { rayset: { view } });

@@ -1,0 +1,258 @@
+// @ts-check
+/**
+ * The view itself, for any page: a canvas that shows a scene which `rayset view` serves.
+ *
+ *     const view = new RaysetView(canvas, { socket: "socket" });
+ *     view.addEventListener("hello", () => { view.camera = orbit(view.camera, 0.5, 0); });
+ *
+ * Events: `hello` (a scene has been opened; `view.scene`, `view.bounds` and `view.camera` are known), `change` (the camera or
+ * the changes are others), `frame`, `converged` (`detail.seconds`: the picture is complete), `problem` (`detail.what`),
+ * `connection` (`detail.open`).
+ */
+
+import { cameraOf, zoom } from "./camera.js";
+import { Painter, parse } from "./frames.js";
+
+/**
+ * @typedef {import("./camera.js").Camera} Camera
+ * @typedef {import("./camera.js").Vector} Vector
+ * @typedef {{direction: Vector, intensity: number, shadow: boolean}} Sun
+ * @typedef {{min: Vector, max: Vector}} Section
+ * @typedef {{exposure?: number, sun?: Sun, section?: Section, transfer?: object}} Changes
+ * @typedef {{size?: [number, number], scene?: any}} Scene
+ */
+
+/** A picture moves as long as changes follow each other faster than this, in milliseconds. */
+const REST = 120;
+/** Width over height of the picture that the program chooses a camera for. */
+const CHOSEN_ASPECT = 16 / 9;
+/** Largest edge of a picture. */
+const MOST_EDGE = 4096;
+/** Waits before the next attempt to connect, in milliseconds. */
+const RETRIES = [250, 500, 1000, 2000, 4000];
+
+export class RaysetView extends EventTarget {
+  /** @type {any} the scene as it was opened */
+  scene = null;
+  /** @type {[Vector, Vector]} its least and largest coordinates */
+  bounds = [[0, 0, 0], [0, 0, 0]];
+  title = "";
+  /** @type {Camera | null} where it is best seen from */
+  home = null;
+
+  /** @type {Camera | null} */
+  #camera = null;
+  /** @type {Changes} */
+  #changes = {};
+  #generation = 0;
+  #converged = false;
+  #restTimer = 0;
+  #pending = 0;
+  #failures = 0;
+  #closed = false;
+  /** @type {WebSocket | null} */
+  #socket = null;
+  #address;
+  #painter;
+  #observer;
+
+  /** @param {HTMLCanvasElement} canvas @param {{socket?: string}} [options] an address relative to the page's */
+  constructor(canvas, options = {}) {
+    super();
+    this.canvas = canvas;
+    this.#painter = new Painter(canvas);
+    const address = new URL(options.socket ?? "socket", document.baseURI);
+    address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+    this.#address = address;
+    this.#observer = new ResizeObserver(() => this.#resized());
+    this.#observer.observe(canvas);
+    this.#resized();
+    this.#connect();
+  }
+
+  /** @returns {Camera | null} */
+  get camera() {
+    return this.#camera;
+  }
+
+  set camera(camera) {
+    this.#camera = camera;
+    this.#changed();
+  }
+
+  /** @returns {Changes} */
+  get changes() {
+    return this.#changes;
+  }
+
+  set changes(changes) {
+    this.#changes = changes;
+    this.#changed();
+  }
+
+  /** Whether the picture is complete: what `rayset render` makes. */
+  get isConverged() {
+    return this.#converged;
+  }
+
+  /** The exact pixels of the picture, as far as they have come; `null` before. */
+  get pixels() {
+    return this.#painter.exact(this.#generation);
+  }
+
+  /** What has to be said to see this again. */
+  get state() {
+    return { camera: this.#camera, changes: this.#changes };
+  }
+
+  /** Everything that decides the picture, as the program is told. */
+  get shown() {
+    const { position, direction, up, fovy } = /** @type {Camera} */ (this.#camera);
+    const size = [this.canvas.width, this.canvas.height];
+    return { camera: { position, direction, up, fovy }, size, changes: this.#changes };
+  }
+
+  /** Asks for the scene file of what is seen. @returns {Promise<string>} */
+  sceneFile() {
+    return new Promise((resolve) => {
+      this.addEventListener("saved", (event) => resolve(/** @type {CustomEvent} */ (event).detail.scene), { once: true });
+      this.#send({ type: "save", generation: this.#generation, moving: false, ...this.shown });
+    });
+  }
+
+  /** Asks for an address that opens another page, once, in any browser. @returns {Promise<string>} */
+  invitation() {
+    return new Promise((resolve) => {
+      this.addEventListener("invited", (event) => {
+        const address = new URL("./", this.#address);
+        address.protocol = address.protocol === "wss:" ? "https:" : "http:";
+        address.search = `token=${/** @type {CustomEvent} */ (event).detail.token}`;
+        resolve(address.href);
+      }, { once: true });
+      this.#send({ type: "invite" });
+    });
+  }
+
+  /** Ends the connection. */
+  close() {
+    this.#closed = true;
+    this.#observer.disconnect();
+    this.#socket?.close();
+  }
+
+  #connect() {
+    const socket = new WebSocket(this.#address);
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    socket.onmessage = (event) => {
+      if (typeof event.data === "string") this.#hear(JSON.parse(event.data));
+      else this.#frame(event.data);
+    };
+    socket.onclose = () => {
+      this.#tell("connection", { open: false });
+      if (this.#closed) return;
+      const wait = RETRIES[Math.min(this.#failures++, RETRIES.length - 1)];
+      setTimeout(() => this.#connect(), wait);
+    };
+  }
+
+  /** @param {any} message */
+  #hear(message) {
+    switch (message.type) {
+      case "hello":
+        this.#failures = 0;
+        this.title = message.title;
+        this.scene = message.scene;
+        this.bounds = message.bounds;
+        this.home = this.#fitted(cameraOf(message.camera, message.bounds));
+        this.#camera ??= this.home;
+        this.#tell("connection", { open: true });
+        this.#tell("hello", {});
+        this.#changed();
+        break;
+      case "converged":
+        if (message.generation !== this.#generation) break;
+        // Frames are drawn in their own time: the last of them first.
+        this.#painter.draw(NOTHING, () => false).then(() => {
+          if (message.generation !== this.#generation) return;
+          this.#converged = true;
+          this.#tell("converged", { seconds: message.seconds });
+        });
+        break;
+      case "problem":
+        if (message.generation === this.#generation) this.#tell("problem", { what: message.what });
+        break;
+      case "invited":
+        this.#tell("invited", { token: message.token });
+        break;
+      case "saved":
+        this.#tell("saved", { scene: message.scene });
+        break;
+    }
+  }
+
+  /**
+   * A camera that was chosen for a picture of 16 to 9, as far back as a narrower one needs.
+   * @param {Camera} camera @returns {Camera}
+   */
+  #fitted(camera) {
+    const aspect = this.canvas.width / this.canvas.height;
+    return zoom(camera, Math.max(CHOSEN_ASPECT / aspect, 1), 0, 0, aspect);
+  }
+
+  /** @param {ArrayBuffer} message */
+  async #frame(message) {
+    const frame = parse(message);
+    const socket = this.#socket;
+    // A frame of what was wanted a moment ago is better than an older one; parts of it are not.
+    const isWanted = (/** @type {import("./frames.js").Frame} */ { kind, generation }) =>
+      kind === 1 ? !this.#converged : generation === this.#generation;
+    await this.#painter.draw(frame, isWanted);
+    if (socket === this.#socket) this.#send({ type: "ack", frame: frame.frame });
+    this.#tell("frame", { generation: frame.generation, width: frame.width });
+  }
+
+  #resized() {
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const edge = (/** @type {number} */ length) => Math.min(Math.max(Math.round(length * ratio), 1), MOST_EDGE);
+    const [width, height] = [edge(this.canvas.clientWidth), edge(this.canvas.clientHeight)];
+    if (width === this.canvas.width && height === this.canvas.height && this.#generation > 0) return;
+    this.#painter.resize(width, height);
+    this.#changed();
+  }
+
+  /** Something is to be seen differently: said at most once for each frame of the screen, and once more when it rests. */
+  #changed() {
+    this.#converged = false;
+    if (!this.#camera || !this.scene) return;
+    this.#tell("change", {});
+    if (this.#pending === 0) {
+      this.#pending = requestAnimationFrame(() => {
+        this.#pending = 0;
+        this.#show(true);
+      });
+    }
+    clearTimeout(this.#restTimer);
+    this.#restTimer = window.setTimeout(() => this.#show(false), REST);
+  }
+
+  /** @param {boolean} moving */
+  #show(moving) {
+    if (!this.#camera) return;
+    this.#generation += 1;
+    this.#send({ type: "show", generation: this.#generation, moving, ...this.shown });
+  }
+
+  /** @param {object} message */
+  #send(message) {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(message));
+  }
+
+  /** @param {string} name @param {object} detail */
+  #tell(name, detail) {
+    this.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+}
+
+/** @type {import("./frames.js").Frame} */
+const NOTHING = { kind: 0, generation: 0, frame: 0, width: 0, height: 0, rectangles: [], body: new Uint8Array(0) };

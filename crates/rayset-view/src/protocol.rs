@@ -1,0 +1,222 @@
+//! What page and program say to each other over the WebSocket.
+//!
+//! The page says, whenever anything changes, everything that is to be seen ([`Show`]): a message needs none before it, so a page
+//! that connects again goes on where it was. Pictures go the other way as binary messages ([`FrameHead`], then the pixels),
+//! everything else as JSON.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// Longest message of a page, in bytes.
+pub(crate) const MOST_MESSAGE_BYTES: usize = 64 << 10;
+/// Largest edge of a picture in a page, in pixels.
+pub(crate) const MOST_EDGE: u32 = 4096;
+
+/// A message from the page.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(tag = "type", rename_all = "camelCase", deny_unknown_fields)]
+pub(crate) enum FromPage {
+    /// What is to be seen from now on.
+    Show(Box<Show>),
+    /// The scene file of what is seen is wanted.
+    Save(Box<Show>),
+    /// Somebody else is to be let in.
+    Invite,
+    /// A frame has arrived and been drawn.
+    Ack {
+        /// Its number.
+        frame: u32,
+    },
+}
+
+/// Everything that decides what is seen.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub(crate) struct Show {
+    /// Grows with every change; frames say which one they show.
+    pub(crate) generation: u32,
+    pub(crate) camera: Pose,
+    /// Width and height of the picture in pixels.
+    pub(crate) size: [u32; 2],
+    /// Whether more changes are about to follow: frames are then quick rather than fine.
+    pub(crate) moving: bool,
+    #[serde(default)]
+    pub(crate) changes: Changes,
+}
+
+/// Where the camera is, in the units of the data.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub(crate) struct Pose {
+    pub(crate) position: [f64; 3],
+    pub(crate) direction: [f64; 3],
+    pub(crate) up: [f64; 3],
+    /// Vertical angle in degrees.
+    pub(crate) fovy: f64,
+}
+
+/// How what is seen differs from the scene that was opened. What is missing stays as it is there.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
+#[serde(rename_all = "camelCase", deny_unknown_fields, default)]
+pub(crate) struct Changes {
+    /// Stops.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) exposure: Option<f64>,
+    /// A light in place of the scene's directional lights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) sun: Option<Sun>,
+    /// The box within which the scene is seen; world space.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) section: Option<Section>,
+    /// Of a scene of one cloud or grid: in place of its own, as scene files write it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) transfer: Option<Transfer>,
+}
+
+/// Parallel light.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub(crate) struct Sun {
+    /// The direction in which it goes.
+    pub(crate) direction: [f64; 3],
+    pub(crate) intensity: f64,
+    /// Whether it throws shadows.
+    pub(crate) shadow: bool,
+}
+
+/// A box along the axes.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(rename_all = "camelCase", deny_unknown_fields)]
+pub(crate) struct Section {
+    pub(crate) min: [f64; 3],
+    pub(crate) max: [f64; 3],
+}
+
+/// Keys of a transfer function. None of them can name a file.
+#[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
+#[serde(rename_all = "camelCase", deny_unknown_fields, default)]
+pub(crate) struct Transfer {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) opacity: Option<Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) color: Option<Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) input: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) value_range: Option<[f64; 2]>,
+}
+
+/// A message to the page.
+#[derive(Clone, Debug, Serialize)]
+#[serde(tag = "type", rename_all = "camelCase")]
+pub(crate) enum ToPage {
+    /// The first of all: what was opened.
+    Hello {
+        title: String,
+        /// Where it is best seen from.
+        camera: Pose,
+        /// The least and the largest coordinates of the scene; world space.
+        bounds: [[f64; 3]; 2],
+        /// The scene as it was opened.
+        scene: Box<Value>,
+    },
+    /// The picture of a generation is complete: what `rayset render` makes of the same scene.
+    Converged { generation: u32, seconds: f64 },
+    /// The scene file that was asked for, as text.
+    Saved { scene: String },
+    /// A token that opens another page, once.
+    Invited { token: String },
+    /// What was asked for cannot be shown; what was shown before stays.
+    Problem { generation: u32, what: String },
+}
+
+/// Bytes of the head of a frame.
+pub(crate) const HEAD_BYTES: usize = 16;
+
+/// The head of a binary message, little endian: what follows, of which generation, and where it belongs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FrameHead {
+    pub(crate) kind: FrameKind,
+    pub(crate) generation: u32,
+    /// The number to acknowledge.
+    pub(crate) frame: u32,
+    /// Size of the picture in the frame's own pixels, which the page stretches over its picture.
+    pub(crate) size: [u16; 2],
+    /// Number of rectangles.
+    pub(crate) rectangles: u16,
+}
+
+/// What a binary message holds behind its head.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FrameKind {
+    /// One JPEG, the whole picture.
+    Whole = 1,
+    /// Rectangles, `x`, `y`, `width` and `height` of each as 16-bit numbers; then, compressed by zlib, their pixels, row
+    /// by row, rectangle by rectangle: 8-bit RGBA, straight alpha.
+    Rectangles = 2,
+}
+
+impl FrameHead {
+    pub(crate) fn bytes(self) -> [u8; HEAD_BYTES] {
+        let mut bytes = [0; HEAD_BYTES];
+        bytes[0] = self.kind as u8;
+        bytes[2..4].copy_from_slice(&self.rectangles.to_le_bytes());
+        bytes[4..8].copy_from_slice(&self.generation.to_le_bytes());
+        bytes[8..12].copy_from_slice(&self.frame.to_le_bytes());
+        bytes[12..14].copy_from_slice(&self.size[0].to_le_bytes());
+        bytes[14..16].copy_from_slice(&self.size[1].to_le_bytes());
+        bytes
+    }
+}
+
+impl Show {
+    /// What is wrong with it before the scene is looked at.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let [width, height] = self.size;
+        if !(1..=MOST_EDGE).contains(&width) || !(1..=MOST_EDGE).contains(&height) {
+            return Err(format!("a picture of {width}x{height} pixels; expected 1 to {MOST_EDGE} each"));
+        }
+        if self.generation == u32::MAX {
+            return Err("generations have run out; reload the page".into());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SHOW: &str = r#"{"type": "show", "generation": 3, "camera": {"position": [0, 1, 2], "direction": [0, 0, -1],
+        "up": [0, 1, 0], "fovy": 40}, "size": [640, 360], "moving": true}"#;
+
+    #[test]
+    fn what_a_page_says_is_read_and_what_it_must_not_say_is_an_error() {
+        let read = |text: &str| serde_json::from_str::<FromPage>(text);
+        assert!(
+            matches!(read(SHOW), Ok(FromPage::Show(show)) if show.moving && show.changes == Changes::default())
+        );
+        let with = |change: &str| SHOW.replace("\"moving\": true", &format!("\"moving\": true, {change}"));
+        assert!(read(&with(r#""changes": {"exposure": 1.5}"#)).is_ok());
+        for wrong in [
+            r#""changes": {"file": "/etc/passwd"}"#,
+            r#""changes": {"transfer": {"preset": {"file": "/etc/passwd", "name": "a"}}}"#,
+            r#""more": 1"#,
+        ] {
+            assert!(read(&with(wrong)).is_err(), "{wrong}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_makes_the_reader_panic(text in ".{0,200}", at in 0..SHOW.len(), byte in any::<u8>()) {
+            let _ = serde_json::from_str::<FromPage>(&text);
+            let mut damaged = SHOW.as_bytes().to_vec();
+            damaged[at] = byte;
+            if let Ok(FromPage::Show(show)) = serde_json::from_slice::<FromPage>(&damaged) {
+                let _ = show.check();
+            }
+        }
+    }
+}
