@@ -11,6 +11,7 @@
 
 mod access;
 mod compose;
+mod connections;
 mod frames;
 mod pacing;
 mod page;

@@ -20,6 +20,7 @@ use tokio::sync::mpsc;
 
 use crate::access::{Access, Refusal, SECRET_BYTES};
 use crate::compose::{Opened, Subject};
+use crate::connections::Limited;
 use crate::frames::{Frames, Outgoing};
 use crate::page;
 use crate::protocol::{FromPage, MOST_MESSAGE_BYTES, ToPage};
@@ -30,6 +31,8 @@ use crate::wanted::Wanted;
 const MOST_PAGES: usize = 8;
 /// Messages that wait for a page, besides frames, of which at most two are under way.
 const MESSAGES_WAITING: usize = 4;
+/// Between pings, which keep a page that rests from being taken for one that has gone.
+const BETWEEN_PINGS: Duration = Duration::from_secs(10);
 /// A page that takes longer than this for a message has gone.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// What the page may do: run its own scripts, show its own pictures, speak to this server, and nothing else.
@@ -157,7 +160,7 @@ impl Server {
             .fallback(async || StatusCode::NOT_FOUND)
             .layer(middleware::from_fn_with_state(self.shared.clone(), guard))
             .with_state(self.shared);
-        self.runtime.block_on(axum::serve(self.listener, router).into_future())
+        self.runtime.block_on(axum::serve(Limited::new(self.listener), router).into_future())
     }
 }
 
@@ -286,6 +289,7 @@ async fn serve_page(place: Place, mut socket: WebSocket) {
         return;
     }
     let mut rate = Rate::new();
+    let mut pings = tokio::time::interval(BETWEEN_PINGS);
     loop {
         let ended = tokio::select! {
             message = socket.recv() => match message.map(|message| message.map(|m| hear(shared, &wanted, &mut rate, m))) {
@@ -293,6 +297,7 @@ async fn serve_page(place: Place, mut socket: WebSocket) {
                 Some(Ok(Ok(Some(answer)))) => give(&mut socket, Outgoing::Text(answer)).await,
                 Some(Ok(Err(()))) | Some(Err(_)) | None => Err(()),
             },
+            _ = pings.tick() => ping(&mut socket).await,
             message = outgoing.recv() => match message {
                 Some(message) => give(&mut socket, message).await,
                 None => Err(()),
@@ -348,6 +353,14 @@ async fn give(socket: &mut WebSocket, message: Outgoing) -> Result<(), ()> {
         Outgoing::Text(text) => Message::Text(serde_json::to_string(&text).map_err(|_| ())?.into()),
         Outgoing::Frame(bytes) => Message::Binary(bytes.into()),
     };
+    deliver(socket, message).await
+}
+
+async fn ping(socket: &mut WebSocket) -> Result<(), ()> {
+    deliver(socket, Message::Ping(Vec::new().into())).await
+}
+
+async fn deliver(socket: &mut WebSocket, message: Message) -> Result<(), ()> {
     match tokio::time::timeout(PATIENCE, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) | Err(_) => Err(()),

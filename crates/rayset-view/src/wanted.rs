@@ -9,8 +9,9 @@ use crate::protocol::Show;
 
 /// Most frames on their way to a page: one that it draws, and one behind it.
 const MOST_IN_FLIGHT: u32 = 2;
-/// A quick frame that has taken longer than this is given up for a newer one.
-const PATIENCE: Duration = Duration::from_millis(150);
+/// A quick frame that has taken longer than this is given up for a newer one. Sooner, and a scene that is slow to trace would show nothing
+/// while it moves.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// The latest wish of a page, and how far it has been fulfilled.
 #[derive(Default)]
