@@ -12,14 +12,14 @@ use serde_json::Value;
 
 use crate::compose::{self, Opened};
 use crate::pacing::Pacing;
-use crate::payload::{self, Rectangle, Shown};
+use crate::payload::{self, Depths, Rectangle, Shown};
 use crate::protocol::{Show, ToPage};
 use crate::wanted::{Grade, Order, Wanted};
 
 /// Finished parts of a picture are sent at most this often.
 const BETWEEN_PARTS: Duration = Duration::from_millis(40);
 /// Rows of a finished picture that are sent together.
-const BAND_ROWS: u32 = 64;
+const BAND_ROWS: u32 = 32;
 /// Most rectangles in a message.
 const MOST_RECTANGLES: usize = 4096;
 /// What the page shows where a moving picture is transparent.
@@ -45,6 +45,7 @@ pub(crate) struct Frames {
     prepared: Option<Prepared>,
     pacing: Pacing,
     shown: Shown,
+    depths: Depths,
 }
 
 /// A scene that is ready to be traced.
@@ -77,8 +78,8 @@ impl From<RenderError> for Unfinished {
 
 impl Frames {
     pub(crate) fn new(session: Session, opened: Arc<Opened>, wanted: Arc<Wanted>, send: Send) -> Self {
-        let (pacing, shown) = (Pacing::new(), Shown::default());
-        Self { session, opened, wanted, send, prepared: None, pacing, shown }
+        let (pacing, shown, depths) = (Pacing::new(), Shown::default(), Depths::default());
+        Self { session, opened, wanted, send, prepared: None, pacing, shown, depths }
     }
 
     /// Makes pictures until nobody looks any more.
@@ -140,7 +141,8 @@ impl Frames {
         let SceneFile { scene, settings, display_transform, .. } =
             compose::parse(&self.opened.subject.path, &whole).map_err(Unfinished::Problem)?;
         let is_shaded_at_the_end = settings.ambient_occlusion > 0.0;
-        let scene = self.session.prepare(&scene, &settings)?;
+        // Distances, with which the page moves a picture until the next has come. They change no pixel.
+        let scene = self.session.prepare(&scene, &settings.with_layers(true))?;
         Ok(Prepared { composed, scene, display_transform, is_shaded_at_the_end })
     }
 
@@ -148,16 +150,21 @@ impl Frames {
     fn quick(&mut self, order: &Order, view: &View, size: [u32; 2]) -> Result<(), Unfinished> {
         let started = Instant::now();
         self.shown.resize(size);
+        self.depths.resize(size);
         let encode = self.encoder();
-        let shown = &mut self.shown;
+        let (shown, depths) = (&mut self.shown, &mut self.depths);
         let mut sink = |finished: &FinishedTile<'_>| -> Result<(), SinkError> {
             put(shown, finished, &encode);
+            let tile = finished.tile;
+            for (y, row) in (tile.y..).zip(finished.layers.chunks(tile.width as usize)) {
+                depths.set_row(tile.x, y, row.iter().map(|pixel| pixel.depth));
+            }
             Ok(())
         };
         view.render(&Work::tiles(view.tiles(&view.region())), &order.cancel, &mut sink)?;
         self.pacing.traced(size, started.elapsed());
         let frame = self.wanted.wait_to_send(&order.cancel).ok_or(Unfinished::GivenUp)?;
-        self.give(payload::whole(order.show.generation, frame, &self.shown, BEHIND))
+        self.give(payload::whole(order.show.generation, frame, &self.shown, &self.depths, BEHIND))
     }
 
     /// The picture that `rayset render` makes, part by part, without loss: one ray a pixel first, then all.

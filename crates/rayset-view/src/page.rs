@@ -16,7 +16,7 @@ macro_rules! files {
     };
 }
 
-const FILES: [PageFile; 9] = files!(
+const FILES: [PageFile; 10] = files!(
     "index.html",
     "icon.svg",
     "style.css",
@@ -25,7 +25,8 @@ const FILES: [PageFile; 9] = files!(
     "camera.js",
     "frames.js",
     "gestures.js",
-    "panels.js"
+    "panels.js",
+    "warp.js"
 );
 
 /// The file of a name; `None` if the page has none.

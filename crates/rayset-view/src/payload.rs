@@ -43,11 +43,67 @@ impl Shown {
 /// A rectangle of pixels: left, top, width, height.
 pub(crate) type Rectangle = [u16; 4];
 
-/// The whole picture as JPEG, over a background.
-pub(crate) fn whole(generation: u32, frame: u32, shown: &Shown, background: [u8; 3]) -> Vec<u8> {
+/// Distances from the eye, one for each pixel; infinite where there is nothing.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Depths {
+    width: u32,
+    distances: Vec<f32>,
+}
+
+impl Depths {
+    /// Forgets all distances of a picture of another size.
+    pub(crate) fn resize(&mut self, [width, height]: [u32; 2]) {
+        self.width = width;
+        self.distances.clear();
+        self.distances.resize(width as usize * height as usize, f32::INFINITY);
+    }
+
+    /// Sets distances of a row, from column `x` on.
+    pub(crate) fn set_row(&mut self, x: u32, y: u32, distances: impl Iterator<Item = f32>) {
+        let at = y as usize * self.width as usize + x as usize;
+        self.distances[at..].iter_mut().zip(distances).for_each(|(to, distance)| *to = distance);
+    }
+
+    /// Every so many-th distance of every so many-th row, such that rows have at most [`MOST_DEPTHS`]: their number in a row,
+    /// in a column, the least distance, and for each the quotient of the least by it, in 65535ths; 0 is infinite.
+    fn encode(&self, into: &mut Vec<u8>) {
+        let stride = self.width.div_ceil(MOST_DEPTHS).max(1) as usize;
+        let rows: Vec<&[f32]> = self.distances.chunks(self.width.max(1) as usize).step_by(stride).collect();
+        let picked = || rows.iter().flat_map(|row| row.iter().step_by(stride));
+        let nearest =
+            picked().fold(f32::INFINITY, |nearest, &distance| nearest.min(distance.max(f32::MIN_POSITIVE)));
+        let columns = (self.width as usize).div_ceil(stride);
+        into.extend_from_slice(&(columns as u16).to_le_bytes());
+        into.extend_from_slice(&(rows.len() as u16).to_le_bytes());
+        into.extend_from_slice(&nearest.to_le_bytes());
+        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
+        for &distance in picked() {
+            // An infinite distance gives 0, one that is not a number too.
+            let part = (nearest / distance * 65535.0).round() as u16;
+            // Writing to memory does not fail.
+            let _ = encoder.write_all(&part.to_le_bytes());
+        }
+        let compressed = encoder.finish().unwrap_or_default();
+        into.extend_from_slice(&(compressed.len() as u32).to_le_bytes());
+        into.extend_from_slice(&compressed);
+    }
+}
+
+/// Most distances in a row that are sent.
+const MOST_DEPTHS: u32 = 360;
+
+/// The whole picture as JPEG, over a background, and its distances before it.
+pub(crate) fn whole(
+    generation: u32,
+    frame: u32,
+    shown: &Shown,
+    depths: &Depths,
+    background: [u8; 3],
+) -> Vec<u8> {
     let size = shown.size();
     let head = FrameHead { kind: FrameKind::Whole, generation, frame, size, rectangles: 0 };
     let mut message = head.bytes().to_vec();
+    depths.encode(&mut message);
     let over = |pixel: &[u8]| -> [u8; 3] {
         let alpha = u32::from(pixel[3]);
         std::array::from_fn(|k| {
@@ -107,5 +163,30 @@ mod tests {
         assert_eq!(pixels.len(), 4 * (30 + 1200));
         assert_eq!(pixels[..4], [3, 4, 12, 252]);
         assert_eq!(pixels[4 * 30..], shown.rgba);
+    }
+
+    #[test]
+    fn distances_come_back_within_a_65535th_of_the_nearest_and_nothing_stays_nothing() {
+        let mut depths = Depths::default();
+        depths.resize([700, 3]);
+        depths.set_row(0, 0, (0..700).map(|x| if x % 7 == 0 { f32::INFINITY } else { 2.0 + x as f32 }));
+        let mut message = Vec::new();
+        depths.encode(&mut message);
+        let number = |at| u16::from_le_bytes([message[at], message[at + 1]]);
+        // Every second of 700, and of three rows two.
+        assert_eq!([number(0), number(2)], [350, 2]);
+        let nearest = f32::from_le_bytes([message[4], message[5], message[6], message[7]]);
+        assert_eq!(nearest, 4.0);
+        let mut parts = Vec::new();
+        flate2::read::ZlibDecoder::new(&message[12..]).read_to_end(&mut parts).expect("it is whole");
+        for (at, part) in parts.as_chunks::<2>().0.iter().enumerate() {
+            let part = f32::from(u16::from_le_bytes(*part));
+            let x = 2 * (at % 350);
+            if x % 7 == 0 || at >= 350 {
+                assert_eq!(part, 0.0);
+            } else {
+                assert!((part / 65535.0 - nearest / (2.0 + x as f32)).abs() <= 1.0 / 65535.0, "{x}");
+            }
+        }
     }
 }

@@ -149,7 +149,7 @@ pub(crate) struct FrameHead {
 /// What a binary message holds behind its head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FrameKind {
-    /// One JPEG, the whole picture.
+    /// Distances from the eye (see `Depths`), then one JPEG, the whole picture.
     Whole = 1,
     /// Rectangles, `x`, `y`, `width` and `height` of each as 16-bit numbers; then, compressed by zlib, their pixels, row
     /// by row, rectangle by rectangle: 8-bit RGBA, straight alpha.

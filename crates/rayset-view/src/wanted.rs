@@ -77,6 +77,12 @@ impl Wanted {
         if let Some(cancel) = over {
             cancel.cancel();
         }
+        self.notify();
+    }
+
+    /// Wakes whoever waits. Under the lock, so that none that has just looked, and found nothing, misses it.
+    fn notify(&self) {
+        let _state = self.lock();
         self.changed.notify_all();
     }
 
@@ -97,7 +103,7 @@ impl Wanted {
         if let Some(cancel) = working {
             cancel.cancel();
         }
-        self.changed.notify_all();
+        self.notify();
     }
 
     /// Waits for a picture to make: first a quick one of what is wanted, then, if nothing moves, a fine one. `None` once nobody

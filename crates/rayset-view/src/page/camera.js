@@ -55,7 +55,27 @@ export function cameraOf(pose, bounds) {
   const size = Math.hypot(...subtract(bounds[1], bounds[0]));
   const ahead = dot(subtract(middle, pose.position), direction);
   const distance = ahead > 0 && Number.isFinite(ahead) ? ahead : size || 1;
-  return { position: pose.position, direction, up: unit(pose.up), fovy: pose.fovy, distance };
+  return { position: pose.position, direction, up: upright(direction, unit(pose.up)), fovy: pose.fovy, distance };
+}
+
+/**
+ * What stays upright when a camera turns: the axis of the world that its `up` leans from, if there is one.
+ * @param {Vector} direction @param {Vector} up @returns {Vector}
+ */
+function upright(direction, up) {
+  /** @param {Vector} v across the direction */
+  const across = (v) => unit(subtract(v, scale(direction, dot(direction, v))));
+  for (const axis of [0, 1, 2]) {
+    for (const sign of [1, -1]) {
+      /** @type {Vector} */
+      const candidate = [0, 0, 0];
+      candidate[axis] = sign;
+      if (Math.abs(dot(candidate, direction)) < STEEPEST && dot(across(candidate), across(up)) > 1 - 1e-6) {
+        return candidate;
+      }
+    }
+  }
+  return up;
 }
 
 /** @param {Camera} camera @returns {Vector} */

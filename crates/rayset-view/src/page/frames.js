@@ -15,6 +15,15 @@ const WHOLE = 1;
  * @property {Uint8Array<ArrayBuffer>} body
  */
 
+/**
+ * @typedef {object} Depths distances from the eye on a lattice over the picture
+ * @property {number} columns
+ * @property {number} rows
+ * @property {number} nearest
+ * @property {number} farthest
+ * @property {Uint16Array<ArrayBuffer>} parts `nearest` by the distance, in 65535ths; 0 is nothing
+ */
+
 /** @param {ArrayBuffer} message @returns {Frame} */
 export function parse(message) {
   const head = new DataView(message);
@@ -43,6 +52,20 @@ async function inflate(bytes) {
   return new Uint8ClampedArray(await new Response(stream).arrayBuffer());
 }
 
+/** The distances of a whole frame, and its picture. @param {Uint8Array<ArrayBuffer>} body */
+async function whole(body) {
+  const head = new DataView(body.buffer, body.byteOffset);
+  const length = head.getUint32(8, true);
+  const parts = new Uint16Array((await inflate(body.subarray(12, 12 + length))).buffer);
+  const nearest = head.getFloat32(4, true);
+  let least = 65535;
+  for (const part of parts) if (part > 0 && part < least) least = part;
+  const [columns, rows] = [head.getUint16(0, true), head.getUint16(2, true)];
+  const depths = { columns, rows, nearest, farthest: (nearest * 65535) / least, parts };
+  const picture = await createImageBitmap(new Blob([body.subarray(12 + length)], { type: "image/jpeg" }));
+  return { depths, picture };
+}
+
 /** Draws frames. */
 export class Painter {
   /** @type {ImageData | null} the parts that have come without loss, with their exact bytes */
@@ -51,9 +74,13 @@ export class Painter {
   /** Frames are drawn in order, though they are decoded in their own time. */
   #last = Promise.resolve();
 
-  /** @param {HTMLCanvasElement} canvas */
-  constructor(canvas) {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {(frame: Frame, depths: Depths, picture: ImageBitmap) => boolean} moving given whole frames; whether it has drawn them
+   */
+  constructor(canvas, moving) {
     this.canvas = canvas;
+    this.moving = moving;
     const context = canvas.getContext("2d");
     if (!context) throw new Error("this browser draws nothing on a canvas");
     this.context = context;
@@ -92,8 +119,8 @@ export class Painter {
   async #paint(frame) {
     const { canvas, context } = this;
     if (frame.kind === WHOLE) {
-      const picture = await createImageBitmap(new Blob([frame.body], { type: "image/jpeg" }));
-      context.drawImage(picture, 0, 0, canvas.width, canvas.height);
+      const { depths, picture } = await whole(frame.body);
+      if (!this.moving(frame, depths, picture)) context.drawImage(picture, 0, 0, canvas.width, canvas.height);
       picture.close();
       return;
     }

@@ -85,19 +85,20 @@ function viewpoints(view, begin) {
 /** @param {RaysetView} view @param {() => void} begin */
 function light(view, begin) {
   const own = view.scene?.lights?.find?.((/** @type {any} */ each) => each.type === "directional");
-  const direction = /** @type {Vector} */ (own?.direction ?? [-0.5, -1, -0.5]);
   const up = view.home?.up ?? [0, 1, 0];
   // The sun is told by its place in the sky, against what is up.
   const axis = [0, 1, 2].reduce((best, k) => (Math.abs(up[k]) > Math.abs(up[best]) ? k : best), 0);
   const sign = Math.sign(up[axis]) || 1;
   const [east, north] = [(axis + 1) % 3, (axis + 2) % 3];
-  const toward = direction.map((v) => -v / Math.hypot(...direction));
-  const sun = {
-    azimuth: (Math.atan2(toward[north], toward[east]) * 180) / Math.PI,
-    elevation: (Math.asin(Math.min(Math.max(toward[axis] * sign, -1), 1)) * 180) / Math.PI,
-    intensity: own?.intensity ?? 1,
-    shadow: own ? own.shadow !== false : false,
+  const placed = (/** @type {import("./view.js").Sun} */ { direction, intensity, shadow }) => {
+    const toward = direction.map((v) => -v / (Math.hypot(...direction) || 1));
+    const height = Math.min(Math.max(toward[axis] * sign, -1), 1);
+    const azimuth = (Math.atan2(toward[north], toward[east]) * 180) / Math.PI;
+    return { azimuth, elevation: (Math.asin(height) * 180) / Math.PI, intensity, shadow };
   };
+  const first = placed({ direction: own?.direction ?? [-0.5, -1, -0.5], intensity: own?.intensity ?? 1,
+    shadow: own ? own.shadow !== false : false });
+  let sun = { ...first };
   const apply = () => {
     const [a, e] = [(sun.azimuth * Math.PI) / 180, (sun.elevation * Math.PI) / 180];
     /** @type {Vector} */
@@ -111,16 +112,23 @@ function light(view, begin) {
   const one = (/** @type {number} */ v) => v.toFixed(1);
   const exposure = slider("Exposure", [-4, 4, 0.1], view.scene?.image?.exposure ?? 0,
     (stops) => (view.changes = { ...view.changes, exposure: stops }), one);
-  view.addEventListener("change", () => exposure.set(view.changes.exposure ?? view.scene?.image?.exposure ?? 0));
-  if (view.scene?.lights === "none") return section("Light", [exposure.row]);
+  const ownExposure = view.scene?.image?.exposure ?? 0;
   const shadows = checkbox("Shadows", sun.shadow, (on) => (begin(), (sun.shadow = on), apply()));
-  return section("Light", [
-    exposure.row,
-    slider("Sun, around", [-180, 180, 1], sun.azimuth, (v) => ((sun.azimuth = v), apply()), degrees).row,
-    slider("Sun, height", [-90, 90, 1], sun.elevation, (v) => ((sun.elevation = v), apply()), degrees).row,
-    slider("Sun, bright", [0, 3, 0.05], sun.intensity, (v) => ((sun.intensity = v), apply()), one).row,
-    shadows.row,
-  ]);
+  const around = slider("Sun, around", [-180, 180, 1], sun.azimuth, (v) => ((sun.azimuth = v), apply()), degrees);
+  const height = slider("Sun, height", [-90, 90, 1], sun.elevation, (v) => ((sun.elevation = v), apply()), degrees);
+  const bright = slider("Sun, bright", [0, 3, 0.05], sun.intensity, (v) => ((sun.intensity = v), apply()), one);
+  const follow = () => {
+    exposure.set(view.changes.exposure ?? ownExposure);
+    sun = view.changes.sun ? placed(view.changes.sun) : { ...first };
+    around.set(sun.azimuth);
+    height.set(sun.elevation);
+    bright.set(sun.intensity);
+    shadows.input.checked = sun.shadow;
+  };
+  view.addEventListener("change", follow);
+  follow();
+  if (view.scene?.lights === "none") return section("Light", [exposure.row]);
+  return section("Light", [exposure.row, around.row, height.row, bright.row, shadows.row]);
 }
 
 /** @param {RaysetView} view @param {() => void} begin */
@@ -128,7 +136,7 @@ function sectionBox(view, begin) {
   const [low, high] = view.bounds;
   const part = [[0, 1], [0, 1], [0, 1]];
   let on = false;
-  const at = (/** @type {number} */ axis, /** @type {number} */ v) => low[axis] + v * (high[axis] - low[axis]);
+  const at = (/** @type {number} */ axis, /** @type {number} */ v) => (v === 1 ? high[axis] : low[axis] + v * (high[axis] - low[axis]));
   const apply = () => {
     const { section: _, ...others } = view.changes;
     if (!on) return void (view.changes = others);
@@ -138,16 +146,29 @@ function sectionBox(view, begin) {
   const rows = checkbox("Section", false, (checked) => (begin(), (on = checked), apply()));
   const sliders = ["x", "y", "z"].flatMap((name, axis) => [0, 1].map((end) => {
     const text = (/** @type {number} */ v) => at(axis, v).toPrecision(4);
-    const made = slider(`${name} ${end ? "to" : "from"}`, [0, 1, 0.005], end, (v) => {
+    return slider(`${name} ${end ? "to" : "from"}`, [0, 1, 0.005], end, (v) => {
       const apart = 0.005;
       part[axis][end] = end ? Math.max(v, part[axis][0] + apart) : Math.min(v, part[axis][1] - apart);
-      on = rows.input.checked = true;
+      on = true;
       apply();
     }, text);
-    return made.row;
   }));
-  view.addEventListener("change", () => (rows.input.checked = on = Boolean(view.changes.section)));
-  return section("Section box", [rows.row, ...sliders]);
+  const follow = () => {
+    const box = view.changes.section;
+    rows.input.checked = on = Boolean(box);
+    // Without a box, the sliders keep what it was.
+    if (!box) return;
+    for (let axis = 0; axis < 3; axis++) {
+      [box.min, box.max].forEach((corner, end) => {
+        const size = high[axis] - low[axis] || 1;
+        part[axis][end] = Math.min(Math.max((corner[axis] - low[axis]) / size, 0), 1);
+        sliders[2 * axis + end].set(part[axis][end]);
+      });
+    }
+  };
+  view.addEventListener("change", follow);
+  follow();
+  return section("Section box", [rows.row, ...sliders.map(({ row }) => row)]);
 }
 
 /** @param {RaysetView} view */

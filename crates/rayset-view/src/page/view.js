@@ -6,12 +6,13 @@
  *     view.addEventListener("hello", () => { view.camera = orbit(view.camera, 0.5, 0); });
  *
  * Events: `hello` (a scene has been opened; `view.scene`, `view.bounds` and `view.camera` are known), `change` (the camera or
- * the changes are others), `frame`, `converged` (`detail.seconds`: the picture is complete), `problem` (`detail.what`),
+ * the changes are others), `frame`, `reprojected` (the last picture was drawn as the camera sees it now), `converged` (`detail.seconds`: the picture is complete), `problem` (`detail.what`),
  * `connection` (`detail.open`).
  */
 
 import { cameraOf, zoom } from "./camera.js";
 import { Painter, parse } from "./frames.js";
+import { Warp } from "./warp.js";
 
 /**
  * @typedef {import("./camera.js").Camera} Camera
@@ -24,6 +25,10 @@ import { Painter, parse } from "./frames.js";
 
 /** A picture moves as long as changes follow each other faster than this, in milliseconds. */
 const REST = 120;
+/** A picture that was asked for less than so many milliseconds ago is drawn as it is. */
+const RECENT = 80;
+/** Milliseconds between two drawings of the last picture: the program needs the processor, too. */
+const BETWEEN_WARPS = 25;
 /** Width over height of the picture that the program chooses a camera for. */
 const CHOSEN_ASPECT = 16 / 9;
 /** Largest edge of a picture. */
@@ -47,11 +52,20 @@ export class RaysetView extends EventTarget {
   #generation = 0;
   #converged = false;
   #restTimer = 0;
+  #rests = false;
   #pending = 0;
   #failures = 0;
   #closed = false;
   /** @type {WebSocket | null} */
   #socket = null;
+  /** @type {Map<number, {camera: Camera, asked: number}>} generations whose pictures may still come, and when they were asked for */
+  #asked = new Map();
+  /** The last whole frame, for as long as nothing better has come. */
+  #warp = new Warp();
+  /** When that frame was asked for. */
+  #warpAsked = 0;
+  /** When it was last drawn for another camera. */
+  #warped = 0;
   #address;
   #painter;
   #observer;
@@ -60,7 +74,7 @@ export class RaysetView extends EventTarget {
   constructor(canvas, options = {}) {
     super();
     this.canvas = canvas;
-    this.#painter = new Painter(canvas);
+    this.#painter = new Painter(canvas, (frame, depths, picture) => this.#takeWhole(frame, depths, picture));
     const address = new URL(options.socket ?? "socket", document.baseURI);
     address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
     this.#address = address;
@@ -221,6 +235,36 @@ export class RaysetView extends EventTarget {
     this.#changed();
   }
 
+  /**
+   * Takes a whole frame, which shows what was wanted some moments ago; draws it as it looks from where the camera is now if that is long
+   * ago. Returns whether it has drawn it.
+   * @param {import("./frames.js").Frame} frame @param {import("./frames.js").Depths} depths @param {ImageBitmap} picture
+   */
+  #takeWhole(frame, depths, picture) {
+    const known = this.#asked.get(frame.generation);
+    if (!known) return false;
+    for (const generation of this.#asked.keys()) if (generation < frame.generation) this.#asked.delete(generation);
+    this.#warp.take(known.camera, depths, picture, this.#aspect);
+    this.#warpAsked = known.asked;
+    return frame.generation !== this.#generation && this.#reproject();
+  }
+
+  /** Draws the last picture as the camera sees it now, unless it is nearly of now. Returns whether it has. */
+  #reproject() {
+    const now = performance.now();
+    if (!this.#camera || now - this.#warpAsked < RECENT || now - this.#warped < BETWEEN_WARPS) return false;
+    this.#warped = now;
+    const drawn = this.#warp.draw(this.#camera, this.#aspect);
+    if (!drawn) return false;
+    this.#painter.context.drawImage(drawn, 0, 0, this.canvas.width, this.canvas.height);
+    this.#tell("reprojected", {});
+    return true;
+  }
+
+  get #aspect() {
+    return this.canvas.width / this.canvas.height;
+  }
+
   /** Something is to be seen differently: said at most once for each frame of the screen, and once more when it rests. */
   #changed() {
     this.#converged = false;
@@ -229,17 +273,24 @@ export class RaysetView extends EventTarget {
     if (this.#pending === 0) {
       this.#pending = requestAnimationFrame(() => {
         this.#pending = 0;
-        this.#show(true);
+        this.#reproject();
+        this.#show(!this.#rests);
       });
     }
+    this.#rests = false;
     clearTimeout(this.#restTimer);
-    this.#restTimer = window.setTimeout(() => this.#show(false), REST);
+    this.#restTimer = window.setTimeout(() => {
+      this.#rests = true;
+      // A change that the screen has not had time for yet will say that it is the last.
+      if (this.#pending === 0) this.#show(false);
+    }, REST);
   }
 
   /** @param {boolean} moving */
   #show(moving) {
     if (!this.#camera) return;
     this.#generation += 1;
+    this.#asked.set(this.#generation, { camera: this.#camera, asked: performance.now() });
     this.#send({ type: "show", generation: this.#generation, moving, ...this.shown });
   }
 
