@@ -19,8 +19,10 @@ use crate::{demo, values};
 
 /// Memory for the whole process if nothing else is said.
 const DEFAULT_MEMORY: u64 = 256 << 20;
-/// Memory of the server, and of the pictures on their way to pages.
-const SERVER_BYTES: u64 = 24 << 20;
+/// Memory of the server, besides the pictures of pages.
+const SERVER_BYTES: u64 = 4 << 20;
+/// The least and the most for pictures of pages, which may otherwise take a quarter of the memory.
+const PICTURE_BYTES: std::ops::RangeInclusive<u64> = 16 << 20..=256 << 20;
 /// The least that a session is of use with.
 const LEAST_SESSION_BYTES: u64 = 8 << 20;
 /// Size for which a look is chosen; the page then asks for its own.
@@ -58,7 +60,7 @@ pub(crate) struct ViewArgs {
 }
 
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
-    let least = PROCESS_BYTES + SERVER_BYTES + LEAST_SESSION_BYTES;
+    let least = PROCESS_BYTES + SERVER_BYTES + PICTURE_BYTES.start() + LEAST_SESSION_BYTES;
     ensure!(
         args.memory >= least,
         "--memory {} is too small to look around; at least {} will do",
@@ -71,12 +73,14 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let opened = input::open(&inputs, &args.cache, Resources { memory: args.memory, threads: args.threads })?;
     let subject = subject(args, &inputs, &opened)?;
 
-    let mut session = Session::builder().memory(args.memory - PROCESS_BYTES - SERVER_BYTES);
+    let picture_bytes = (args.memory / 4).clamp(*PICTURE_BYTES.start(), *PICTURE_BYTES.end());
+    let mut session = Session::builder().memory(args.memory - PROCESS_BYTES - SERVER_BYTES - picture_bytes);
     if let Some(threads) = args.threads {
         session = session.threads(threads);
     }
     let mut options = Options::new(key(), args.port);
     options.allowed_hosts.clone_from(&args.allow_host);
+    options.picture_bytes = picture_bytes;
     let server = Server::start(subject, session.build()?, options, |line| remark(line))?;
     let invitation = server.invitation()?;
     say(&invitation);

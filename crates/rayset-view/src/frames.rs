@@ -41,6 +41,7 @@ pub(crate) struct Frames {
     opened: Arc<Opened>,
     wanted: Arc<Wanted>,
     send: Send,
+    most_pixels: u64,
     /// What was shown last.
     prepared: Option<Prepared>,
     pacing: Pacing,
@@ -77,9 +78,15 @@ impl From<RenderError> for Unfinished {
 }
 
 impl Frames {
-    pub(crate) fn new(session: Session, opened: Arc<Opened>, wanted: Arc<Wanted>, send: Send) -> Self {
+    pub(crate) fn new(
+        session: Session,
+        opened: Arc<Opened>,
+        most_pixels: u64,
+        wanted: Arc<Wanted>,
+        send: Send,
+    ) -> Self {
         let (pacing, shown, depths) = (Pacing::new(), Shown::default(), Depths::default());
-        Self { session, opened, wanted, send, prepared: None, pacing, shown, depths }
+        Self { session, opened, most_pixels, wanted, send, prepared: None, pacing, shown, depths }
     }
 
     /// Makes pictures until nobody looks any more.
@@ -124,7 +131,7 @@ impl Frames {
 
     /// The scene that a page wants. Only what has changed is prepared anew: never for the camera alone.
     fn scene(&mut self, show: &Show) -> Result<PreparedScene, Unfinished> {
-        show.check().map_err(Unfinished::Problem)?;
+        show.check(self.most_pixels).map_err(Unfinished::Problem)?;
         let mut composed = self.opened.composed(show);
         composed["camera"] = Value::Null;
         composed["image"]["size"] = Value::Null;

@@ -111,6 +111,7 @@ pub(crate) struct Transfer {
 #[serde(tag = "type", rename_all = "camelCase")]
 pub(crate) enum ToPage {
     /// The first of all: what was opened.
+    #[serde(rename_all = "camelCase")]
     Hello {
         title: String,
         /// Where it is best seen from.
@@ -119,6 +120,8 @@ pub(crate) enum ToPage {
         bounds: [[f64; 3]; 2],
         /// The scene as it was opened.
         scene: Box<Value>,
+        /// The most pixels that a picture may have.
+        most_pixels: u64,
     },
     /// The picture of a generation is complete: what `rayset render` makes of the same scene.
     Converged { generation: u32, seconds: f64 },
@@ -171,8 +174,13 @@ impl FrameHead {
 
 impl Show {
     /// What is wrong with it before the scene is looked at.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self, most_pixels: u64) -> Result<(), String> {
         let [width, height] = self.size;
+        if u64::from(width) * u64::from(height) > most_pixels {
+            return Err(format!(
+                "{width}x{height} are more than the {most_pixels} pixels that a page may have"
+            ));
+        }
         if !(1..=MOST_EDGE).contains(&width) || !(1..=MOST_EDGE).contains(&height) {
             return Err(format!("a picture of {width}x{height} pixels; expected 1 to {MOST_EDGE} each"));
         }
@@ -215,7 +223,7 @@ mod tests {
             let mut damaged = SHOW.as_bytes().to_vec();
             damaged[at] = byte;
             if let Ok(FromPage::Show(show)) = serde_json::from_slice::<FromPage>(&damaged) {
-                let _ = show.check();
+                let _ = show.check(1 << 20);
             }
         }
     }

@@ -28,7 +28,9 @@ use crate::rate::Rate;
 use crate::wanted::Wanted;
 
 /// Most pages that are connected at a time.
-const MOST_PAGES: usize = 8;
+const MOST_PAGES: usize = 4;
+/// Bytes that a page's picture takes for each of its pixels: as it is shown, its distances, on its way.
+const PIXEL_BYTES: u64 = 14;
 /// Messages that wait for a page, besides frames, of which at most two are under way.
 const MESSAGES_WAITING: usize = 4;
 /// Between pings, which keep a page that rests from being taken for one that has gone.
@@ -47,15 +49,17 @@ pub struct Options {
     pub port: u16,
     /// Names besides those of this machine, with or without a port, under which a proxy may be reached.
     pub allowed_hosts: Vec<String>,
+    /// Bytes for the pictures of all pages together.
+    pub picture_bytes: u64,
     /// What cookies are signed with. Kept from one run to the next, it lets pages connect again.
     pub key: [u8; SECRET_BYTES],
 }
 
 impl Options {
-    /// Options with a key, on a port.
+    /// Options with a key, on a port, with 64 MiB for pictures.
     #[must_use]
     pub fn new(key: [u8; SECRET_BYTES], port: u16) -> Self {
-        Self { port, allowed_hosts: Vec::new(), key }
+        Self { port, allowed_hosts: Vec::new(), picture_bytes: 64 << 20, key }
     }
 }
 
@@ -92,6 +96,8 @@ struct Shared {
     access: Access,
     session: Session,
     opened: Arc<Opened>,
+    /// The most pixels of a page's picture.
+    most_pixels: u64,
     hello: ToPage,
     pages: AtomicUsize,
     log: Box<dyn Fn(&str) + Send + Sync>,
@@ -109,12 +115,14 @@ impl Server {
         options: Options,
         log: impl Fn(&str) + Send + Sync + 'static,
     ) -> Result<Self, ServeError> {
+        let most_pixels = options.picture_bytes / MOST_PAGES as u64 / PIXEL_BYTES;
         let opened = Arc::new(Opened::new(subject).map_err(ServeError::Scene)?);
         let hello = ToPage::Hello {
             title: opened.subject.title.clone(),
             camera: opened.camera,
             bounds: [opened.bounds.min.to_array(), opened.bounds.max.to_array()],
             scene: Box::new(opened.subject.scene.clone()),
+            most_pixels,
         };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), options.port);
@@ -124,7 +132,7 @@ impl Server {
         let address = listener.local_addr()?;
         let access = Access::new(options.key, address.port(), options.allowed_hosts);
         let pages = AtomicUsize::new(0);
-        let shared = Shared { access, session, opened, hello, pages, log: Box::new(log) };
+        let shared = Shared { access, session, opened, most_pixels, hello, pages, log: Box::new(log) };
         Ok(Self { runtime, listener, shared: Arc::new(shared), address })
     }
 
@@ -277,7 +285,13 @@ async fn serve_page(place: Place, mut socket: WebSocket) {
     let wanted = Arc::new(Wanted::default());
     let (send, mut outgoing) = mpsc::channel(MESSAGES_WAITING);
     let to_page = Box::new(move |message| send.blocking_send(message).is_ok());
-    let frames = Frames::new(shared.session.clone(), shared.opened.clone(), wanted.clone(), to_page);
+    let frames = Frames::new(
+        shared.session.clone(),
+        shared.opened.clone(),
+        shared.most_pixels,
+        wanted.clone(),
+        to_page,
+    );
     let started = std::thread::Builder::new().name("rayset-view".into()).spawn(move || frames.run());
     if let Err(error) = started {
         (shared.log)(&format!("a page was turned away: the system starts no thread: {error}"));

@@ -55,6 +55,7 @@ export class RaysetView extends EventTarget {
   #rests = false;
   #pending = 0;
   #failures = 0;
+  #mostPixels = Infinity;
   #closed = false;
   /** @type {WebSocket | null} */
   #socket = null;
@@ -178,6 +179,8 @@ export class RaysetView extends EventTarget {
         this.title = message.title;
         this.scene = message.scene;
         this.bounds = message.bounds;
+        this.#mostPixels = message.mostPixels;
+        this.#resized();
         this.home = this.#fitted(cameraOf(message.camera, message.bounds));
         this.#camera ??= this.home;
         this.#tell("connection", { open: true });
@@ -227,9 +230,11 @@ export class RaysetView extends EventTarget {
   }
 
   #resized() {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const { clientWidth, clientHeight } = this.canvas;
+    const room = Math.sqrt((0.99 * this.#mostPixels) / Math.max(clientWidth * clientHeight, 1));
+    const ratio = Math.min(window.devicePixelRatio || 1, 2, room);
     const edge = (/** @type {number} */ length) => Math.min(Math.max(Math.round(length * ratio), 1), MOST_EDGE);
-    const [width, height] = [edge(this.canvas.clientWidth), edge(this.canvas.clientHeight)];
+    const [width, height] = [edge(clientWidth), edge(clientHeight)];
     if (width === this.canvas.width && height === this.canvas.height && this.#generation > 0) return;
     this.#painter.resize(width, height);
     this.#changed();
