@@ -88,7 +88,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     if !args.no_open {
         open_browser(&invitation);
     }
-    if std::io::stdin().is_terminal() {
+    if hears_the_terminal() {
         let invite = server.inviter();
         std::thread::spawn(move || {
             for _ in std::io::stdin().lines().map_while(Result::ok) {
@@ -159,12 +159,7 @@ fn key() -> [u8; SECRET_BYTES] {
 }
 
 fn kept_key() -> Result<[u8; SECRET_BYTES]> {
-    let state =
-        std::env::var_os("XDG_STATE_HOME").filter(|path| Path::new(path).is_absolute()).map(PathBuf::from);
-    let home = || std::env::home_dir().map(|home| home.join(".local/state"));
-    let folder = state.or_else(home).context("there is no home folder")?.join("rayset");
-    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let path = folder.join("view-key");
+    let path = state_folder()?.join("view-key");
     if let Ok(bytes) = std::fs::read(&path)
         && let Ok(key) = bytes.try_into()
         && is_private(&path)
@@ -172,17 +167,30 @@ fn kept_key() -> Result<[u8; SECRET_BYTES]> {
         return Ok(key);
     }
     let key = secret()?;
-    // Beside its name first, so that no other run reads half of it, and private from the beginning.
-    let beside = folder.join(format!("view-key.{}", std::process::id()));
+    write_private(&path, &key)?;
+    Ok(key)
+}
+
+/// The folder for what the program remembers between runs.
+fn state_folder() -> Result<PathBuf> {
+    let state = std::env::var_os("XDG_STATE_HOME").map(PathBuf::from).filter(|path| path.is_absolute());
+    let home = || std::env::home_dir().map(|home| home.join(".local/state"));
+    let folder = state.or_else(home).context("there is no home folder")?.join("rayset");
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Ok(folder)
+}
+
+/// Writes a file that nobody else can read. It has its name only when it is whole, so that no other run reads half of it.
+fn write_private(path: &Path, bytes: &[u8]) -> Result<()> {
+    let beside = path.with_extension(std::process::id().to_string());
     let mut options = std::fs::File::options();
     options.write(true).create_new(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let written = options.open(&beside).and_then(|mut file| file.write_all(&key));
+    let written = options.open(&beside).and_then(|mut file| file.write_all(bytes));
     written
-        .and_then(|()| std::fs::rename(&beside, &path))
-        .with_context(|| format!("cannot write {}", path.display()))?;
-    Ok(key)
+        .and_then(|()| std::fs::rename(&beside, path))
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Whether nobody else may read a file.
@@ -196,17 +204,38 @@ fn is_private(path: &Path) -> bool {
     path.exists()
 }
 
-/// Opens the user's browser, if there is one.
+/// Whether lines of the terminal are for this program. One in the background that asked for them would be stopped.
+fn hears_the_terminal() -> bool {
+    let stdin = std::io::stdin();
+    #[cfg(unix)]
+    let is_in_front =
+        rustix::termios::tcgetpgrp(&stdin).is_ok_and(|group| group == rustix::process::getpgrp());
+    #[cfg(not(unix))]
+    let is_in_front = true;
+    stdin.is_terminal() && is_in_front
+}
+
+/// Opens the user's browser, if there is one. What is handed over is a file that only the user can read, which leads to the address:
+/// others on the machine see the arguments of programs.
 fn open_browser(address: &str) {
-    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
-    let quiet = std::process::Stdio::null;
-    let started = std::process::Command::new(opener)
-        .arg(address)
-        .stdin(quiet())
-        .stdout(quiet())
-        .stderr(quiet())
-        .spawn();
-    if started.is_err() {
+    let page = format!(
+        "<!doctype html><meta charset=utf-8><meta http-equiv=refresh content=\"0; url={address}\">\
+         <a href=\"{address}\">Open the viewer</a>\n"
+    );
+    let opened = state_folder().and_then(|folder| {
+        let path = folder.join("view-open.html");
+        write_private(&path, page.as_bytes())?;
+        start_browser(&path)
+    });
+    if opened.is_err() {
         remark("no browser was found; open the address in one");
     }
+}
+
+fn start_browser(page: &Path) -> Result<()> {
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let quiet = std::process::Stdio::null;
+    let mut command = std::process::Command::new(opener);
+    command.arg(page).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn()?;
+    Ok(())
 }

@@ -5,7 +5,7 @@
 //! `Host` is checked so that a name that somebody else points at this machine opens nothing (DNS rebinding), `Origin` so that no other
 //! page can open the socket.
 
-use std::collections::HashSet;
+use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
 use axum::http::{HeaderMap, header};
@@ -14,7 +14,7 @@ use sha2::Sha256;
 
 /// Bytes of a token, and of the key that cookies are signed with.
 pub const SECRET_BYTES: usize = 32;
-/// Most tokens that have been issued and not yet used; the oldest matter least.
+/// Most tokens that have been issued and not yet used; beyond that, the oldest is worth nothing.
 const MOST_TOKENS: usize = 64;
 
 /// Decides about visitors.
@@ -24,7 +24,7 @@ pub(crate) struct Access {
     cookie_name: String,
     allowed_hosts: Vec<String>,
     /// Issued, and not used yet.
-    tokens: Mutex<HashSet<String>>,
+    tokens: Mutex<VecDeque<String>>,
 }
 
 /// Why a visitor is refused.
@@ -61,18 +61,18 @@ impl Access {
         let token = hex(&secret()?[..16]);
         let mut tokens = self.tokens.lock().unwrap_or_else(PoisonError::into_inner);
         if tokens.len() >= MOST_TOKENS {
-            tokens.clear();
+            tokens.pop_front();
         }
-        tokens.insert(token.clone());
+        tokens.push_back(token.clone());
         Ok(token)
     }
 
     /// Uses a token up. Returns the cookie to set.
     pub(crate) fn redeem(&self, token: &str) -> Result<String, Refusal> {
-        let known = self.tokens.lock().unwrap_or_else(PoisonError::into_inner).remove(token);
-        if !known {
-            return Err(Refusal::Token);
-        }
+        let mut tokens = self.tokens.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = tokens.iter().position(|issued| issued == token).ok_or(Refusal::Token)?;
+        tokens.remove(known);
+        drop(tokens);
         let visitor = hex(&secret().map_err(|_| Refusal::Token)?[..16]);
         let signature = self.signature(&visitor);
         Ok(format!("{}={visitor}.{signature}; HttpOnly; SameSite=Strict; Path=/", self.cookie_name))
@@ -95,12 +95,9 @@ impl Access {
         let origin = text(headers, &header::ORIGIN).ok_or(Refusal::Origin)?;
         let site = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
         // A proxy in front may take other names for the same place; those that it was told of count as one.
-        let is_allowed = |name: &str| {
-            let allowed = |allowed: &String| {
-                allowed.eq_ignore_ascii_case(name) || allowed.eq_ignore_ascii_case(without_port(name))
-            };
-            self.allowed_hosts.iter().any(allowed)
-        };
+        // Without a port, it is the usual one that was allowed, not any.
+        let is_allowed =
+            |name: &str| self.allowed_hosts.iter().any(|allowed| allowed.eq_ignore_ascii_case(name));
         match site {
             Some(site) if site.eq_ignore_ascii_case(host) || is_allowed(site) => Ok(()),
             _ => Err(Refusal::Origin),
@@ -235,9 +232,14 @@ mod tests {
         let from = |origin| headers(&[(header::HOST, "localhost:8000"), (header::ORIGIN, origin)]);
         assert_eq!(access.check_origin(&from("http://localhost:8000")), Ok(()));
         assert_eq!(access.check_origin(&from("https://scans.example.org")), Ok(()));
-        for bad in
-            ["http://localhost:3000", "http://evil.org", "null", "file://", "http://localhost:8000.evil.org"]
-        {
+        for bad in [
+            "http://localhost:3000",
+            "http://evil.org",
+            "null",
+            "file://",
+            "http://localhost:8000.evil.org",
+            "http://scans.example.org:3000",
+        ] {
             assert_eq!(access.check_origin(&from(bad)), Err(Refusal::Origin), "{bad}");
         }
         assert_eq!(access.check_origin(&headers(&[(header::HOST, "localhost:8000")])), Err(Refusal::Origin));

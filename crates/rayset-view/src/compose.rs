@@ -50,9 +50,11 @@ impl Opened {
     /// The same, as a file anywhere: names of files are whole.
     pub(crate) fn saved(&self, show: &Show) -> Value {
         let mut scene = self.composed(show);
-        let folder = self.subject.path.parent().and_then(|folder| std::path::absolute(folder).ok());
-        if let Some(folder) = folder {
-            name_files(&mut scene, &folder);
+        // Of a name alone the folder is the one that the program runs in.
+        if let Ok(path) = std::path::absolute(&self.subject.path)
+            && let Some(folder) = path.parent()
+        {
+            name_files(&mut scene, folder);
         }
         scene
     }
@@ -122,7 +124,10 @@ pub(crate) fn parse(path: &Path, scene: &Value) -> Result<SceneFile, String> {
 
 /// Replaces the directional lights of a scene by one.
 fn set_sun(scene: &mut Value, sun: &Sun) {
-    let others = scene["lights"].as_array().cloned().unwrap_or_else(|| vec![json!({"type": "ambient"})]);
+    let others = scene["lights"].as_array().cloned().unwrap_or_else(|| {
+        // What a scene without lights has, unless it wants none.
+        vec![json!({"type": "ambient"}), json!({"type": "headlight"})]
+    });
     let is_sun = |light: &Value| light["type"] == "directional";
     let mut lights: Vec<Value> = others.into_iter().filter(|light| !is_sun(light)).collect();
     lights.push(json!({
@@ -158,14 +163,19 @@ pub(crate) fn camera(pose: &Pose) -> Camera {
     }
 }
 
-/// The pose of a camera; an orthographic one stands back as far as it sees as much.
+/// The pose of a camera. An orthographic one, which pages do not have, stands back until it sees as much at the place that its rays
+/// start from.
 pub(crate) fn pose(camera: &Camera) -> Pose {
-    let fovy = match camera.projection {
-        Projection::Perspective { fovy } => fovy.to_degrees(),
-        _ => 35.0,
+    const FOVY_DEGREES: f64 = 35.0;
+    let (fovy, back) = match camera.projection {
+        Projection::Perspective { fovy } => (fovy.to_degrees(), 0.0),
+        Projection::Orthographic { height } => {
+            (FOVY_DEGREES, 0.5 * height / (0.5 * FOVY_DEGREES).to_radians().tan())
+        }
+        _ => (FOVY_DEGREES, 0.0),
     };
     Pose {
-        position: camera.position.to_array(),
+        position: (camera.position - camera.direction.normalize_or_zero() * back).to_array(),
         direction: camera.direction.to_array(),
         up: camera.up.to_array(),
         fovy,

@@ -20,8 +20,8 @@ use crate::wanted::{Grade, Order, Wanted};
 const BETWEEN_PARTS: Duration = Duration::from_millis(40);
 /// Rows of a finished picture that are sent together.
 const BAND_ROWS: u32 = 32;
-/// Most rectangles in a message.
-const MOST_RECTANGLES: usize = 4096;
+/// Pixels in a message, about: few enough that a slow line carries it in seconds.
+const MOST_PIXELS: usize = 128 << 10;
 /// What the page shows where a moving picture is transparent.
 const BEHIND: [u8; 3] = [0x26, 0x2a, 0x31];
 
@@ -168,7 +168,11 @@ impl Frames {
             }
             Ok(())
         };
-        view.render(&Work::tiles(view.tiles(&view.region())), &order.cancel, &mut sink)?;
+        let rendered = view.render(&Work::tiles(view.tiles(&view.region())), &order.cancel, &mut sink);
+        if let Err(error) = rendered {
+            self.pacing.gave_up(size, started.elapsed());
+            return Err(error.into());
+        }
         self.pacing.traced(size, started.elapsed());
         let frame = self.wanted.wait_to_send(&order.cancel).ok_or(Unfinished::GivenUp)?;
         self.give(payload::whole(order.show.generation, frame, &self.shown, &self.depths, BEHIND))
@@ -183,6 +187,7 @@ impl Frames {
             generation: order.show.generation,
             shown: &mut self.shown,
             waiting: Vec::new(),
+            pixels: 0,
             sent: Instant::now(),
             wanted: &self.wanted,
             send: &self.send,
@@ -229,6 +234,8 @@ struct Parts<'a> {
     generation: u32,
     shown: &'a mut Shown,
     waiting: Vec<Rectangle>,
+    /// In these.
+    pixels: usize,
     sent: Instant,
     wanted: &'a Wanted,
     send: &'a Send,
@@ -239,7 +246,8 @@ impl Parts<'_> {
     /// Adds a part, and sends all if it is time and the page has drawn what it got before.
     fn add(&mut self, part: Rectangle) -> Result<(), SinkError> {
         self.waiting.push(part);
-        if self.waiting.len() >= MOST_RECTANGLES {
+        self.pixels += usize::from(part[2]) * usize::from(part[3]);
+        if self.pixels >= MOST_PIXELS {
             return self.flush();
         }
         if self.sent.elapsed() >= BETWEEN_PARTS
@@ -262,6 +270,7 @@ impl Parts<'_> {
     fn send_as(&mut self, frame: u32) -> Result<(), SinkError> {
         let message = payload::parts(self.generation, frame, self.shown, &self.waiting);
         self.waiting.clear();
+        self.pixels = 0;
         self.sent = Instant::now();
         if (self.send)(Outgoing::Frame(message)) { Ok(()) } else { Err(RenderError::Cancelled.into()) }
     }

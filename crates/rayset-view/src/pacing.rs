@@ -36,6 +36,11 @@ impl Pacing {
         self.seconds_per_ray += 0.4 * (measured - self.seconds_per_ray);
     }
 
+    /// Takes note of a frame that was given up after some time: it would have taken longer, how much is not known.
+    pub(crate) fn gave_up(&mut self, size: [u32; 2], time: Duration) {
+        self.traced(size, 3 * time);
+    }
+
     /// The size of the next frame of a moving picture of a given size.
     pub(crate) fn next_size(&mut self, size: [u32; 2]) -> [u32; 2] {
         let expected = |halvings| self.seconds_per_ray * rays(scaled(size, halvings));

@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-/// Messages a second. A page sends two for each frame of a screen, at most.
-const A_SECOND: f64 = 250.0;
+/// Messages a second. A page sends one for each frame of a screen, of which fast ones have 360, and one for each frame that it gets.
+const A_SECOND: f64 = 600.0;
 /// Messages at once.
-const AT_ONCE: f64 = 500.0;
+const AT_ONCE: f64 = 1000.0;
 
 /// Counts messages: a bucket that fills with time and that every message empties a little.
 pub(crate) struct Rate {
@@ -42,8 +42,8 @@ mod tests {
         let (mut busy, mut flood) = (Rate::new(), Rate::new());
         let start = busy.last;
         let at = |number: u32, a_second: f64| start + Duration::from_secs_f64(f64::from(number) / a_second);
-        assert!((0..10_000).all(|number| busy.allows_at(at(number, 120.0))));
+        assert!((0..10_000).all(|number| busy.allows_at(at(number, 400.0))));
         let fine = (0..10_000).take_while(|&number| flood.allows_at(at(number, 10_000.0))).count();
-        assert!((500..600).contains(&fine), "{fine}");
+        assert!((1000..1100).contains(&fine), "{fine}");
     }
 }

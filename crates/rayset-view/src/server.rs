@@ -12,7 +12,7 @@ use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Query, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
-use axum::response::{IntoResponse, Response};
+use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
 use rayset::Session;
 use tokio::net::TcpListener;
@@ -205,6 +205,9 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
     response
 }
 
+const WELCOME: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>rayset</title>\
+    <meta http-equiv=refresh content=\"0; url=./\"><p><a href=\"./\">Go on</a>";
+
 #[derive(serde::Deserialize)]
 struct Visit {
     token: Option<String>,
@@ -218,10 +221,9 @@ async fn index(
 ) -> Response {
     if let Some(token) = visit.token {
         return match shared.access.redeem(&token) {
-            Ok(cookie) => {
-                (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, "./".into())])
-                    .into_response()
-            }
+            // A page that goes on by itself, and no redirection: that would count as coming from wherever the link was, and the cookie
+            // would not come along.
+            Ok(cookie) => ([(header::SET_COOKIE, cookie)], Html(WELCOME)).into_response(),
             // A link that is opened again by the same browser still leads to the page.
             Err(_) if shared.access.check_cookie(&headers).is_ok() => {
                 (StatusCode::SEE_OTHER, [(header::LOCATION, "./")]).into_response()
@@ -237,7 +239,9 @@ async fn index(
 
 /// Scripts and styles of the page. They are the same for everybody.
 async fn asset(axum::extract::Path(name): axum::extract::Path<String>) -> Response {
-    page::file(&name).map_or(StatusCode::NOT_FOUND.into_response(), page::response)
+    // The page itself is at `/`, for those who may see it.
+    let file = page::file(&name).filter(|_| name != "index.html");
+    file.map_or(StatusCode::NOT_FOUND.into_response(), page::response)
 }
 
 /// The socket of a page. Who may not look learns nothing else, not even whether this is a socket.
@@ -281,6 +285,9 @@ impl Drop for Place {
 
 /// Speaks with a page until either side has enough.
 async fn serve_page(place: Place, mut socket: WebSocket) {
+    // The place is free again when the page's thread, too, has ended: it may be preparing a scene.
+    let place = Arc::new(place);
+    let of_thread = place.clone();
     let shared = &place.0;
     let wanted = Arc::new(Wanted::default());
     let (send, mut outgoing) = mpsc::channel(MESSAGES_WAITING);
@@ -292,7 +299,10 @@ async fn serve_page(place: Place, mut socket: WebSocket) {
         wanted.clone(),
         to_page,
     );
-    let started = std::thread::Builder::new().name("rayset-view".into()).spawn(move || frames.run());
+    let started = std::thread::Builder::new().name("rayset-view".into()).spawn(move || {
+        frames.run();
+        drop(of_thread);
+    });
     if let Err(error) = started {
         (shared.log)(&format!("a page was turned away: the system starts no thread: {error}"));
         return;

@@ -19,8 +19,15 @@ const status = by("status");
 const undo = [];
 const begin = () => {
   const state = JSON.stringify(view.state);
+  // What changed nothing is not worth taking back.
   if (undo.at(-1) !== state) undo.push(state);
   if (undo.length > MOST_UNDO) undo.shift();
+};
+/** Enough of a text to know it again (FNV-1a). @param {string} text */
+const hash = (text) => {
+  let sum = 0x811c9dc5;
+  for (let at = 0; at < text.length; at++) sum = Math.imul(sum ^ text.charCodeAt(at), 0x01000193);
+  return (sum >>> 0).toString(16) + text.length;
 };
 const restore = (/** @type {string | null | undefined} */ text) => {
   if (!text) return;
@@ -29,19 +36,23 @@ const restore = (/** @type {string | null | undefined} */ text) => {
   if (camera) view.camera = camera;
 };
 
-let isBuilt = false;
+/** What the panels were built for. */
+let opened = "";
 view.addEventListener("hello", () => {
   by("title").textContent = document.title = view.title;
-  if (isBuilt) return;
-  isBuilt = true;
+  const scene = hash(JSON.stringify(view.scene));
+  if (opened === scene) return;
+  // Panels know the scene that they were built for; with another, the page begins anew.
+  if (opened) return location.reload();
+  opened = scene;
   // A page that is loaded again goes on where it was, if it is the same scene.
   const kept = sessionStorage.getItem(KEPT);
-  if (kept && JSON.parse(kept).title === view.title) restore(kept);
+  if (kept && JSON.parse(kept).opened === scene) restore(kept);
   build(by("panels"), view, begin);
 });
 view.addEventListener("change", () => {
   status.textContent = "tracing";
-  sessionStorage.setItem(KEPT, JSON.stringify({ title: view.title, ...view.state }));
+  if (opened) sessionStorage.setItem(KEPT, JSON.stringify({ opened, ...view.state }));
 });
 view.addEventListener("converged", (event) => {
   const seconds = /** @type {CustomEvent} */ (event).detail.seconds;
@@ -58,6 +69,8 @@ listen(view, begin);
 document.addEventListener("keydown", (event) => {
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") {
     event.preventDefault();
+    const now = JSON.stringify(view.state);
+    while (undo.at(-1) === now) undo.pop();
     restore(undo.pop());
   }
 });

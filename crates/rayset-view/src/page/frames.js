@@ -106,7 +106,7 @@ export class Painter {
    * @returns {Promise<void>}
    */
   draw(frame, isWanted) {
-    this.#last = this.#last.then(() => (isWanted(frame) ? this.#paint(frame) : undefined)).catch(() => {});
+    this.#last = this.#last.then(() => (isWanted(frame) ? this.#paint(frame, isWanted) : undefined)).catch(() => {});
     return this.#last;
   }
 
@@ -115,8 +115,8 @@ export class Painter {
     return this.#exactGeneration === generation ? this.#exact : null;
   }
 
-  /** @param {Frame} frame */
-  async #paint(frame) {
+  /** @param {Frame} frame @param {(frame: Frame) => boolean} isWanted */
+  async #paint(frame, isWanted) {
     const { canvas, context } = this;
     if (frame.kind === WHOLE) {
       const { depths, picture } = await whole(frame.body);
@@ -125,6 +125,8 @@ export class Painter {
       return;
     }
     const pixels = await inflate(frame.body);
+    // It may have moved on meanwhile.
+    if (!isWanted(frame)) return;
     if (this.#exactGeneration !== frame.generation || !this.#exact) {
       this.#exact = new ImageData(frame.width, frame.height);
       this.#exactGeneration = frame.generation;

@@ -92,8 +92,8 @@ export function listen(view, begin) {
 
 /** Keys move as long as they are held. @param {RaysetView} view @param {() => void} begin */
 function keys(view, begin) {
-  /** @type {Set<string>} */
-  const held = new Set();
+  /** @type {Map<string, string>} places on the keyboard, and what they meant when they were pressed */
+  const held = new Map();
   let last = 0;
 
   const step = (/** @type {number} */ now) => {
@@ -101,7 +101,7 @@ function keys(view, begin) {
     const seconds = Math.min((now - last) / 1000, 0.1);
     last = now;
     const sum = [0, 0, 0, 0, 0, 0];
-    for (const key of held) KEYS[key].forEach((part, k) => (sum[k] += part * seconds));
+    for (const key of held.values()) KEYS[key].forEach((part, k) => (sum[k] += part * seconds));
     const [across, over, nearer, ahead, sideways, upward] = sum;
     let camera = view.camera;
     if (across || over) camera = orbit(camera, across * SPEED.turn, over * SPEED.turn);
@@ -122,16 +122,18 @@ function keys(view, begin) {
     }
     if (!(key in KEYS)) return;
     event.preventDefault();
-    if (held.has(key)) return;
+    if (held.has(event.code)) return;
     if (held.size === 0) {
       begin();
       last = performance.now();
       requestAnimationFrame(step);
     }
-    held.add(key);
+    held.set(event.code, key);
   });
   view.canvas.addEventListener("keyup", (event) => {
-    held.delete(event.key.length === 1 ? event.key.toLowerCase() : event.key);
+    // With a command key, some systems say no more of the others.
+    if (event.key === "Meta") held.clear();
+    held.delete(event.code);
   });
   view.canvas.addEventListener("blur", () => held.clear());
 }

@@ -91,6 +91,8 @@ export class RaysetView extends EventTarget {
   }
 
   set camera(camera) {
+    // What has flown out of the numbers stays where it was.
+    if (!camera || ![...camera.position, ...camera.direction, camera.distance].every(Number.isFinite)) return;
     this.#camera = camera;
     this.#changed();
   }
@@ -129,7 +131,8 @@ export class RaysetView extends EventTarget {
 
   /** Asks for the scene file of what is seen. @returns {Promise<string>} */
   sceneFile() {
-    return new Promise((resolve) => {
+    return new Promise((resolve, reject) => {
+      if (!this.#isOpen) return reject(new Error("not connected"));
       this.addEventListener("saved", (event) => resolve(/** @type {CustomEvent} */ (event).detail.scene), { once: true });
       this.#send({ type: "save", generation: this.#generation, moving: false, ...this.shown });
     });
@@ -137,7 +140,8 @@ export class RaysetView extends EventTarget {
 
   /** Asks for an address that opens another page, once, in any browser. @returns {Promise<string>} */
   invitation() {
-    return new Promise((resolve) => {
+    return new Promise((resolve, reject) => {
+      if (!this.#isOpen) return reject(new Error("not connected"));
       this.addEventListener("invited", (event) => {
         const address = new URL("./", this.#address);
         address.protocol = address.protocol === "wss:" ? "https:" : "http:";
@@ -156,6 +160,7 @@ export class RaysetView extends EventTarget {
   }
 
   #connect() {
+    if (this.#closed) return;
     const socket = new WebSocket(this.#address);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
@@ -177,6 +182,10 @@ export class RaysetView extends EventTarget {
       case "hello":
         this.#failures = 0;
         this.title = message.title;
+        if (this.scene && JSON.stringify(this.scene) !== JSON.stringify(message.scene)) {
+          // The program has come back with another scene: what was looked at is not in it.
+          [this.#camera, this.#changes, this.#warp] = [null, {}, new Warp()];
+        }
         this.scene = message.scene;
         this.bounds = message.bounds;
         this.#mostPixels = message.mostPixels;
@@ -251,6 +260,7 @@ export class RaysetView extends EventTarget {
     for (const generation of this.#asked.keys()) if (generation < frame.generation) this.#asked.delete(generation);
     this.#warp.take(known.camera, depths, picture, this.#aspect);
     this.#warpAsked = known.asked;
+    this.#warped = 0;
     return frame.generation !== this.#generation && this.#reproject();
   }
 
@@ -295,13 +305,18 @@ export class RaysetView extends EventTarget {
   #show(moving) {
     if (!this.#camera) return;
     this.#generation += 1;
+    if (!this.#isOpen) this.#asked.clear();
     this.#asked.set(this.#generation, { camera: this.#camera, asked: performance.now() });
     this.#send({ type: "show", generation: this.#generation, moving, ...this.shown });
   }
 
   /** @param {object} message */
   #send(message) {
-    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(message));
+    if (this.#isOpen) this.#socket?.send(JSON.stringify(message));
+  }
+
+  get #isOpen() {
+    return this.#socket?.readyState === WebSocket.OPEN;
   }
 
   /** @param {string} name @param {object} detail */
