@@ -205,7 +205,7 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
     response
 }
 
-const WELCOME: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>rayset</title>\
+const WELCOME: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>rayset</title><link rel=icon href=icon.svg>\
     <meta http-equiv=refresh content=\"0; url=./\"><p><a href=\"./\">Go on</a>";
 
 #[derive(serde::Deserialize)]
@@ -240,7 +240,9 @@ async fn index(
 /// Scripts and styles of the page. They are the same for everybody.
 async fn asset(axum::extract::Path(name): axum::extract::Path<String>) -> Response {
     // The page itself is at `/`, for those who may see it.
-    let file = page::file(&name).filter(|_| name != "index.html");
+    // Browsers ask for an icon by its old name where a page has not yet said another.
+    let name = if name == "favicon.ico" { "icon.svg" } else { &name };
+    let file = page::file(name).filter(|_| name != "index.html");
     file.map_or(StatusCode::NOT_FOUND.into_response(), page::response)
 }
 
