@@ -145,7 +145,9 @@ function sectionBox(view, begin) {
   };
   const rows = checkbox("Section", false, (checked) => (begin(), (on = checked), apply()));
   const sliders = ["x", "y", "z"].flatMap((name, axis) => [0, 1].map((end) => {
-    const text = (/** @type {number} */ v) => at(axis, v).toPrecision(4);
+    // A thousandth of the scene is told apart, however far from the origin it lies.
+    const digits = Math.min(Math.max(3 - Math.floor(Math.log10(high[axis] - low[axis] || 1)), 0), 12);
+    const text = (/** @type {number} */ v) => at(axis, v).toFixed(digits);
     return slider(`${name} ${end ? "to" : "from"}`, [0, 1, 0.005], end, (v) => {
       const apart = 0.005;
       part[axis][end] = end ? Math.max(v, part[axis][0] + apart) : Math.min(v, part[axis][1] - apart);
