@@ -7,6 +7,7 @@ pub mod build;
 pub mod file;
 pub mod format;
 pub mod layout;
+mod near;
 pub mod node;
 pub mod page;
 mod sample;

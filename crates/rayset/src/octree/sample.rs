@@ -23,10 +23,7 @@ impl Cloud {
     /// # Errors
     /// [`ScanError`] if a page cannot be read or is damaged.
     pub fn sample(&self, most: usize) -> Result<PointBatch, ScanError> {
-        let schema = self.sample_schema();
-        let all: Vec<usize> = (0..schema.columns.len()).collect();
-        let mut batch = PointBatch::default();
-        batch.reset(&schema, &all);
+        let mut batch = self.empty_batch();
         let header = self.header();
         let (pages, points) = (u64::from(header.point_pages), header.points);
         if pages == 0 || points == 0 || most == 0 {
@@ -48,11 +45,21 @@ impl Cloud {
             let runs = PointPage::trusted(&bytes, header);
             let mut before = 0;
             for run in (0..runs.len()).map(|index| runs.run(index)) {
-                self.take(&run, before, stride, &mut batch);
+                let chosen: Vec<usize> =
+                    (0..run.head.len()).filter(|i| (before + i).is_multiple_of(stride)).collect();
+                self.take(&run, &chosen, &mut batch);
                 before += run.head.len();
             }
         }
         Ok(batch)
+    }
+
+    /// A batch without points, with the columns of [`sample_schema`](Self::sample_schema).
+    pub(super) fn empty_batch(&self) -> PointBatch {
+        let schema = self.sample_schema();
+        let mut batch = PointBatch::default();
+        batch.reset(&schema, &(0..schema.columns.len()).collect::<Vec<_>>());
+        batch
     }
 
     /// Of the points of those pages that [`sample`](Self::sample) reads, every how many it has: by what the density of a
@@ -82,11 +89,9 @@ impl Cloud {
         Schema::new(columns, ColorDepth::Byte)
     }
 
-    /// Takes every `stride`th point of a run, before which `before` points stand in its page.
-    fn take(&self, run: &Run<'_>, before: usize, stride: usize, batch: &mut PointBatch) {
+    /// Adds some of a run's points to a batch with the columns of [`sample_schema`](Self::sample_schema).
+    pub(super) fn take(&self, run: &Run<'_>, chosen: &[usize], batch: &mut PointBatch) {
         let header = self.header();
-        let chosen: Vec<usize> =
-            (0..run.head.len()).filter(|i| (before + i).is_multiple_of(stride)).collect();
         if chosen.is_empty() {
             return;
         }
@@ -95,7 +100,7 @@ impl Cloud {
         let weights: Option<Vec<f32>> = run.weights(header).map(Iterator::collect);
         let colors: Option<Vec<[u8; 3]>> = run.colors(header).map(Iterator::collect);
         let first_attribute = if header.has_color { OWN.len() } else { 2 };
-        for &i in &chosen {
+        for &i in chosen {
             batch.position.push(positions[i].to_array());
             let radius = radii.as_ref().map_or(header.radius.min(), |radii| radii[i]);
             let weight = weights.as_ref().map_or(header.weight.min(), |weights| weights[i]);
@@ -108,7 +113,7 @@ impl Cloud {
         }
         for (index, attribute) in header.attributes.iter().enumerate() {
             let bytes = run.attribute_bytes(header, index);
-            for &i in &chosen {
+            for &i in chosen {
                 batch.columns[first_attribute + index].push_le_bytes(&bytes[i * attribute.kind.bytes()..]);
             }
         }

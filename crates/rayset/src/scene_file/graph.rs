@@ -88,6 +88,22 @@ impl<'a> GraphReader<'a> {
         Ok(reader)
     }
 
+    /// Uses the data files of another graph where this one refers to them.
+    pub(super) fn share(&mut self, node: &Node) {
+        match &node.shape {
+            Shape::Cloud(object) => {
+                let path = object.cloud.path().canonicalize();
+                drop(path.map(|path| self.clouds.insert(path, object.cloud.clone())));
+            }
+            Shape::Grid(object) => {
+                let path = object.grid.path().canonicalize();
+                drop(path.map(|path| self.grids.insert(path, object.grid.clone())));
+            }
+            Shape::Operator(_, children) => children.iter().for_each(|child| self.share(child)),
+            Shape::Procedural(_) => {}
+        }
+    }
+
     fn name(&mut self, name: &'a str, node: &Cursor<'a>) -> Result<(), SceneFileError> {
         if name.len() > LONGEST_NAME {
             let name = shortened(name);

@@ -71,6 +71,19 @@ impl SceneFile {
     /// # Errors
     /// [`SceneFileError`] if the text is invalid, with line, column, key and what was expected.
     pub fn parse(path: &Path, text: &str) -> Result<Self, SceneFileError> {
+        Self::parse_with(path, text, None)
+    }
+
+    /// Reads a changed scene from a string, as [`parse`](Self::parse). Data files that are open in this scene are not opened again:
+    /// a session that renders both keeps their pages.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse).
+    pub fn parse_changed(&self, path: &Path, text: &str) -> Result<Self, SceneFileError> {
+        Self::parse_with(path, text, Some(&self.scene))
+    }
+
+    fn parse_with(path: &Path, text: &str, open: Option<&Scene>) -> Result<Self, SceneFileError> {
         let document = Document { file: path, text, named: RefCell::default() };
         let value = document.parse()?;
         let whole = Cursor::root(&document, &value);
@@ -90,6 +103,9 @@ impl SceneFile {
         check_version(&file)?;
         let root_at = file.require("root")?;
         let mut graph = GraphReader::new(&file)?;
+        if let Some(scene) = open {
+            graph.share(&scene.root);
+        }
         let root = graph.node(&root_at)?;
         // Checked before anything else walks the graph: with sharing, a graph of few nodes can have more places than
         // there is time to visit.

@@ -1,5 +1,6 @@
 //! Sessions hold what outlives scenes and pictures: pages in memory, open files, threads.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,6 +13,7 @@ use super::world::World;
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
 use crate::field::SimdLevel;
+use crate::octree::Cloud;
 use crate::scene::{Camera, Node, RenderSettings, Scene, Shadows, Shape};
 use crate::working_set::read::{self, BackendKind, Delayed};
 use crate::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
@@ -198,6 +200,13 @@ impl Session {
     #[must_use]
     pub fn page_budget_bytes(&self) -> u64 {
         self.0.pages.budget_bytes()
+    }
+
+    /// How many of some of a cloud's point pages are in memory. The cloud is one of a scene that has been prepared; of others, none are.
+    #[must_use]
+    pub fn resident_pages(&self, cloud: &Arc<Cloud>, pages: Range<u32>) -> u32 {
+        let object = self.0.files().find(cloud).map(|(_, object)| object.clone());
+        object.map_or(0, |object| pages.filter(|&page| object.is_resident(page)).count() as u32)
     }
 
     /// The configured number of threads that trace rays.

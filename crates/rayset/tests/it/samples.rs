@@ -51,6 +51,54 @@ fn a_sample_of_a_large_cloud_is_small_and_comes_from_everywhere() {
 }
 
 #[test]
+fn the_nearest_point_is_the_one_that_is_nearest_of_all() {
+    let folder = folder();
+    let cloud = cloud(20_000, folder.path());
+    let all = cloud.sample(20_000).expect("it reads");
+    assert_eq!(all.len(), 20_000);
+    let mut random = Random(9);
+    for _ in 0..100 {
+        // Some of them outside.
+        let place: [f64; 3] = std::array::from_fn(|_| 1.4 * random.unit() - 0.2);
+        let distance = |p: &[f64; 3]| (0..3).map(|axis| (p[axis] - place[axis]).powi(2)).sum::<f64>().sqrt();
+        let found = cloud.nearest(place.into(), 1.0).expect("it reads");
+        let nearest =
+            (0..all.len()).min_by(|&a, &b| distance(&all.position[a]).total_cmp(&distance(&all.position[b])));
+        let nearest = nearest.expect("there are points");
+        assert_eq!(found.position, [all.position[nearest]]);
+        assert_eq!(found.columns[5].get(0), all.columns[5].get(nearest), "its attributes are its own");
+        let closer = cloud.nearest(place.into(), 0.999 * distance(&all.position[nearest])).expect("it reads");
+        assert!(closer.is_empty());
+    }
+}
+
+#[test]
+fn the_regions_of_pages_have_every_page_once_and_hold_the_points_of_their_pages() {
+    let folder = folder();
+    let cloud = cloud(100_000, folder.path());
+    for most in [1, 7, 1000] {
+        let regions = cloud.page_regions(most).expect("it reads");
+        assert!(regions.len() <= most);
+        let mut next = 0;
+        for (pages, bounds) in &regions {
+            assert_eq!(pages.start, next);
+            next = pages.end;
+            assert!(!bounds.is_empty());
+        }
+        assert_eq!(next, cloud.header().point_pages);
+        let mut outside = 0;
+        cloud
+            .for_each_run(|page, run| {
+                let (_, bounds) = regions.iter().find(|(pages, _)| pages.contains(&page)).expect("a region");
+                let positions = run.positions(cloud.header().root_cell());
+                outside += positions.iter().filter(|&&p| !bounds.contains(p)).count();
+            })
+            .expect("it reads");
+        assert_eq!(outside, 0, "with {most} groups");
+    }
+}
+
+#[test]
 fn a_sample_of_a_grid_has_every_voxel_once_if_there_is_room_for_all() {
     let folder = folder();
     // Several bricks along each axis, the last of them narrow.
