@@ -155,7 +155,7 @@ fn draw(label: &str, histogram: Option<&Histogram>) {
 }
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
-    let resources = Resources { memory: BUILD_MEMORY, threads: None };
+    let resources = Resources { memory: BUILD_MEMORY, threads: None, told: None };
     let opened = input::open(&args.inputs, &args.cache, resources)?;
     let cloud = match &opened.input {
         Input::Cloud(cloud) => cloud,

@@ -12,12 +12,16 @@ use crate::report;
 /// Time between two lines if there is no terminal.
 const QUIET: Duration = Duration::from_secs(10);
 
+/// Is told of progress besides: what is being done, how much of it is done, and how much there is.
+pub(crate) type Told<'a> = Option<&'a (dyn Fn(&str, u64, u64) + Sync)>;
+
 /// Shows the progress of a sequence of stages.
-pub(crate) struct Meter {
+pub(crate) struct Meter<'a> {
     state: Mutex<State>,
     unit: &'static str,
     terminal: bool,
     hidden: bool,
+    told: Told<'a>,
 }
 
 struct State {
@@ -27,7 +31,7 @@ struct State {
     last_line: Instant,
 }
 
-impl Meter {
+impl<'a> Meter<'a> {
     pub(crate) fn new(unit: &'static str, hidden: bool) -> Self {
         let state = State {
             title: "",
@@ -35,10 +39,18 @@ impl Meter {
             started: Instant::now(),
             last_line: Instant::now(),
         };
-        Self { state: Mutex::new(state), unit, terminal: std::io::stderr().is_terminal(), hidden }
+        Self { state: Mutex::new(state), unit, terminal: std::io::stderr().is_terminal(), hidden, told: None }
+    }
+
+    /// The same, with somebody else who is told.
+    pub(crate) fn telling(self, told: Told<'a>) -> Self {
+        Self { told, ..self }
     }
 
     pub(crate) fn show(&self, title: &'static str, done: u64, total: u64) {
+        if let Some(told) = self.told {
+            told(title, done, total);
+        }
         if self.hidden {
             return;
         }
@@ -86,7 +98,7 @@ impl Meter {
     }
 }
 
-impl Progress for Meter {
+impl Progress for Meter<'_> {
     fn update(&self, stage: Stage, done: u64, total: u64) {
         let title = match stage {
             Stage::Read => "reading",

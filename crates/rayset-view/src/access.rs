@@ -6,7 +6,9 @@
 //! page can open the socket.
 
 use std::collections::VecDeque;
+use std::net::IpAddr;
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use axum::http::{HeaderMap, header};
 use hmac::{Hmac, KeyInit, Mac};
@@ -25,7 +27,21 @@ pub(crate) struct Access {
     allowed_hosts: Vec<String>,
     /// Issued, and not used yet.
     tokens: Mutex<VecDeque<String>>,
+    /// What lets in from elsewhere.
+    password: Option<Password>,
 }
+
+/// Who knows it is let in. Compared by its signature, in constant time.
+struct Password {
+    signature: Vec<u8>,
+    /// When it was last tried.
+    tried: Mutex<Option<Instant>>,
+}
+
+/// Between two attempts at the password, whoever makes them.
+const BETWEEN_ATTEMPTS: Duration = Duration::from_millis(500);
+/// Least characters of a password.
+pub(crate) const LEAST_PASSWORD: usize = 8;
 
 /// Why a visitor is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -38,6 +54,8 @@ pub(crate) enum Refusal {
     Token,
     #[error("there is no cookie, or it is not one of this program")]
     Cookie,
+    #[error("the password is wrong, or was tried too soon after another")]
+    Password,
 }
 
 /// Random bytes from the system.
@@ -48,12 +66,41 @@ pub fn secret() -> std::io::Result<[u8; SECRET_BYTES]> {
 }
 
 impl Access {
-    pub(crate) fn new(key: [u8; SECRET_BYTES], port: u16, allowed_hosts: Vec<String>) -> Self {
+    pub(crate) fn new(
+        key: [u8; SECRET_BYTES],
+        port: u16,
+        allowed_hosts: Vec<String>,
+        password: Option<&str>,
+    ) -> Self {
         let mut block = hmac::digest::Key::<Hmac<Sha256>>::default();
         block[..SECRET_BYTES].copy_from_slice(&key);
         // HMAC fills a key that is shorter than its block with zeros, as here.
         let signer = Hmac::<Sha256>::new(&block);
-        Self { signer, cookie_name: format!("rayset-{port}"), allowed_hosts, tokens: Mutex::default() }
+        let password = password.map(|password| {
+            let signature = of_password(&signer, password).finalize().into_bytes().to_vec();
+            Password { signature, tried: Mutex::default() }
+        });
+        let cookie_name = format!("rayset-{port}");
+        Self { signer, cookie_name, allowed_hosts, tokens: Mutex::default(), password }
+    }
+
+    /// Whether there is a password, and so people from elsewhere.
+    pub(crate) fn has_password(&self) -> bool {
+        self.password.is_some()
+    }
+
+    /// Lets in who knows the password. Returns the cookie to set.
+    pub(crate) fn enter(&self, attempt: &str) -> Result<String, Refusal> {
+        let password = self.password.as_ref().ok_or(Refusal::Password)?;
+        {
+            let mut tried = password.tried.lock().unwrap_or_else(PoisonError::into_inner);
+            if tried.replace(Instant::now()).is_some_and(|before| before.elapsed() < BETWEEN_ATTEMPTS) {
+                return Err(Refusal::Password);
+            }
+        }
+        let attempt = of_password(&self.signer, attempt);
+        attempt.verify_slice(&password.signature).map_err(|_| Refusal::Password)?;
+        self.cookie()
     }
 
     /// A new token, for one visit.
@@ -73,6 +120,11 @@ impl Access {
         let known = tokens.iter().position(|issued| issued == token).ok_or(Refusal::Token)?;
         tokens.remove(known);
         drop(tokens);
+        self.cookie()
+    }
+
+    /// A cookie of a new visitor.
+    fn cookie(&self) -> Result<String, Refusal> {
         let visitor = hex(&secret().map_err(|_| Refusal::Token)?[..16]);
         let signature = self.signature(&visitor);
         Ok(format!("{}={visitor}.{signature}; HttpOnly; SameSite=Strict; Path=/", self.cookie_name))
@@ -86,7 +138,13 @@ impl Access {
         let is_here = ["localhost", "127.0.0.1", "[::1]"].contains(&&*name);
         let is_allowed =
             |allowed: &String| allowed.eq_ignore_ascii_case(host) || allowed.eq_ignore_ascii_case(&name);
-        if is_here || self.allowed_hosts.iter().any(is_allowed) { Ok(()) } else { Err(Refusal::Host) }
+        // An address, unlike a name, cannot be made to mean another machine.
+        let is_address = self.has_password() && name.trim_matches(['[', ']']).parse::<IpAddr>().is_ok();
+        if is_here || is_address || self.allowed_hosts.iter().any(is_allowed) {
+            Ok(())
+        } else {
+            Err(Refusal::Host)
+        }
     }
 
     /// Checks that a request comes from a page of this program: its origin is the host that it was sent to.
@@ -135,6 +193,14 @@ impl Access {
     }
 }
 
+/// The signature of a password. No cookie has it: none has an empty name.
+fn of_password(signer: &Hmac<Sha256>, password: &str) -> Hmac<Sha256> {
+    let mut mac = signer.clone();
+    mac.update(b"=password=");
+    mac.update(password.as_bytes());
+    mac
+}
+
 fn text<'h>(headers: &'h HeaderMap, name: &header::HeaderName) -> Option<&'h str> {
     let mut values = headers.get_all(name).into_iter();
     let first = values.next()?;
@@ -170,7 +236,7 @@ mod tests {
     use super::*;
 
     fn access(key: u8, port: u16) -> Access {
-        Access::new([key; SECRET_BYTES], port, vec!["scans.example.org".into(), "proxy:8443".into()])
+        Access::new([key; SECRET_BYTES], port, vec!["scans.example.org".into(), "proxy:8443".into()], None)
     }
 
     fn headers(pairs: &[(header::HeaderName, &str)]) -> HeaderMap {
@@ -243,6 +309,22 @@ mod tests {
             assert_eq!(access.check_origin(&from(bad)), Err(Refusal::Origin), "{bad}");
         }
         assert_eq!(access.check_origin(&headers(&[(header::HOST, "localhost:8000")])), Err(Refusal::Origin));
+    }
+
+    #[test]
+    fn the_password_lets_in_and_is_not_tried_twice_at_once() {
+        let here = Access::new([1; SECRET_BYTES], 8000, Vec::new(), Some("a long sentence"));
+        assert_eq!(here.enter("a long sentenc"), Err(Refusal::Password));
+        assert_eq!(here.enter("a long sentence"), Err(Refusal::Password), "too soon");
+        std::thread::sleep(BETWEEN_ATTEMPTS);
+        let cookie = here.enter("a long sentence").expect("it is right");
+        let pair = cookie.split(';').next().expect("a pair");
+        assert_eq!(here.check_cookie(&headers(&[(header::COOKIE, pair)])), Ok(()));
+        let to = |host| headers(&[(header::HOST, host)]);
+        assert_eq!(here.check_host(&to("192.168.1.20:8000")), Ok(()), "where it listens beyond this machine");
+        assert_eq!(here.check_host(&to("evil.example.org:8000")), Err(Refusal::Host));
+        assert_eq!(access(1, 8000).check_host(&to("192.168.1.20:8000")), Err(Refusal::Host));
+        assert_eq!(access(1, 8000).enter(""), Err(Refusal::Password), "there is none");
     }
 
     proptest! {

@@ -2,16 +2,18 @@
 //! saved and rendered as it is.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use rayset::geometry::Aabb;
 use rayset::scene::{Camera, Projection};
 use rayset::scene_file::SceneFile;
 use serde_json::{Value, json};
 
-use crate::protocol::{Changes, Pose, Section, Show, Sun};
+use crate::cuts;
+use crate::looks::{Looks, Style, Styled};
+use crate::protocol::{Changes, Legend, Pose, Show, Sun};
 
 /// What was opened.
-#[derive(Clone, Debug)]
 pub struct Subject {
     /// What the page calls it.
     pub title: String,
@@ -19,6 +21,8 @@ pub struct Subject {
     pub path: PathBuf,
     /// The scene, as scene files write it.
     pub scene: Value,
+    /// Other looks of it; `None` if it is a scene that says itself what it looks like.
+    pub looks: Option<Box<dyn Looks>>,
 }
 
 /// What was opened, and what is known of it.
@@ -28,75 +32,111 @@ pub(crate) struct Opened {
     pub(crate) bounds: Aabb,
     /// Where it is best seen from.
     pub(crate) camera: Pose,
+    /// The scene without changes, whose files stay open.
+    pub(crate) file: SceneFile,
+    /// The styles that were asked for last, and what they gave.
+    styles: Mutex<Vec<(Style, Arc<Styled>)>>,
 }
+
+/// Most styles that are remembered.
+const MOST_STYLES: usize = 8;
 
 impl Opened {
     /// Reads the scene once.
     pub(crate) fn new(subject: Subject) -> Result<Self, String> {
-        let file = parse(&subject.path, &subject.scene)?;
-        Ok(Self { bounds: file.scene.root.bounds(), camera: pose(&file.camera), subject })
+        let file = SceneFile::parse(&subject.path, &subject.scene.to_string()).map_err(|error| error.what)?;
+        let (bounds, camera) = (file.scene.root.bounds(), pose(&file.camera));
+        Ok(Self { bounds, camera, subject, file, styles: Mutex::default() })
     }
 
-    /// The scene that a page wants to see.
-    pub(crate) fn composed(&self, show: &Show) -> Value {
-        let mut scene = self.subject.scene.clone();
+    /// The scene that a page wants to see. Without caps it is ready sooner.
+    ///
+    /// # Errors
+    /// What is wrong with the style.
+    pub(crate) fn composed(&self, show: &Show, with_caps: bool) -> Result<Value, String> {
+        let mut scene = match self.styled(&show.changes)? {
+            Some(styled) => styled.scene.clone(),
+            None => self.subject.scene.clone(),
+        };
         let Pose { position, direction, up, fovy } = show.camera;
         scene["camera"] = json!({"position": position, "direction": direction, "up": up, "fovy": fovy});
         scene["image"]["size"] = json!(show.size);
-        self.apply(&mut scene, &show.changes);
-        scene
+        self.apply(&mut scene, &show.changes, with_caps);
+        Ok(scene)
     }
 
     /// The same, as a file anywhere: names of files are whole.
-    pub(crate) fn saved(&self, show: &Show) -> Value {
-        let mut scene = self.composed(show);
+    pub(crate) fn saved(&self, show: &Show) -> Result<Value, String> {
+        let mut scene = self.composed(show, true)?;
         // Of a name alone the folder is the one that the program runs in.
         if let Ok(path) = std::path::absolute(&self.subject.path)
             && let Some(folder) = path.parent()
         {
             name_files(&mut scene, folder);
         }
-        scene
+        Ok(scene)
     }
 
-    fn apply(&self, scene: &mut Value, changes: &Changes) {
+    /// Reads a composed scene. Its text was never written by anybody, so places in it mean nothing.
+    pub(crate) fn parse(&self, scene: &Value) -> Result<SceneFile, String> {
+        self.file.parse_changed(&self.subject.path, &scene.to_string()).map_err(|error| error.what)
+    }
+
+    /// What a page is told of what it sees.
+    pub(crate) fn legend(&self, changes: &Changes, remarks: &[String]) -> Result<Legend, String> {
+        let styled = self.styled(changes)?;
+        let scene = styled.as_ref().map_or(&self.subject.scene, |styled| &styled.scene);
+        let (look, line, densities) = styled.as_ref().map_or_else(Default::default, |styled| {
+            (styled.look.clone(), styled.line.clone(), styled.densities.clone())
+        });
+        let is_said_by_options =
+            changes.sun.is_none() && changes.section.is_none() && changes.cutters.is_empty();
+        let command = styled.as_ref().filter(|_| is_said_by_options).map(|styled| {
+            let exposure = changes.exposure.map(|stops| format!("--exposure={stops}"));
+            let words = styled.command.iter().cloned().chain(exposure);
+            words.map(|word| quoted(&word)).collect::<Vec<_>>().join(" ")
+        });
+        let transfer_function = scene["root"]["transferFunction"].clone();
+        let (is_lit, remarks) = (scene["lights"] != "none", remarks.to_vec());
+        Ok(Legend { look, line, is_lit, transfer_function, densities, remarks, command })
+    }
+
+    /// The scene in the style of a page; `None` if it has no other looks.
+    fn styled(&self, changes: &Changes) -> Result<Option<Arc<Styled>>, String> {
+        let Some(looks) = &self.subject.looks else { return Ok(None) };
+        let style = changes.style.clone().unwrap_or_default();
+        let mut styles = self.styles.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = styles.iter().find(|(known, _)| *known == style) {
+            return Ok(Some(known.clone()));
+        }
+        let styled = Arc::new(looks.styled(&style)?);
+        if styles.len() == MOST_STYLES {
+            styles.remove(0);
+        }
+        styles.push((style, styled.clone()));
+        Ok(Some(styled))
+    }
+
+    fn apply(&self, scene: &mut Value, changes: &Changes, with_caps: bool) {
         if let Some(stops) = changes.exposure {
             scene["image"]["exposure"] = json!(stops);
         }
         if let Some(sun) = &changes.sun {
             set_sun(scene, sun);
         }
-        if let Some(transfer) = &changes.transfer {
-            set_transfer(&mut scene["root"], &serde_json::to_value(transfer).unwrap_or_default());
-        }
-        if let Some(section) = &changes.section {
-            self.cut(scene, section);
-        }
+        let cap = changes.cap.as_deref().filter(|_| with_caps);
+        let root = scene["root"].take();
+        scene["root"] = cuts::cut(root, &self.bounds, changes.section.as_ref(), &changes.cutters, cap);
     }
+}
 
-    /// Takes away what is outside a box: the difference of the scene and a box beyond each side that cuts, so that cuts look as those
-    /// of a scene file do.
-    fn cut(&self, scene: &mut Value, section: &Section) {
-        let (low, high) = (self.bounds.min.to_array(), self.bounds.max.to_array());
-        let beyond = (self.bounds.max - self.bounds.min).max_element();
-        let mut children = vec![scene["root"].take()];
-        for axis in 0..3 {
-            for (cuts, end) in [(section.min[axis] > low[axis], 0), (section.max[axis] < high[axis], 1)] {
-                if !cuts {
-                    continue;
-                }
-                let mut ends = [low.map(|v| v - beyond), high.map(|v| v + beyond)];
-                ends[1 - end][axis] = [section.min, section.max][end][axis];
-                let size: Vec<f64> = (0..3).map(|k| ends[1][k] - ends[0][k]).collect();
-                let center: Vec<f64> = (0..3).map(|k| 0.5 * (ends[0][k] + ends[1][k])).collect();
-                children.push(json!({"type": "box", "size": size, "transform": {"translate": center}}));
-            }
-        }
-        scene["root"] = match children.len() {
-            1 => children.remove(0),
-            _ => json!({"type": "difference", "children": children}),
-        };
+/// A word as a shell takes it.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_=./:,%@+".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        return word.to_owned();
     }
+    format!("'{}'", word.replace('\'', "'\\''"))
 }
 
 /// Makes the names of files whole, wherever they stand.
@@ -117,13 +157,12 @@ fn name_files(value: &mut Value, folder: &Path) {
     }
 }
 
-/// Reads a composed scene. Its text was never written by anybody, so places in it mean nothing.
-pub(crate) fn parse(path: &Path, scene: &Value) -> Result<SceneFile, String> {
-    SceneFile::parse(path, &scene.to_string()).map_err(|error| error.what)
-}
-
-/// Replaces the directional lights of a scene by one.
+/// Replaces the directional lights of a scene by one, if it has lights.
 fn set_sun(scene: &mut Value, sun: &Sun) {
+    // What glows by itself has no light on it.
+    if scene["lights"] == "none" {
+        return;
+    }
     let others = scene["lights"].as_array().cloned().unwrap_or_else(|| {
         // What a scene without lights has, unless it wants none.
         vec![json!({"type": "ambient"}), json!({"type": "headlight"})]
@@ -134,23 +173,6 @@ fn set_sun(scene: &mut Value, sun: &Sun) {
         "type": "directional", "direction": sun.direction, "intensity": sun.intensity, "shadow": sun.shadow
     }));
     scene["lights"] = Value::Array(lights);
-}
-
-/// Puts keys in the place of those of the transfer function of a cloud or grid.
-fn set_transfer(node: &mut Value, keys: &Value) {
-    if node["type"] != "cloud" && node["type"] != "grid" {
-        return;
-    }
-    if !keys["color"].is_null()
-        && let Some(own) = node["transferFunction"].as_object_mut()
-    {
-        // They belong to the map that is replaced.
-        own.remove("input");
-        own.remove("valueRange");
-    }
-    for (key, value) in keys.as_object().into_iter().flatten() {
-        node["transferFunction"][key] = value.clone();
-    }
 }
 
 /// The camera of a pose, as a scene file with that pose has it.
@@ -185,6 +207,15 @@ pub(crate) fn pose(camera: &Camera) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cuts::{Cutter, Form, Section, Turn};
+
+    #[test]
+    fn words_mean_to_a_shell_what_they_are() {
+        assert_eq!(quoted("--opacity=0:0,1:0.5"), "--opacity=0:0,1:0.5");
+        assert_eq!(quoted("a b"), "'a b'");
+        assert_eq!(quoted("it's $HOME"), "'it'\\''s $HOME'");
+        assert_eq!(quoted(""), "''");
+    }
 
     fn opened() -> Opened {
         let scene = json!({
@@ -192,7 +223,7 @@ mod tests {
             "lights": [{"type": "ambient"}, {"type": "directional", "direction": [0, -1, 0]}],
             "root": {"type": "sphere", "radius": 1}
         });
-        let subject = Subject { title: "a ball".into(), path: "ball.json".into(), scene };
+        let subject = Subject { title: "a ball".into(), path: "ball.json".into(), scene, looks: None };
         Opened::new(subject).expect("a scene")
     }
 
@@ -207,16 +238,28 @@ mod tests {
         let opened = opened();
         let sun = Sun { direction: [1.0, -1.0, 0.0], intensity: 0.5, shadow: true };
         let section = Section { min: [-1.0; 3], max: [1.0, 1.0, 0.0] };
+        let cutter = |form, keep| Cutter {
+            form,
+            center: [0.5, 0.0, 0.0],
+            size: [0.5, 1.0, 0.75],
+            turns: vec![Turn { axis: [0.0, 1.0, 0.0], degrees: 30.0 }],
+            keep,
+        };
+        let forms = [Form::Box, Form::Ellipsoid, Form::Cylinder];
+        let cutters =
+            forms.map(|form| cutter(form, true)).into_iter().chain(forms.map(|form| cutter(form, false)));
         let changes = [
             Changes::default(),
             Changes { exposure: Some(1.0), ..Changes::default() },
             Changes { sun: Some(sun), ..Changes::default() },
             Changes { section: Some(section), ..Changes::default() },
+            Changes { section: Some(section), cap: Some("#ff8000".into()), ..Changes::default() },
+            Changes { cutters: cutters.collect(), ..Changes::default() },
         ];
         for change in changes {
-            let composed = opened.composed(&show(change.clone()));
-            let file =
-                parse(&opened.subject.path, &composed).unwrap_or_else(|what| panic!("{change:?}: {what}"));
+            let composed = opened.composed(&show(change.clone()), true).expect("a scene");
+            let file = opened.parse(&composed).unwrap_or_else(|what| panic!("{change:?}: {what}"));
+            assert_eq!(file.scene.root.cap.is_some(), change.cap.is_some());
             assert_eq!((file.settings.width, file.settings.height), (64, 48));
             assert_eq!(file.camera, camera(&show(change).camera));
         }
@@ -225,7 +268,8 @@ mod tests {
     #[test]
     fn a_sun_takes_the_place_of_the_scenes_own_and_leaves_other_lights() {
         let sun = Sun { direction: [1.0, -1.0, 0.0], intensity: 0.5, shadow: true };
-        let composed = opened().composed(&show(Changes { sun: Some(sun), ..Changes::default() }));
+        let composed = opened().composed(&show(Changes { sun: Some(sun), ..Changes::default() }), true);
+        let composed = composed.expect("a scene");
         let lights = composed["lights"].as_array().expect("lights");
         assert_eq!(lights.len(), 2);
         assert_eq!(lights[1]["direction"], json!([1.0, -1.0, 0.0]));
@@ -235,7 +279,8 @@ mod tests {
     fn a_section_leaves_what_is_within_its_box_and_one_around_everything_changes_nothing() {
         let opened = opened();
         let with = |min, max| {
-            opened.composed(&show(Changes { section: Some(Section { min, max }), ..Changes::default() }))
+            let changes = Changes { section: Some(Section { min, max }), ..Changes::default() };
+            opened.composed(&show(changes), true).expect("a scene")
         };
         assert_eq!(with([-2.0; 3], [2.0; 3])["root"], opened.subject.scene["root"]);
         let half = with([-2.0; 3], [2.0, 2.0, 0.25]);

@@ -3,17 +3,18 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rayset::image::{Band, DisplayTransform};
+use rayset::image::Band;
 use rayset::scene_file::SceneFile;
 use rayset::{
     BandSink, CancelToken, FinishedTile, PreparedScene, RenderError, Session, SinkError, View, Work,
 };
 use serde_json::Value;
 
+use crate::asks::{Current, Seen};
 use crate::compose::{self, Opened};
 use crate::pacing::Pacing;
 use crate::payload::{self, Depths, Rectangle, Shown};
-use crate::protocol::{Show, ToPage};
+use crate::protocol::{MOST_EDGE, Show, ToPage};
 use crate::wanted::{Grade, Order, Wanted};
 
 /// Finished parts of a picture are sent at most this often.
@@ -44,9 +45,19 @@ pub(crate) struct Frames {
     most_pixels: u64,
     /// What was shown last.
     prepared: Option<Prepared>,
+    /// The same without caps, which take a while, if it was shown while it was changing.
+    draft: Option<Prepared>,
+    /// Told of what is shown, for those who ask about it.
+    current: Current,
     pacing: Pacing,
     shown: Shown,
     depths: Depths,
+}
+
+/// Where a scene is kept.
+enum Slot {
+    Whole,
+    Draft,
 }
 
 /// A scene that is ready to be traced.
@@ -54,9 +65,14 @@ struct Prepared {
     /// What it was made from, without the camera.
     composed: Value,
     scene: PreparedScene,
-    display_transform: DisplayTransform,
+    file: Arc<SceneFile>,
+}
+
+impl Prepared {
     /// Whether shading of the whole picture follows once it is traced.
-    is_shaded_at_the_end: bool,
+    fn is_shaded_at_the_end(&self) -> bool {
+        self.file.settings.ambient_occlusion > 0.0
+    }
 }
 
 /// Why a picture was not completed.
@@ -83,10 +99,12 @@ impl Frames {
         opened: Arc<Opened>,
         most_pixels: u64,
         wanted: Arc<Wanted>,
+        current: Current,
         send: Send,
     ) -> Self {
         let (pacing, shown, depths) = (Pacing::new(), Shown::default(), Depths::default());
-        Self { session, opened, most_pixels, wanted, send, prepared: None, pacing, shown, depths }
+        let (prepared, draft) = (None, None);
+        Self { session, opened, most_pixels, wanted, send, prepared, draft, current, pacing, shown, depths }
     }
 
     /// Makes pictures until nobody looks any more.
@@ -117,51 +135,90 @@ impl Frames {
 
     fn picture(&mut self, order: &Order) -> Result<(), Unfinished> {
         let show = &*order.show;
-        let scene = self.scene(show)?;
-        let camera = compose::camera(&show.camera);
+        let prepared = self.prepared(show, order.grade)?;
+        let encode = prepared.file.display_transform.rgba8();
+        let (scene, camera) = (prepared.scene.clone(), compose::camera(&show.camera));
+        let is_shaded_at_the_end = prepared.is_shaded_at_the_end();
         match order.grade {
             Grade::Quick => {
                 let [width, height] = self.pacing.next_size(show.size);
                 let view = scene.view_of_size(&camera, width, height)?.with_samples(1)?;
-                self.quick(order, &view, [width, height])
+                self.quick(order, &view, [width, height], &encode)
             }
-            Grade::Fine => self.fine(order, &scene.view_of_size(&camera, show.size[0], show.size[1])?),
+            Grade::Fine => {
+                let view = scene.view_of_size(&camera, show.size[0], show.size[1])?;
+                self.fine(order, &view, is_shaded_at_the_end, &encode)
+            }
         }
     }
 
     /// The scene that a page wants. Only what has changed is prepared anew: never for the camera alone.
-    fn scene(&mut self, show: &Show) -> Result<PreparedScene, Unfinished> {
-        show.check(self.most_pixels).map_err(Unfinished::Problem)?;
-        let mut composed = self.opened.composed(show);
+    fn prepared(&mut self, show: &Show, grade: Grade) -> Result<&Prepared, Unfinished> {
+        show.check(MOST_EDGE, self.most_pixels).map_err(Unfinished::Problem)?;
+        let whole = self.without_camera(show, true)?;
+        if self.prepared.as_ref().is_none_or(|known| known.composed != whole) {
+            // What is not shown any more makes room before anything else is made.
+            self.current.set(None);
+            if grade == Grade::Quick && show.changes.cap.is_some() {
+                let draft = self.without_camera(show, false)?;
+                let known = self.draft.take().filter(|known| known.composed == draft);
+                let draft = known.map_or_else(|| self.prepare(show, draft), Ok)?;
+                return Ok(self.seen(Slot::Draft, draft));
+            }
+            (self.prepared, self.draft) = (None, None);
+            let prepared = self.prepare(show, whole)?;
+            return Ok(self.seen(Slot::Whole, prepared));
+        }
+        self.prepared.as_ref().ok_or(Unfinished::GivenUp)
+    }
+
+    fn seen(&mut self, slot: Slot, prepared: Prepared) -> &Prepared {
+        self.current.set(Some(Seen { file: prepared.file.clone(), scene: prepared.scene.clone() }));
+        match slot {
+            Slot::Whole => self.prepared.insert(prepared),
+            Slot::Draft => self.draft.insert(prepared),
+        }
+    }
+
+    /// What a page wants to see, the camera and the size aside.
+    fn without_camera(&self, show: &Show, with_caps: bool) -> Result<Value, Unfinished> {
+        let mut composed = self.opened.composed(show, with_caps).map_err(Unfinished::Problem)?;
         composed["camera"] = Value::Null;
         composed["image"]["size"] = Value::Null;
-        let known = self.prepared.take().filter(|prepared| prepared.composed == composed);
-        let prepared = match known {
-            Some(prepared) => prepared,
-            None => self.prepare(show, composed)?,
-        };
-        Ok(self.prepared.insert(prepared).scene.clone())
+        Ok(composed)
     }
 
     fn prepare(&self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
-        let whole = self.opened.composed(show);
-        let SceneFile { scene, settings, display_transform, .. } =
-            compose::parse(&self.opened.subject.path, &whole).map_err(Unfinished::Problem)?;
-        let is_shaded_at_the_end = settings.ambient_occlusion > 0.0;
+        let mut whole = composed.clone();
+        // Any camera and size will do; the scene file's own are those that were opened.
+        if let Some(keys) = whole.as_object_mut() {
+            keys.remove("camera");
+        }
+        if let Some(image) = whole["image"].as_object_mut() {
+            image.remove("size");
+        }
+        let file = self.opened.parse(&whole).map_err(Unfinished::Problem)?;
         // Distances, with which the page moves a picture until the next has come. They change no pixel.
-        let scene = self.session.prepare(&scene, &settings.with_layers(true))?;
-        Ok(Prepared { composed, scene, display_transform, is_shaded_at_the_end })
+        let scene = self.session.prepare(&file.scene, &file.settings.with_layers(true))?;
+        let legend = self.opened.legend(&show.changes, scene.remarks()).map_err(Unfinished::Problem)?;
+        (self.send)(Outgoing::Text(ToPage::Styled(Box::new(legend))));
+        Ok(Prepared { composed, scene, file: Arc::new(file) })
     }
 
     /// One frame of as many rays as its time allows, as JPEG.
-    fn quick(&mut self, order: &Order, view: &View, size: [u32; 2]) -> Result<(), Unfinished> {
+    fn quick(
+        &mut self,
+        order: &Order,
+        view: &View,
+        size: [u32; 2],
+        encode: &impl Fn([f32; 4]) -> [u8; 4],
+    ) -> Result<(), Unfinished> {
         let started = Instant::now();
         self.shown.resize(size);
         self.depths.resize(size);
-        let encode = self.encoder();
         let (shown, depths) = (&mut self.shown, &mut self.depths);
         let mut sink = |finished: &FinishedTile<'_>| -> Result<(), SinkError> {
-            put(shown, finished, &encode);
+            put(shown, finished, encode);
             let tile = finished.tile;
             for (y, row) in (tile.y..).zip(finished.layers.chunks(tile.width as usize)) {
                 depths.set_row(tile.x, y, row.iter().map(|pixel| pixel.depth));
@@ -179,10 +236,14 @@ impl Frames {
     }
 
     /// The picture that `rayset render` makes, part by part, without loss: one ray a pixel first, then all.
-    fn fine(&mut self, order: &Order, view: &View) -> Result<(), Unfinished> {
+    fn fine(
+        &mut self,
+        order: &Order,
+        view: &View,
+        is_shaded_at_the_end: bool,
+        encode: &impl Fn([f32; 4]) -> [u8; 4],
+    ) -> Result<(), Unfinished> {
         self.shown.resize(order.show.size);
-        let shaded_at_the_end = self.prepared.as_ref().is_some_and(|prepared| prepared.is_shaded_at_the_end);
-        let encode = self.encoder();
         let mut parts = Parts {
             generation: order.show.generation,
             shown: &mut self.shown,
@@ -195,25 +256,18 @@ impl Frames {
         };
         let tiles = Work::tiles(view.tiles(&view.region()));
         let mut sink = |finished: &FinishedTile<'_>| {
-            put(parts.shown, finished, &encode);
+            put(parts.shown, finished, encode);
             let tile = finished.tile;
             parts.add([tile.x as u16, tile.y as u16, tile.width as u16, tile.height as u16])
         };
-        if shaded_at_the_end {
+        if is_shaded_at_the_end {
             view.clone().with_samples(1)?.render(&tiles, &order.cancel, &mut sink)?;
-            let mut bands = Bands { parts: &mut parts, encode: &encode };
+            let mut bands = Bands { parts: &mut parts, encode };
             view.render_bands(&view.region(), BAND_ROWS, &order.cancel, &mut bands)?;
         } else {
             view.render(&tiles.progressive(), &order.cancel, &mut sink)?;
         }
         Ok(parts.flush()?)
-    }
-
-    /// What makes bytes of light.
-    fn encoder(&self) -> impl Fn([f32; 4]) -> [u8; 4] + use<> {
-        let display_transform =
-            self.prepared.as_ref().map_or_else(DisplayTransform::default, |p| p.display_transform);
-        display_transform.rgba8()
     }
 
     fn give(&self, frame: Vec<u8>) -> Result<(), Unfinished> {

@@ -10,17 +10,25 @@
 //! `rayset render`, bit for bit.
 
 mod access;
+mod asks;
 mod compose;
 mod connections;
+mod cuts;
+mod engine;
 mod frames;
+mod looks;
 mod pacing;
 mod page;
 mod payload;
+mod picking;
 mod protocol;
 mod rate;
+mod saving;
 mod server;
+mod visit;
 mod wanted;
 
 pub use self::access::{SECRET_BYTES, secret};
 pub use self::compose::Subject;
-pub use self::server::{Options, ServeError, Server};
+pub use self::looks::{Attribute, Choices, Histogram, Looks, Style, Styled};
+pub use self::server::{Opener, Options, ServeError, Server};

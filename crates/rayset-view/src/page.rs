@@ -16,7 +16,7 @@ macro_rules! files {
     };
 }
 
-const FILES: [PageFile; 10] = files!(
+const FILES: [PageFile; 20] = files!(
     "index.html",
     "icon.svg",
     "style.css",
@@ -25,8 +25,18 @@ const FILES: [PageFile; 10] = files!(
     "camera.js",
     "frames.js",
     "gestures.js",
+    "warp.js",
     "panels.js",
-    "warp.js"
+    "widgets.js",
+    "overlay.js",
+    "views.js",
+    "look.js",
+    "transfer.js",
+    "light.js",
+    "cuts.js",
+    "picks.js",
+    "out.js",
+    "engine.js"
 );
 
 /// The file of a name; `None` if the page has none.

@@ -7,6 +7,11 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::cuts::{Cutter, MOST_CUTTERS, Section};
+use crate::engine::Report;
+use crate::looks::{Choices, Histogram, Style};
+use crate::picking::Picked;
+
 /// Longest message of a page, in bytes.
 pub(crate) const MOST_MESSAGE_BYTES: usize = 64 << 10;
 /// Largest edge of a picture in a page, in pixels.
@@ -22,6 +27,23 @@ pub(crate) enum FromPage {
     Save(Box<Show>),
     /// Somebody else is to be let in.
     Invite,
+    /// What lies behind a place of the picture?
+    Pick {
+        /// Answers say which question they are for.
+        question: u32,
+        /// From the left and from the top, 0 to 1 each.
+        at: [f64; 2],
+        show: Box<Show>,
+    },
+    /// What is in memory, and what has been read? With the map of the cloud, if it is not known yet.
+    Engine {
+        #[serde(default)]
+        with_map: bool,
+    },
+    /// A picture of what is seen is wanted as a file, of the size in `show`.
+    Picture(Box<Show>),
+    /// It is not wanted any more.
+    Cancel,
     /// A frame has arrived and been drawn.
     Ack {
         /// Its number.
@@ -68,9 +90,15 @@ pub(crate) struct Changes {
     /// The box within which the scene is seen; world space.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) section: Option<Section>,
-    /// Of a scene of one cloud or grid: in place of its own, as scene files write it.
+    /// Solids that cut, too.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) cutters: Vec<Cutter>,
+    /// The colour with which cuts are filled, `#rrggbb`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) transfer: Option<Transfer>,
+    pub(crate) cap: Option<String>,
+    /// Of a cloud or grid that was opened by itself: how it looks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) style: Option<Style>,
 }
 
 /// Parallel light.
@@ -84,32 +112,31 @@ pub(crate) struct Sun {
     pub(crate) shadow: bool,
 }
 
-/// A box along the axes.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, PartialEq)]
-#[serde(rename_all = "camelCase", deny_unknown_fields)]
-pub(crate) struct Section {
-    pub(crate) min: [f64; 3],
-    pub(crate) max: [f64; 3],
-}
-
-/// Keys of a transfer function. None of them can name a file.
-#[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
-#[serde(rename_all = "camelCase", deny_unknown_fields, default)]
-pub(crate) struct Transfer {
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) opacity: Option<Value>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) color: Option<Value>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) input: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) value_range: Option<[f64; 2]>,
+/// What a picture shows in which colours.
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct Legend {
+    pub(crate) look: String,
+    /// What was chosen, and why.
+    pub(crate) line: String,
+    /// Whether there are lights.
+    pub(crate) is_lit: bool,
+    /// As the scene file has it.
+    pub(crate) transfer_function: Value,
+    /// How what opacity is over is spread.
+    pub(crate) densities: Option<Histogram>,
+    /// What a person should know of the scene.
+    pub(crate) remarks: Vec<String>,
+    /// The command that renders it, without camera and size, as a shell reads it; `None` if it takes a scene file.
+    pub(crate) command: Option<String>,
 }
 
 /// A message to the page.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "type", rename_all = "camelCase")]
 pub(crate) enum ToPage {
+    /// Before the first: what is to be seen is not ready yet.
+    Opening { what: String, part: f64 },
     /// The first of all: what was opened.
     #[serde(rename_all = "camelCase")]
     Hello {
@@ -120,9 +147,21 @@ pub(crate) enum ToPage {
         bounds: [[f64; 3]; 2],
         /// The scene as it was opened.
         scene: Box<Value>,
-        /// The most pixels that a picture may have.
+        /// The most pixels that a picture on the page may have.
         most_pixels: u64,
+        /// Looks to choose among; `None` for a scene, which says itself what it looks like.
+        choices: Option<Box<Choices>>,
     },
+    /// What a generation looks like, whenever that has changed.
+    Styled(Box<Legend>),
+    /// What lies behind a place of the picture.
+    Picked(Box<Picked>),
+    /// What is in memory, and what has been read.
+    Engine(Box<Report>),
+    /// How much of the picture that is being saved is done, 0 to 1.
+    Progress { part: f64 },
+    /// The picture that was to be saved is complete; or why it is not.
+    Pictured { what: Option<String> },
     /// The picture of a generation is complete: what `rayset render` makes of the same scene.
     Converged { generation: u32, seconds: f64 },
     /// The scene file that was asked for, as text.
@@ -157,6 +196,8 @@ pub(crate) enum FrameKind {
     /// Rectangles, `x`, `y`, `width` and `height` of each as 16-bit numbers; then, compressed by zlib, their pixels, row
     /// by row, rectangle by rectangle: 8-bit RGBA, straight alpha.
     Rectangles = 2,
+    /// The next bytes of a picture that is saved as a file; not acknowledged.
+    Piece = 3,
 }
 
 impl FrameHead {
@@ -174,15 +215,20 @@ impl FrameHead {
 
 impl Show {
     /// What is wrong with it before the scene is looked at.
-    pub(crate) fn check(&self, most_pixels: u64) -> Result<(), String> {
+    pub(crate) fn check(&self, most_edge: u32, most_pixels: u64) -> Result<(), String> {
         let [width, height] = self.size;
         if u64::from(width) * u64::from(height) > most_pixels {
             return Err(format!(
                 "{width}x{height} are more than the {most_pixels} pixels that a page may have"
             ));
         }
-        if !(1..=MOST_EDGE).contains(&width) || !(1..=MOST_EDGE).contains(&height) {
-            return Err(format!("a picture of {width}x{height} pixels; expected 1 to {MOST_EDGE} each"));
+        if !(1..=most_edge).contains(&width) || !(1..=most_edge).contains(&height) {
+            return Err(format!("a picture of {width}x{height} pixels; expected 1 to {most_edge} each"));
+        }
+        if self.changes.cutters.len() > MOST_CUTTERS
+            || self.changes.cutters.iter().any(|cutter| cutter.turns.len() > MOST_CUTTERS)
+        {
+            return Err(format!("at most {MOST_CUTTERS} solids can cut"));
         }
         if self.generation == u32::MAX {
             return Err("generations have run out; reload the page".into());
@@ -209,7 +255,7 @@ mod tests {
         assert!(read(&with(r#""changes": {"exposure": 1.5}"#)).is_ok());
         for wrong in [
             r#""changes": {"file": "/etc/passwd"}"#,
-            r#""changes": {"transfer": {"preset": {"file": "/etc/passwd", "name": "a"}}}"#,
+            r#""changes": {"style": {"preset": {"file": "/etc/passwd", "name": "a"}}}"#,
             r#""more": 1"#,
         ] {
             assert!(read(&with(wrong)).is_err(), "{wrong}");
@@ -223,7 +269,7 @@ mod tests {
             let mut damaged = SHOW.as_bytes().to_vec();
             damaged[at] = byte;
             if let Ok(FromPage::Show(show)) = serde_json::from_slice::<FromPage>(&damaged) {
-                let _ = show.check(1 << 20);
+                let _ = show.check(MOST_EDGE, 1 << 20);
             }
         }
     }

@@ -3,50 +3,45 @@
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 
 use axum::Router;
+use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Query, Request, State};
+use axum::extract::{DefaultBodyLimit, Query, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{Html, IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use rayset::Session;
 use tokio::net::TcpListener;
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
-use crate::access::{Access, Refusal, SECRET_BYTES};
+use crate::access::{Access, LEAST_PASSWORD, Refusal, SECRET_BYTES};
 use crate::compose::{Opened, Subject};
 use crate::connections::Limited;
-use crate::frames::{Frames, Outgoing};
 use crate::page;
-use crate::protocol::{FromPage, MOST_MESSAGE_BYTES, ToPage};
-use crate::rate::Rate;
-use crate::wanted::Wanted;
+use crate::protocol::{MOST_MESSAGE_BYTES, ToPage};
+use crate::visit::{self, Place};
 
 /// Most pages that are connected at a time.
-const MOST_PAGES: usize = 4;
+pub(crate) const MOST_PAGES: usize = 4;
 /// Bytes that a page's picture takes for each of its pixels: as it is shown, its distances, on its way.
 const PIXEL_BYTES: u64 = 14;
-/// Messages that wait for a page, besides frames, of which at most two are under way.
-const MESSAGES_WAITING: usize = 4;
-/// Between pings, which keep a page that rests from being taken for one that has gone.
-const BETWEEN_PINGS: Duration = Duration::from_secs(10);
-/// A page that takes longer than this for a message has gone.
-const PATIENCE: Duration = Duration::from_secs(20);
 /// What the page may do: run its own scripts, show its own pictures, speak to this server, and nothing else.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
-    connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+    connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
 /// How to serve.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Options {
-    /// The port on 127.0.0.1; 0 for any that is free.
+    /// Where to listen; beyond this machine only with a password.
+    pub address: IpAddr,
+    /// The port; 0 for any that is free.
     pub port: u16,
+    /// Lets in whoever knows it.
+    pub password: Option<String>,
     /// Names besides those of this machine, with or without a port, under which a proxy may be reached.
     pub allowed_hosts: Vec<String>,
     /// Bytes for the pictures of all pages together.
@@ -56,10 +51,11 @@ pub struct Options {
 }
 
 impl Options {
-    /// Options with a key, on a port, with 64 MiB for pictures.
+    /// Options with a key, on a port of 127.0.0.1, with 64 MiB for pictures.
     #[must_use]
     pub fn new(key: [u8; SECRET_BYTES], port: u16) -> Self {
-        Self { port, allowed_hosts: Vec::new(), picture_bytes: 64 << 20, key }
+        let address = IpAddr::V4(Ipv4Addr::LOCALHOST);
+        Self { address, port, password: None, allowed_hosts: Vec::new(), picture_bytes: 64 << 20, key }
     }
 }
 
@@ -78,6 +74,11 @@ pub enum ServeError {
     /// The scene cannot be shown.
     #[error("{0}")]
     Scene(String),
+    /// It would be open to everybody.
+    #[error(
+        "{0} is beyond this machine: whoever can reach it could look, so a password of at least {LEAST_PASSWORD} characters is needed"
+    )]
+    Password(IpAddr),
     /// The system refused something else.
     #[error(transparent)]
     Io(#[from] io::Error),
@@ -92,48 +93,100 @@ pub struct Server {
 }
 
 /// What all connections share.
-struct Shared {
-    access: Access,
-    session: Session,
-    opened: Arc<Opened>,
+pub(crate) struct Shared {
+    pub(crate) access: Access,
+    pub(crate) stage: watch::Sender<Stage>,
     /// The most pixels of a page's picture.
-    most_pixels: u64,
-    hello: ToPage,
-    pages: AtomicUsize,
-    log: Box<dyn Fn(&str) + Send + Sync>,
+    pub(crate) most_pixels: u64,
+    /// Memory for a picture that is saved.
+    pub(crate) saving_bytes: u64,
+    pub(crate) is_saving: AtomicBool,
+    pub(crate) pages: AtomicUsize,
+    pub(crate) log: Box<dyn Fn(&str) + Send + Sync>,
 }
 
-impl Server {
-    /// Listens on 127.0.0.1, and opens the scene once, so that mistakes in it are known before a page is opened. `log` is
-    /// given a line for every visitor who is refused.
+/// How far opening what is to be seen has come.
+#[derive(Clone)]
+pub(crate) enum Stage {
+    /// What is being done, and which part of it is done.
+    Opening {
+        what: String,
+        part: f64,
+    },
+    Ready(Arc<Ready>),
+}
+
+/// What there is to see.
+pub(crate) struct Ready {
+    pub(crate) session: Session,
+    pub(crate) opened: Arc<Opened>,
+    pub(crate) hello: ToPage,
+}
+
+/// Tells a server what there is to see.
+#[derive(Clone)]
+pub struct Opener(Arc<Shared>);
+
+impl Opener {
+    /// Pages that wait are told how far it is: what is being done, and which part of it, 0 to 1, is done.
+    pub fn progress(&self, what: &str, part: f64) {
+        self.0.stage.send_replace(Stage::Opening { what: what.to_owned(), part });
+    }
+
+    /// Opens a scene to all pages.
     ///
     /// # Errors
-    /// [`ServeError`] if the port cannot be had or the scene cannot be read.
-    pub fn start(
-        subject: Subject,
-        session: Session,
-        options: Options,
-        log: impl Fn(&str) + Send + Sync + 'static,
-    ) -> Result<Self, ServeError> {
-        let most_pixels = options.picture_bytes / MOST_PAGES as u64 / PIXEL_BYTES;
+    /// [`ServeError`] if the scene cannot be read.
+    pub fn open(&self, subject: Subject, session: Session) -> Result<(), ServeError> {
         let opened = Arc::new(Opened::new(subject).map_err(ServeError::Scene)?);
         let hello = ToPage::Hello {
             title: opened.subject.title.clone(),
             camera: opened.camera,
             bounds: [opened.bounds.min.to_array(), opened.bounds.max.to_array()],
             scene: Box::new(opened.subject.scene.clone()),
-            most_pixels,
+            most_pixels: self.0.most_pixels,
+            choices: opened.subject.looks.as_ref().map(|looks| Box::new(looks.choices())),
         };
+        self.0.stage.send_replace(Stage::Ready(Arc::new(Ready { session, opened, hello })));
+        Ok(())
+    }
+}
+
+impl Server {
+    /// Listens. What there is to see follows by [`opener`](Self::opener). `log` is given a line for every visitor who is refused.
+    ///
+    /// # Errors
+    /// [`ServeError`] if the port cannot be had, or if it would be open to everybody.
+    pub fn start(options: Options, log: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, ServeError> {
+        let has_password = options.password.as_ref().is_some_and(|p| p.chars().count() >= LEAST_PASSWORD);
+        if !(options.address.is_loopback() && options.password.is_none() || has_password) {
+            return Err(ServeError::Password(options.address));
+        }
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let address = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), options.port);
+        let address = SocketAddr::new(options.address, options.port);
         let listener = runtime
             .block_on(TcpListener::bind(address))
             .map_err(|source| ServeError::Listen { address, source })?;
         let address = listener.local_addr()?;
-        let access = Access::new(options.key, address.port(), options.allowed_hosts);
-        let pages = AtomicUsize::new(0);
-        let shared = Shared { access, session, opened, most_pixels, hello, pages, log: Box::new(log) };
+        // One share for each page, and one for a picture that is saved.
+        let share = options.picture_bytes / (MOST_PAGES as u64 + 1);
+        let password = options.password.as_deref();
+        let shared = Shared {
+            access: Access::new(options.key, address.port(), options.allowed_hosts, password),
+            stage: watch::Sender::new(Stage::Opening { what: "opening".into(), part: 0.0 }),
+            most_pixels: share / PIXEL_BYTES,
+            saving_bytes: share,
+            is_saving: AtomicBool::new(false),
+            pages: AtomicUsize::new(0),
+            log: Box::new(log),
+        };
         Ok(Self { runtime, listener, shared: Arc::new(shared), address })
+    }
+
+    /// What tells this server what there is to see, from any thread.
+    #[must_use]
+    pub fn opener(&self) -> Opener {
+        Opener(self.shared.clone())
     }
 
     /// Where it listens.
@@ -147,12 +200,16 @@ impl Server {
     /// # Errors
     /// The system's error, if it has no random numbers.
     pub fn invitation(&self) -> io::Result<String> {
-        Ok(format!("http://{}/?token={}", self.address, self.shared.access.issue()?))
+        (self.inviter())()
     }
 
     /// What issues further invitations, from any thread.
     pub fn inviter(&self) -> impl Fn() -> io::Result<String> + Send + Sync + 'static + use<> {
-        let (shared, address) = (self.shared.clone(), self.address);
+        let (shared, mut address) = (self.shared.clone(), self.address);
+        if address.ip().is_unspecified() {
+            // It listens everywhere, but nobody is there.
+            address.set_ip(IpAddr::V4(Ipv4Addr::LOCALHOST));
+        }
         move || Ok(format!("http://{address}/?token={}", shared.access.issue()?))
     }
 
@@ -164,6 +221,7 @@ impl Server {
         let router = Router::new()
             .route("/", get(index))
             .route("/socket", get(socket))
+            .route("/enter", post(enter).layer(DefaultBodyLimit::max(MOST_FORM_BYTES)))
             .route("/{file}", get(asset))
             .fallback(async || StatusCode::NOT_FOUND)
             .layer(middleware::from_fn_with_state(self.shared.clone(), guard))
@@ -208,6 +266,48 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
 const WELCOME: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>rayset</title><link rel=icon href=icon.svg>\
     <meta http-equiv=refresh content=\"0; url=./\"><p><a href=\"./\">Go on</a>";
 
+/// Longest form.
+const MOST_FORM_BYTES: usize = 4 << 10;
+
+/// Asks for the password.
+const DOOR: &str = "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content=\"width=device-width\">\
+    <title>rayset</title><link rel=icon href=icon.svg><link rel=stylesheet href=style.css>\
+    <body class=door><main><form method=post action=enter><h1>rayset</h1><label for=password>Password</label>\
+    <input id=password name=password type=password autocomplete=current-password required autofocus>\
+    <button>Enter</button></form></main>";
+
+/// Lets in who knows the password.
+async fn enter(State(shared): State<Arc<Shared>>, headers: HeaderMap, body: String) -> Response {
+    let password = body.strip_prefix("password=").and_then(unescaped).unwrap_or_default();
+    match shared.access.check_origin(&headers).and_then(|()| shared.access.enter(&password)) {
+        Ok(cookie) => ([(header::SET_COOKIE, cookie)], Html(WELCOME)).into_response(),
+        Err(refusal) => {
+            let mut response = shared.refuse(refusal, "/enter");
+            *response.body_mut() = DOOR.into();
+            let kind = HeaderValue::from_static("text/html; charset=utf-8");
+            response.headers_mut().insert(header::CONTENT_TYPE, kind);
+            response
+        }
+    }
+}
+
+/// The text of a form's field; `None` if it is none.
+fn unescaped(field: &str) -> Option<String> {
+    let mut bytes = Vec::with_capacity(field.len());
+    let mut rest = field.bytes();
+    while let Some(byte) = rest.next() {
+        bytes.push(match byte {
+            b'+' => b' ',
+            b'%' => {
+                let digits = [rest.next()?, rest.next()?];
+                u8::from_str_radix(std::str::from_utf8(&digits).ok()?, 16).ok()?
+            }
+            other => other,
+        });
+    }
+    String::from_utf8(bytes).ok()
+}
+
 #[derive(serde::Deserialize)]
 struct Visit {
     token: Option<String>,
@@ -233,6 +333,7 @@ async fn index(
     }
     match shared.access.check_cookie(&headers) {
         Ok(()) => page::file("index.html").map_or(StatusCode::NOT_FOUND.into_response(), page::response),
+        Err(_) if shared.access.has_password() => Html(DOOR).into_response(),
         Err(refusal) => shared.refuse(refusal, "/"),
     }
 }
@@ -265,130 +366,5 @@ async fn socket(
         return (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open\n").into_response();
     };
     let upgrade = upgrade.max_message_size(MOST_MESSAGE_BYTES).max_frame_size(MOST_MESSAGE_BYTES);
-    upgrade.on_upgrade(move |socket| serve_page(place, socket))
-}
-
-/// One of the places for pages; free again when dropped.
-struct Place(Arc<Shared>);
-
-impl Place {
-    fn take(shared: &Arc<Shared>) -> Option<Self> {
-        let free = |pages| (pages < MOST_PAGES).then_some(pages + 1);
-        let taken = shared.pages.fetch_update(Ordering::Relaxed, Ordering::Relaxed, free);
-        taken.ok().map(|_| Self(shared.clone()))
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        self.0.pages.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
-/// Speaks with a page until either side has enough.
-async fn serve_page(place: Place, mut socket: WebSocket) {
-    // The place is free again when the page's thread, too, has ended: it may be preparing a scene.
-    let place = Arc::new(place);
-    let of_thread = place.clone();
-    let shared = &place.0;
-    let wanted = Arc::new(Wanted::default());
-    let (send, mut outgoing) = mpsc::channel(MESSAGES_WAITING);
-    let to_page = Box::new(move |message| send.blocking_send(message).is_ok());
-    let frames = Frames::new(
-        shared.session.clone(),
-        shared.opened.clone(),
-        shared.most_pixels,
-        wanted.clone(),
-        to_page,
-    );
-    let started = std::thread::Builder::new().name("rayset-view".into()).spawn(move || {
-        frames.run();
-        drop(of_thread);
-    });
-    if let Err(error) = started {
-        (shared.log)(&format!("a page was turned away: the system starts no thread: {error}"));
-        return;
-    }
-    // Ends the thread whichever way this function is left.
-    let _closed = CloseWhenDropped(&wanted);
-    if give(&mut socket, Outgoing::Text(shared.hello.clone())).await.is_err() {
-        return;
-    }
-    let mut rate = Rate::new();
-    let mut pings = tokio::time::interval(BETWEEN_PINGS);
-    loop {
-        let ended = tokio::select! {
-            message = socket.recv() => match message.map(|message| message.map(|m| hear(shared, &wanted, &mut rate, m))) {
-                Some(Ok(Ok(None))) => Ok(()),
-                Some(Ok(Ok(Some(answer)))) => give(&mut socket, Outgoing::Text(answer)).await,
-                Some(Ok(Err(()))) | Some(Err(_)) | None => Err(()),
-            },
-            _ = pings.tick() => ping(&mut socket).await,
-            message = outgoing.recv() => match message {
-                Some(message) => give(&mut socket, message).await,
-                None => Err(()),
-            },
-        };
-        if ended.is_err() {
-            return;
-        }
-    }
-}
-
-struct CloseWhenDropped<'a>(&'a Wanted);
-
-impl Drop for CloseWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.close();
-    }
-}
-
-/// Takes note of what a page says; returns the answer, if there is one at once. An error ends the connection.
-fn hear(shared: &Shared, wanted: &Wanted, rate: &mut Rate, message: Message) -> Result<Option<ToPage>, ()> {
-    if !rate.allows() {
-        (shared.log)("closed a page: it sent too many messages");
-        return Err(());
-    }
-    let text = match message {
-        Message::Text(text) => text,
-        Message::Ping(_) | Message::Pong(_) => return Ok(None),
-        Message::Binary(_) | Message::Close(_) => return Err(()),
-    };
-    match serde_json::from_str(&text) {
-        Ok(FromPage::Show(show)) => wanted.show(*show),
-        Ok(FromPage::Ack { frame }) => wanted.acknowledge(frame),
-        Ok(FromPage::Invite) => {
-            let token = shared.access.issue().map_err(|_| ())?;
-            return Ok(Some(ToPage::Invited { token }));
-        }
-        Ok(FromPage::Save(show)) => {
-            let scene = serde_json::to_string_pretty(&shared.opened.saved(&show)).map_err(|_| ())?;
-            return Ok(Some(ToPage::Saved { scene }));
-        }
-        Err(error) => {
-            (shared.log)(&format!("closed a page: it sent what is no message: {error}"));
-            return Err(());
-        }
-    }
-    Ok(None)
-}
-
-/// Sends a message; an error if the page does not take it.
-async fn give(socket: &mut WebSocket, message: Outgoing) -> Result<(), ()> {
-    let message = match message {
-        Outgoing::Text(text) => Message::Text(serde_json::to_string(&text).map_err(|_| ())?.into()),
-        Outgoing::Frame(bytes) => Message::Binary(bytes.into()),
-    };
-    deliver(socket, message).await
-}
-
-async fn ping(socket: &mut WebSocket) -> Result<(), ()> {
-    deliver(socket, Message::Ping(Vec::new().into())).await
-}
-
-async fn deliver(socket: &mut WebSocket, message: Message) -> Result<(), ()> {
-    match tokio::time::timeout(PATIENCE, socket.send(message)).await {
-        Ok(Ok(())) => Ok(()),
-        Ok(Err(_)) | Err(_) => Err(()),
-    }
+    upgrade.on_upgrade(move |socket| visit::serve(place, socket))
 }

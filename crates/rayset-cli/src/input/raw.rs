@@ -17,7 +17,7 @@ use super::kinds::{self, Built};
 use super::sources::{has_volume, open_points, remark_about};
 use crate::memory::PROCESS_BYTES;
 use crate::outputs::Outputs;
-use crate::progress::Meter;
+use crate::progress::{Meter, Told};
 use crate::{budget, report};
 
 /// What an input is.
@@ -37,14 +37,16 @@ pub(crate) struct Opened {
 
 /// The resources that building may use.
 #[derive(Clone, Copy)]
-pub(crate) struct Resources {
+pub(crate) struct Resources<'a> {
     /// Of the whole process.
     pub(crate) memory: u64,
     pub(crate) threads: Option<usize>,
+    /// Is told how far building is.
+    pub(crate) told: Told<'a>,
 }
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
-pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources) -> Result<Opened> {
+pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs)?;
     if let [file] = files.as_slice() {
         if kinds::is_scene(file)? {
@@ -74,7 +76,7 @@ fn built(path: &Path) -> Result<Input> {
 }
 
 /// Builds files of points or voxels, unless that has been done before.
-fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources) -> Result<Opened> {
+fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let place = cache.place(&files, "default")?;
     if let Place::Kept(path) = &place
         && path.exists()
@@ -110,7 +112,7 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
+fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<()> {
     let memory = resources.memory.saturating_sub(PROCESS_BYTES);
     if has_volume(files)? {
         let [file] = files else {
@@ -121,7 +123,7 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
         };
         let source = VolumeSource::open(file)?;
         remark_about(file, &source);
-        let meter = Meter::new("slices", false);
+        let meter = Meter::new("slices", false).telling(resources.told);
         let control = BuildControl::from(&meter as &dyn Progress);
         let options = GridBuildOptions::default().with_memory_bytes(memory);
         let done = build::grid_to_file(source, output, &options, &control);
@@ -137,7 +139,7 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources) -> Result<()> {
         report::remark(remark);
     }
     let options = options.with_attributes(columns.kept);
-    let meter = Meter::new("points", false);
+    let meter = Meter::new("points", false).telling(resources.told);
     let control = BuildControl::from(&meter as &dyn Progress);
     let done = build::to_file(sources, output, &options.with_threads(threads), &control);
     meter.finish();

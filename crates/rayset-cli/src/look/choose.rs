@@ -1,14 +1,17 @@
 //! From an input and the options to the scene that is rendered, and the line that says what was chosen.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
-use super::grid;
+use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
+use super::statistics::Statistics;
 use super::view::CameraArgs;
 
 /// A scene chosen for an input.
@@ -21,14 +24,78 @@ pub(crate) struct Chosen {
     pub(crate) look: &'static str,
     /// What is up, and why.
     pub(crate) up: String,
+    /// What opacity is over at some places, estimated.
+    pub(crate) densities: Densities,
 }
+
+/// Estimates that cost a while, made when they are asked for.
+pub(crate) type Densities = Box<dyn FnOnce() -> Vec<f64>>;
 
 /// Rays along each side of a pixel if nothing is said: edges are smooth.
 const SAMPLES: u32 = 2;
 
 /// The scene of a cloud, for a picture of `size`.
 pub(crate) fn of_cloud(
+    cloud: &Arc<Cloud>,
+    look: &LookArgs,
+    camera: &CameraArgs,
+    size: (u32, u32),
+) -> Result<Chosen> {
+    Looks::of_cloud(cloud.clone())?.chosen(look, camera, size)
+}
+
+/// The scene of a grid, for a picture of `size`.
+pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+    of_sampled_grid(grid, &GridLook::choose(grid, camera.given_up())?, look, camera, size)
+}
+
+/// A cloud or grid whose look is chosen again and again: what was sampled is kept.
+pub(crate) enum Looks {
+    Cloud(Arc<Cloud>, Arc<Statistics>),
+    Grid(Box<Grid>, Box<GridLook>),
+}
+
+impl Looks {
+    pub(crate) fn of_cloud(cloud: Arc<Cloud>) -> Result<Self> {
+        let statistics = Arc::new(Statistics::of(&cloud)?);
+        Ok(Self::Cloud(cloud, statistics))
+    }
+
+    /// `camera` says what is up.
+    pub(crate) fn of_grid(grid: Box<Grid>, camera: &CameraArgs) -> Result<Self> {
+        let chosen = GridLook::choose(&grid, camera.given_up())?;
+        Ok(Self::Grid(grid, Box::new(chosen)))
+    }
+
+    /// The names of looks that there are for it; not all of them for every cloud.
+    pub(crate) fn names(&self) -> Vec<&'static str> {
+        let all = LookName::value_variants().iter();
+        let is_for_grids = |look: &LookName| *look == LookName::Volume;
+        all.filter(|look| is_for_grids(look) == matches!(self, Self::Grid(..)))
+            .map(|look| look.name())
+            .collect()
+    }
+
+    /// The scene in a look, for a picture of `size`.
+    pub(crate) fn chosen(&self, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+        match self {
+            Self::Cloud(cloud, statistics) => of_sampled_cloud(cloud, statistics.clone(), look, camera, size),
+            Self::Grid(grid, chosen) => of_sampled_grid(grid, chosen, look, camera, size),
+        }
+    }
+
+    /// The values of a stored attribute or a coordinate in a sample; of a grid its values without the background.
+    pub(crate) fn values(&self, name: &str) -> Vec<f64> {
+        match self {
+            Self::Cloud(_, statistics) => statistics.sorted(name),
+            Self::Grid(_, chosen) => chosen.shown.clone(),
+        }
+    }
+}
+
+fn of_sampled_cloud(
     cloud: &Cloud,
+    statistics: Arc<Statistics>,
     look: &LookArgs,
     camera: &CameraArgs,
     size: (u32, u32),
@@ -36,7 +103,7 @@ pub(crate) fn of_cloud(
     if look.look == Some(LookName::Volume) {
         bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
     }
-    let chosen = CloudLook::choose(cloud, look.look, camera.given_up())?;
+    let chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
     let mut scene =
         around(chosen.root(cloud, &path_text(cloud.path())?), &chosen.orientation.reason_and_up(), size);
     chosen.dress(cloud, &mut scene);
@@ -65,15 +132,20 @@ pub(crate) fn of_cloud(
         line: chosen.line(),
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
+        densities: Box::new(move || chosen.opacity_densities()),
     })
 }
 
-/// The scene of a grid, for a picture of `size`.
-pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+fn of_sampled_grid(
+    grid: &Grid,
+    chosen: &GridLook,
+    look: &LookArgs,
+    camera: &CameraArgs,
+    size: (u32, u32),
+) -> Result<Chosen> {
     if let Some(name) = look.look.filter(|name| *name != LookName::Volume) {
         bail!("--look {} is for points; the input has voxels, whose look is volume", name.name());
     }
-    let chosen = grid::GridLook::choose(grid, camera.given_up())?;
     let mut scene = around(chosen.root(&path_text(grid.path())?), &chosen.orientation.reason_and_up(), size);
     chosen.dress(&mut scene);
     scene["camera"] = camera.scene(&chosen.orientation, &chosen.points, aspect(size))?;
@@ -89,6 +161,10 @@ pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (
         line: chosen.line(),
         look: LookName::Volume.name(),
         up: chosen.orientation.reason_and_up(),
+        densities: {
+            let shown = chosen.shown.clone();
+            Box::new(move || shown)
+        },
     })
 }
 

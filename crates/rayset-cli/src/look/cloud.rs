@@ -1,5 +1,7 @@
 //! Looks of points.
 
+use std::sync::Arc;
+
 use anyhow::{Result, bail};
 use rayset::Cloud;
 use rayset::file::Header;
@@ -49,7 +51,7 @@ pub(super) struct CloudLook {
     pub(super) name: LookName,
     paint: Paint,
     pub(super) orientation: Orientation,
-    statistics: Statistics,
+    statistics: Arc<Statistics>,
     /// Whether the kernels of gas are normalised: the density is that of numbers.
     is_normalised: bool,
     /// Stops by which dark colours are made brighter.
@@ -60,8 +62,13 @@ pub(super) struct CloudLook {
 
 impl CloudLook {
     /// The look of a cloud: `wanted`, or the one that its columns and its shape suggest.
-    pub(super) fn choose(cloud: &Cloud, wanted: Option<LookName>, up: Option<DVec3>) -> Result<Self> {
-        let (header, statistics) = (cloud.header(), Statistics::of(cloud)?);
+    pub(super) fn choose(
+        cloud: &Cloud,
+        statistics: Arc<Statistics>,
+        wanted: Option<LookName>,
+        up: Option<DVec3>,
+    ) -> Result<Self> {
+        let header = cloud.header();
         let orientation = orientation(cloud, &statistics, up);
         let (name, reason) = match wanted {
             Some(name) => (name, "as asked for".to_owned()),
@@ -152,6 +159,19 @@ impl CloudLook {
             "height" if self.statistics.sorted(name).is_empty() => Some(self.statistics.sorted("z")),
             _ => Some(self.statistics.sorted(name)),
         }
+    }
+
+    /// Estimates of the density that opacity is over, at some points.
+    pub(super) fn opacity_densities(&self) -> Vec<f64> {
+        const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
+        if self.name == LookName::Gas {
+            return self.densities();
+        }
+        let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
+        // As of gas that is not normalised, for each by itself.
+        let reached = |i: usize, density: f64| density * BALL * radii[i].powi(3);
+        let around = self.statistics.number_densities();
+        around.iter().map(|&(i, density)| (0.2 * reached(i, density)).max(1.0) * weights[i]).collect()
     }
 
     /// The density of mass at points, or of numbers where points have no weights, ascending: estimates.

@@ -15,6 +15,6 @@ mod statistics;
 mod upright;
 mod view;
 
-pub(crate) use self::choose::{Chosen, of_cloud, of_grid};
+pub(crate) use self::choose::{Chosen, Looks, of_cloud, of_grid};
 pub(crate) use self::options::LookArgs;
 pub(crate) use self::view::CameraArgs;

@@ -188,6 +188,61 @@ impl LookArgs {
         options.into_iter().find(|(_, given)| *given).map(|(name, _)| name)
     }
 
+    /// The same, except for what `other` says.
+    pub(crate) fn overridden_by(&self, other: Self) -> Self {
+        let colors =
+            [&other.color, &other.color_by].iter().any(|given| given.is_some()) || other.colormap.is_some();
+        // What is coloured otherwise has another range, and no colour of before.
+        let of_before = if colors { Self::default() } else { self.clone() };
+        Self {
+            look: other.look.or(self.look),
+            kernel: other.kernel.or(self.kernel),
+            normalised: other.normalised || self.normalised,
+            opacity: other.opacity.or_else(|| self.opacity.clone()),
+            unit_distance: other.unit_distance.or(self.unit_distance),
+            color: other.color.or(of_before.color),
+            colormap: other.colormap.or(of_before.colormap),
+            color_by: other.color_by.or(of_before.color_by),
+            value_range: other.value_range.or(of_before.value_range),
+            log: other.log || of_before.log,
+            shading: other.shading.or(self.shading),
+            ambient_occlusion: other.ambient_occlusion.or(self.ambient_occlusion),
+            background: other.background.or_else(|| self.background.clone()),
+            step: other.step.or_else(|| self.step.clone()),
+            step_fraction: other.step_fraction.or(self.step_fraction),
+            phase: other.phase.or(self.phase),
+            stop: other.stop.or(self.stop),
+        }
+    }
+
+    /// The options as one would type them.
+    pub(crate) fn words(&self) -> Vec<String> {
+        let named =
+            |value: Option<clap::builder::PossibleValue>| value.map(|value| value.get_name().to_owned());
+        let number = |value: Option<f64>| value.map(|value| value.to_string());
+        let texts = [
+            ("look", self.look.map(|look| look.name().to_owned())),
+            ("kernel", self.kernel.map(|kernel| kernel.to_string())),
+            ("opacity", self.opacity.clone()),
+            ("unit-distance", number(self.unit_distance)),
+            ("color", self.color.clone()),
+            ("colormap", self.colormap.map(|map| map.to_string())),
+            ("color-by", self.color_by.clone()),
+            ("value-range", self.value_range.map(|range| range.to_string())),
+            ("shading", named(self.shading.and_then(|shading| shading.to_possible_value()))),
+            ("ambient-occlusion", number(self.ambient_occlusion)),
+            ("background", self.background.clone()),
+            ("step", self.step.clone()),
+            ("step-fraction", number(self.step_fraction)),
+            ("phase", named(self.phase.and_then(|phase| phase.to_possible_value()))),
+            ("stop", number(self.stop)),
+        ];
+        let with_values = texts.into_iter().filter_map(|(name, text)| Some(format!("--{name}={}", text?)));
+        let flags = [("normalised", self.normalised), ("log", self.log)];
+        let flags = flags.into_iter().filter(|(_, given)| *given).map(|(name, _)| format!("--{name}"));
+        with_values.chain(flags).collect()
+    }
+
     /// Puts the options that were given in the place of what a scene of one cloud or grid says.
     pub(super) fn apply(&self, scene: &mut Value, input: &Input<'_>) -> Result<()> {
         let transfer = &mut scene["root"]["transferFunction"];

@@ -22,6 +22,21 @@ pub(super) enum End {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ValueRange(End, End);
 
+impl std::fmt::Display for End {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Value(value) => write!(f, "{value}"),
+            Self::Percent(share) => write!(f, "{share}%"),
+        }
+    }
+}
+
+impl std::fmt::Display for ValueRange {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}:{}", self.0, self.1)
+    }
+}
+
 impl ValueRange {
     /// What a map over the logarithm has if nothing is said, of positive values in ascending order.
     pub(super) fn customary(sorted: &[f64]) -> Result<(f64, f64)> {

@@ -10,7 +10,7 @@ use rayset::points::{PointBatch, Schema};
 const SAMPLE_POINTS: usize = 1 << 14;
 
 /// A sample of a cloud's points.
-pub(super) struct Statistics {
+pub(crate) struct Statistics {
     batch: PointBatch,
     schema: Schema,
     /// By what the density of the sample has to be multiplied.

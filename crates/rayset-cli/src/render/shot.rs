@@ -40,8 +40,11 @@ pub(super) struct Shot {
 
 impl Shot {
     pub(super) fn new(args: &RenderArgs) -> Result<Self> {
-        let resources =
-            Resources { memory: args.work.memory.unwrap_or(DEFAULT_MEMORY), threads: args.work.threads };
+        let resources = Resources {
+            memory: args.work.memory.unwrap_or(DEFAULT_MEMORY),
+            threads: args.work.threads,
+            told: None,
+        };
         let opened = input::open(&args.inputs, &args.cache, resources)?;
         let size = args.picture.size();
         let (mut file, chosen, look) = match &opened.input {

@@ -39,7 +39,7 @@ pub(super) struct PictureSink {
     // Dropped before the file: an encoder writes when it is dropped.
     encoder: Encoder,
     file: OutputFile,
-    meter: Meter,
+    meter: Meter<'static>,
     census: Census,
     /// What is laid over the picture, and the picture's first column of the whole.
     overlay: Option<Overlay>,

@@ -2,6 +2,7 @@
 /** The page: one view, its panels, and what it remembers. */
 
 import { listen } from "./gestures.js";
+import { Overlay } from "./overlay.js";
 import { build } from "./panels.js";
 import { RaysetView } from "./view.js";
 
@@ -31,10 +32,10 @@ const hash = (text) => {
 };
 const restore = (/** @type {string | null | undefined} */ text) => {
   if (!text) return;
-  const { camera, changes } = JSON.parse(text);
-  view.changes = changes ?? {};
-  if (camera) view.camera = camera;
+  view.state = JSON.parse(text);
 };
+
+const overlay = new Overlay(view, /** @type {any} */ (by("overlay")), begin);
 
 /** What the panels were built for. */
 let opened = "";
@@ -48,7 +49,11 @@ view.addEventListener("hello", () => {
   // A page that is loaded again goes on where it was, if it is the same scene.
   const kept = sessionStorage.getItem(KEPT);
   if (kept && JSON.parse(kept).opened === scene) restore(kept);
-  build(by("panels"), view, begin);
+  build(by("panels"), view, begin, overlay, scene);
+});
+view.addEventListener("opening", (event) => {
+  const { what, part } = /** @type {CustomEvent} */ (event).detail;
+  status.textContent = `${what}: ${Math.floor(100 * part)} %`;
 });
 view.addEventListener("change", () => {
   status.textContent = "tracing";
@@ -56,7 +61,8 @@ view.addEventListener("change", () => {
 });
 view.addEventListener("converged", (event) => {
   const seconds = /** @type {CustomEvent} */ (event).detail.seconds;
-  status.textContent = `complete, ${seconds.toFixed(1)} s`;
+  const remarks = (view.legend?.remarks ?? []).map((remark) => `; ${remark}`).join("");
+  status.textContent = `complete, ${seconds.toFixed(1)} s${remarks}`;
 });
 view.addEventListener("problem", (event) => {
   status.textContent = /** @type {CustomEvent} */ (event).detail.what;

@@ -151,3 +151,30 @@ export function lookAlong(camera, direction) {
   if (Math.abs(dot(along, camera.up)) >= STEEPEST) along = unit(add(along, scale(camera.direction, 0.02)));
   return { ...camera, direction: along, position: subtract(pivot(camera), scale(along, camera.distance)) };
 }
+
+/**
+ * Where a place of the scene is in the picture: from -1, left and below, to 1; `null` behind the eye.
+ * @param {Camera} camera @param {Vector} point @param {number} aspect width over height @returns {[number, number] | null}
+ */
+export function project(camera, point, aspect) {
+  const from = subtract(point, camera.position);
+  const ahead = dot(from, camera.direction);
+  if (!(ahead > 0)) return null;
+  const half = Math.tan((camera.fovy * Math.PI) / 360) * ahead;
+  const across = right(camera);
+  return [dot(from, across) / (half * aspect), dot(from, cross(across, camera.direction)) / half];
+}
+
+/**
+ * Turns towards a place, which it turns about from then on, and comes nearer to it.
+ * @param {Camera} camera @param {Vector} point @param {number} factor of the distance to it @returns {Camera}
+ */
+export function focus(camera, point, factor) {
+  const from = subtract(point, camera.position);
+  const far = Math.hypot(...from);
+  if (!(far > 0)) return camera;
+  let direction = unit(from);
+  if (Math.abs(dot(direction, camera.up)) >= STEEPEST) direction = camera.direction;
+  const distance = far * factor;
+  return { ...camera, direction, distance, position: subtract(point, scale(direction, distance)) };
+}

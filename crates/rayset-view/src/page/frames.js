@@ -3,6 +3,8 @@
 
 const HEAD_BYTES = 16;
 const WHOLE = 1;
+/** Of a picture that is saved. */
+export const PIECE = 3;
 
 /**
  * @typedef {object} Frame

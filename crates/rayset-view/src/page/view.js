@@ -5,13 +5,14 @@
  *     const view = new RaysetView(canvas, { socket: "socket" });
  *     view.addEventListener("hello", () => { view.camera = orbit(view.camera, 0.5, 0); });
  *
- * Events: `hello` (a scene has been opened; `view.scene`, `view.bounds` and `view.camera` are known), `change` (the camera or
- * the changes are others), `frame`, `reprojected` (the last picture was drawn as the camera sees it now), `converged` (`detail.seconds`: the picture is complete), `problem` (`detail.what`),
- * `connection` (`detail.open`).
+ * Events: `opening` (`detail.what`, `detail.part`: there is nothing to see yet), `hello` (a scene has been opened; `view.scene`,
+ * `view.bounds`, `view.choices` and `view.camera` are known), `change` (the camera or the changes are others), `legend` (`view.legend`
+ * is another), `frame`, `reprojected` (the last picture was drawn as the camera sees it now), `converged` (`detail.seconds`: the picture
+ * is complete), `problem` (`detail.what`), `connection` (`detail.open`).
  */
 
 import { cameraOf, zoom } from "./camera.js";
-import { Painter, parse } from "./frames.js";
+import { Painter, parse, PIECE } from "./frames.js";
 import { Warp } from "./warp.js";
 
 /**
@@ -19,7 +20,19 @@ import { Warp } from "./warp.js";
  * @typedef {import("./camera.js").Vector} Vector
  * @typedef {{direction: Vector, intensity: number, shadow: boolean}} Sun
  * @typedef {{min: Vector, max: Vector}} Section
- * @typedef {{exposure?: number, sun?: Sun, section?: Section, transfer?: object}} Changes
+ * @typedef {{form: "box" | "ellipsoid" | "cylinder", center: Vector, size: Vector, turns?: {axis: Vector, degrees: number}[], keep?: boolean}} Cutter
+ *   takes away what is inside of it, or all else
+ * @typedef {{look?: string, color?: string, colorBy?: string, colormap?: string, valueRange?: [number, number], log?: boolean, opacity?: [number, number][]}} Style
+ *   options of `rayset render`
+ * @typedef {{exposure?: number, sun?: Sun, section?: Section, cutters?: Cutter[], cap?: string, style?: Style}} Changes
+ *   what is other than in the scene that was opened; `cap`: the colour that fills cuts
+ * @typedef {{low: number, high: number, logarithmic: boolean, counts: number[]}} Histogram
+ * @typedef {{name: string, unit: string, range: [number, number], histogram: Histogram | null}} Attribute
+ * @typedef {{looks: string[], attributes: Attribute[], palettes: [string, string[]][], style: Style}} Choices
+ * @typedef {{look: string, line: string, isLit: boolean, transferFunction: any, densities: Histogram | null, remarks: string[], command: string | null}} Legend
+ * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, values: [string, number, string][]} | null}} Picked
+ * @typedef {{name: string, bytes: number, hits: number, misses: number, reads: number, bytesRead: number, bytesUnique: number, evictions: number, waitedSeconds: number}} KindReport
+ * @typedef {{budget: number, kinds: KindReport[], regions: [Vector, Vector][] | null, resident: number[]}} Report
  * @typedef {{size?: [number, number], scene?: any}} Scene
  */
 
@@ -42,6 +55,10 @@ export class RaysetView extends EventTarget {
   /** @type {[Vector, Vector]} its least and largest coordinates */
   bounds = [[0, 0, 0], [0, 0, 0]];
   title = "";
+  /** @type {Choices | null} looks to choose among; `null` for a scene that says itself what it looks like */
+  choices = null;
+  /** @type {Legend | null} what the picture shows in which colours */
+  legend = null;
   /** @type {Camera | null} where it is best seen from */
   home = null;
 
@@ -67,6 +84,13 @@ export class RaysetView extends EventTarget {
   #warpAsked = 0;
   /** When it was last drawn for another camera. */
   #warped = 0;
+  /** Answers that are waited for: by what they answer. @type {Map<string, {resolve: (answer: any) => void, reject: (error: Error) => void}>} */
+  #waiting = new Map();
+  #questions = 0;
+  /** Pieces of the picture that is being saved. @type {ArrayBuffer[]} */
+  #pieces = [];
+  /** @type {(part: number) => void} */
+  #progress = () => {};
   #address;
   #painter;
   #observer;
@@ -122,6 +146,22 @@ export class RaysetView extends EventTarget {
     return { camera: this.#camera, changes: this.#changes };
   }
 
+  set state({ camera, changes }) {
+    this.#changes = changes ?? {};
+    if (camera) this.camera = camera;
+    else this.#changed();
+  }
+
+  /** The command that renders what is seen, if options say it; else a scene has to be saved first. */
+  get command() {
+    const command = this.legend?.command;
+    if (!command || !this.#camera) return null;
+    const { position, direction, fovy } = this.#camera;
+    const three = (/** @type {Vector} */ v) => v.join(",");
+    return `${command} --position=${three(position)} --direction=${three(direction)} --fovy=${fovy} ` +
+      `--size=${this.canvas.width}x${this.canvas.height} -o picture.png`;
+  }
+
   /** Everything that decides the picture, as the program is told. */
   get shown() {
     const { position, direction, up, fovy } = /** @type {Camera} */ (this.#camera);
@@ -130,26 +170,69 @@ export class RaysetView extends EventTarget {
   }
 
   /** Asks for the scene file of what is seen. @returns {Promise<string>} */
-  sceneFile() {
-    return new Promise((resolve, reject) => {
-      if (!this.#isOpen) return reject(new Error("not connected"));
-      this.addEventListener("saved", (event) => resolve(/** @type {CustomEvent} */ (event).detail.scene), { once: true });
-      this.#send({ type: "save", generation: this.#generation, moving: false, ...this.shown });
-    });
+  async sceneFile() {
+    return (await this.#ask("saved", { type: "save", ...this.#now })).scene;
   }
 
   /** Asks for an address that opens another page, once, in any browser. @returns {Promise<string>} */
-  invitation() {
+  async invitation() {
+    const { token } = await this.#ask("invited", { type: "invite" });
+    const address = new URL("./", this.#address);
+    address.protocol = address.protocol === "wss:" ? "https:" : "http:";
+    address.search = `token=${token}`;
+    return address.href;
+  }
+
+  /**
+   * Asks what lies behind a place of the picture.
+   * @param {number} x @param {number} y from the left and from the top, 0 to 1 @returns {Promise<Picked>}
+   */
+  pick(x, y) {
+    const question = ++this.#questions;
+    return this.#ask(`picked ${question}`, { type: "pick", question, at: [x, y], show: this.#now });
+  }
+
+  /** Asks what is in memory and what has been read. @param {boolean} withMap whether boxes of the cloud are wanted, too @returns {Promise<Report>} */
+  engine(withMap) {
+    return this.#ask("engine", { type: "engine", withMap });
+  }
+
+  /**
+   * Asks for a picture of what is seen, of any size.
+   * @param {[number, number]} size in pixels @param {(part: number) => void} progress is told which part is done
+   * @returns {Promise<Blob>} a PNG file
+   */
+  async picture(size, progress = () => {}) {
+    [this.#pieces, this.#progress] = [[], progress];
+    await this.#ask("pictured", { type: "picture", ...this.#now, size });
+    const pieces = this.#pieces;
+    this.#pieces = [];
+    return new Blob(pieces, { type: "image/png" });
+  }
+
+  /** Gives up the picture that is being saved. */
+  cancelPicture() {
+    this.#send({ type: "cancel" });
+  }
+
+  get #now() {
+    return { generation: this.#generation, moving: false, ...this.shown };
+  }
+
+  /** Says something, and waits for its answer. @param {string} answer its name @param {object} message @returns {Promise<any>} */
+  #ask(answer, message) {
     return new Promise((resolve, reject) => {
       if (!this.#isOpen) return reject(new Error("not connected"));
-      this.addEventListener("invited", (event) => {
-        const address = new URL("./", this.#address);
-        address.protocol = address.protocol === "wss:" ? "https:" : "http:";
-        address.search = `token=${/** @type {CustomEvent} */ (event).detail.token}`;
-        resolve(address.href);
-      }, { once: true });
-      this.#send({ type: "invite" });
+      this.#waiting.get(answer)?.reject(new Error("asked again"));
+      this.#waiting.set(answer, { resolve, reject });
+      this.#send(message);
     });
+  }
+
+  /** @param {string} answer @param {any} message */
+  #answered(answer, message) {
+    this.#waiting.get(answer)?.resolve(message);
+    this.#waiting.delete(answer);
   }
 
   /** Ends the connection. */
@@ -169,6 +252,8 @@ export class RaysetView extends EventTarget {
       else this.#frame(event.data);
     };
     socket.onclose = () => {
+      for (const { reject } of this.#waiting.values()) reject(new Error("the connection is gone"));
+      this.#waiting.clear();
       this.#tell("connection", { open: false });
       if (this.#closed) return;
       const wait = RETRIES[Math.min(this.#failures++, RETRIES.length - 1)];
@@ -188,6 +273,7 @@ export class RaysetView extends EventTarget {
         }
         this.scene = message.scene;
         this.bounds = message.bounds;
+        this.choices = message.choices;
         this.#mostPixels = message.mostPixels;
         this.#resized();
         this.home = this.#fitted(cameraOf(message.camera, message.bounds));
@@ -208,11 +294,30 @@ export class RaysetView extends EventTarget {
       case "problem":
         if (message.generation === this.#generation) this.#tell("problem", { what: message.what });
         break;
-      case "invited":
-        this.#tell("invited", { token: message.token });
+      case "opening":
+        this.#tell("opening", { what: message.what, part: message.part });
         break;
+      case "styled":
+        this.legend = message;
+        this.#tell("legend", {});
+        break;
+      case "progress":
+        this.#progress(message.part);
+        break;
+      case "pictured":
+        if (message.what === null) this.#answered("pictured", message);
+        else {
+          this.#waiting.get("pictured")?.reject(new Error(message.what));
+          this.#waiting.delete("pictured");
+        }
+        break;
+      case "picked":
+        this.#answered(`picked ${message.question}`, message);
+        break;
+      case "invited":
       case "saved":
-        this.#tell("saved", { scene: message.scene });
+      case "engine":
+        this.#answered(message.type, message);
         break;
     }
   }
@@ -229,6 +334,10 @@ export class RaysetView extends EventTarget {
   /** @param {ArrayBuffer} message */
   async #frame(message) {
     const frame = parse(message);
+    if (frame.kind === PIECE) {
+      this.#pieces.push(message.slice(message.byteLength - frame.body.byteLength));
+      return;
+    }
     const socket = this.#socket;
     // A frame of what was wanted a moment ago is better than an older one; parts of it are not.
     const isWanted = (/** @type {import("./frames.js").Frame} */ { kind, generation }) =>

@@ -43,6 +43,11 @@ const NAMED: [(&str, &[u32]); 16] = [
 ];
 
 impl Colormap {
+    /// All maps, none of them reversed.
+    pub fn all() -> impl Iterator<Item = Self> {
+        NAMED.iter().map(|&(name, knots)| Self { knots, name, reversed: false })
+    }
+
     /// The colour at `x` (clamped to 0–1), display-encoded (sRGB), 0 to 1.
     #[must_use]
     pub fn display_color(&self, x: f64) -> [f64; 3] {

@@ -98,6 +98,11 @@ impl Budget {
         (self.peak, self.peak_by_kind)
     }
 
+    /// Bytes in use, by kind.
+    pub(super) fn used(&self) -> [u64; KINDS] {
+        self.used_by_kind
+    }
+
     pub(super) fn reset_peaks(&mut self) {
         (self.peak, self.peak_by_kind) = (self.used, self.used_by_kind);
     }

@@ -127,7 +127,8 @@ impl WorkingSet {
     #[must_use]
     pub fn statistics(&self) -> Statistics {
         let hits = lock(&self.shared.hits);
-        let mut statistics = Statistics::collect(&self.shared.counters, self.shared.pool.peaks());
+        let pool = &self.shared.pool;
+        let mut statistics = Statistics::collect(&self.shared.counters, pool.peaks(), pool.used());
         hits.iter().for_each(|hits| statistics.add_hits(hits));
         statistics
     }

@@ -353,6 +353,11 @@ impl PagePool {
         self.lock().budget.peaks()
     }
 
+    /// Bytes in memory, by kind.
+    pub(super) fn used(&self) -> [u64; KINDS] {
+        self.lock().budget.used()
+    }
+
     pub(super) fn reset_peaks(&self) {
         self.lock().budget.reset_peaks();
     }

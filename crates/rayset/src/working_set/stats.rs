@@ -106,6 +106,8 @@ pub struct KindStatistics {
     pub computed_unique: u64,
     /// Most bytes in memory at any time, including pages being read.
     pub peak_bytes: u64,
+    /// Bytes in memory now, including pages being read.
+    pub resident_bytes: u64,
 }
 
 /// Statistics of a working set.
@@ -119,7 +121,11 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    pub(super) fn collect(counters: &[Counters; KINDS], (peak_bytes, peaks): (u64, [u64; KINDS])) -> Self {
+    pub(super) fn collect(
+        counters: &[Counters; KINDS],
+        (peak_bytes, peaks): (u64, [u64; KINDS]),
+        resident: [u64; KINDS],
+    ) -> Self {
         let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
         let by_kind = std::array::from_fn(|k| {
             let c = &counters[k];
@@ -138,6 +144,7 @@ impl Statistics {
                 computed: get(&c.computed),
                 computed_unique: get(&c.computed_unique),
                 peak_bytes: peaks[k],
+                resident_bytes: resident[k],
             }
         });
         Self { by_kind, peak_bytes }

@@ -1,0 +1,152 @@
+//! What a page of the viewer can make of a cloud or grid: the options of `rayset render`, by the same code.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::Parser;
+use rayset::scene::Colormap;
+use rayset_view::{Attribute, Choices, Histogram, Looks as ForPages, Style, Styled};
+use serde_json::Value;
+
+use crate::histogram;
+use crate::look::{CameraArgs, LookArgs, Looks};
+
+/// Colours of a map that a page is told.
+const PALETTE_COLORS: usize = 33;
+/// Size for which a look is chosen; no part of it but the camera, which pages have of their own, depends on it.
+const SIZE: (u32, u32) = (1280, 720);
+/// The part of the values at either end of a range that is left out at first.
+const LEFT_OUT: f64 = 0.01;
+
+/// The looks of a cloud or grid.
+pub(super) struct LooksOfFile {
+    looks: Looks,
+    /// What was said when the program was started.
+    look: LookArgs,
+    camera: CameraArgs,
+    inputs: Vec<PathBuf>,
+}
+
+/// The options of a style, read as the command line's are.
+#[derive(Parser)]
+#[command(no_binary_name = true)]
+struct Words {
+    #[command(flatten)]
+    look: LookArgs,
+}
+
+impl LooksOfFile {
+    pub(super) fn new(looks: Looks, look: LookArgs, camera: CameraArgs, inputs: &[PathBuf]) -> Self {
+        let whole = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
+        Self { looks, look, camera, inputs: inputs.iter().map(whole).collect() }
+    }
+
+    /// The scene as it was asked for on the command line, and what was chosen.
+    pub(super) fn first(&self, size: (u32, u32)) -> Result<(Value, String)> {
+        let chosen = self.looks.chosen(&self.look, &self.camera, size)?;
+        Ok((chosen.scene, chosen.line))
+    }
+
+    fn attribute(&self, name: &str, unit: &str) -> Option<Attribute> {
+        let sorted = self.looks.values(name);
+        let at = |part: f64| {
+            sorted.get((part * (sorted.len().saturating_sub(1)) as f64).round() as usize).copied()
+        };
+        let range = [at(LEFT_OUT)?, at(1.0 - LEFT_OUT)?];
+        let histogram = spread(sorted.iter().copied());
+        Some(Attribute { name: name.into(), unit: unit.into(), range, histogram })
+    }
+}
+
+impl ForPages for LooksOfFile {
+    fn choices(&self) -> Choices {
+        let attributes = match &self.looks {
+            Looks::Cloud(cloud, _) => {
+                let stored = &cloud.header().attributes;
+                let stored = stored.iter().filter_map(|a| self.attribute(&a.name, &a.unit));
+                stored.chain(["x", "y", "z"].iter().filter_map(|axis| self.attribute(axis, ""))).collect()
+            }
+            Looks::Grid(..) => Vec::new(),
+        };
+        let palettes = Colormap::all().map(|map| (map.to_string(), colors(map))).collect();
+        Choices {
+            looks: self.looks.names().into_iter().map(str::to_owned).collect(),
+            attributes,
+            palettes,
+            style: Style::default(),
+        }
+    }
+
+    fn styled(&self, style: &Style) -> Result<Styled, String> {
+        let words = Words::try_parse_from(style.words()).map_err(|error| first_line(&error.to_string()))?;
+        let look = self.look.overridden_by(words.look);
+        let chosen = self.looks.chosen(&look, &self.camera, SIZE).map_err(|error| format!("{error:#}"))?;
+        let mut command = vec!["rayset".to_owned(), "render".to_owned()];
+        command.extend(self.inputs.iter().map(|path: &PathBuf| text(path)));
+        command.extend(look.words());
+        if let Some([x, y, z]) = self.camera.up {
+            command.push(format!("--up={x},{y},{z}"));
+        }
+        Ok(Styled {
+            scene: chosen.scene,
+            look: chosen.look.to_owned(),
+            line: chosen.line,
+            densities: spread((chosen.densities)().into_iter()),
+            command,
+        })
+    }
+}
+
+fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
+/// What is wrong, without how the command is used.
+fn first_line(message: &str) -> String {
+    message.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned()
+}
+
+fn spread(values: impl Iterator<Item = f64>) -> Option<Histogram> {
+    let histogram::Histogram { low, high, logarithmic, counts } = histogram::Histogram::of(values)?;
+    Some(Histogram { low, high, logarithmic, counts })
+}
+
+fn colors(map: Colormap) -> Vec<String> {
+    let at = |i: usize| map.display_color(i as f64 / (PALETTE_COLORS - 1) as f64);
+    let hex = |[r, g, b]: [f64; 3]| {
+        let [r, g, b] = [r, g, b].map(|v| (v * 255.0).round() as u8);
+        format!("#{r:02x}{g:02x}{b:02x}")
+    };
+    (0..PALETTE_COLORS).map(at).map(hex).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_of_options_mean_the_options_again() {
+        let words = [
+            "--look=gas",
+            "--colormap=magma_r",
+            "--color-by=T",
+            "--value-range=1%:99%",
+            "--log",
+            "--opacity=0:0,1:0.5",
+        ];
+        let read = |words: &[String]| Words::try_parse_from(words).map(|words| words.look);
+        let first = read(&words.map(str::to_owned)).expect("options");
+        let again = read(&first.words()).expect("options again");
+        assert_eq!(first.words(), again.words());
+        assert_eq!(first.words().len(), words.len());
+    }
+
+    #[test]
+    fn a_style_is_nothing_but_options_of_looks() {
+        let style = |look: &str| Style { look: Some(look.into()), ..Style::default() };
+        assert!(Words::try_parse_from(style("surface").words()).is_ok());
+        for odd in ["nonsense", "--help", "gas --background=red", ""] {
+            assert!(Words::try_parse_from(style(odd).words()).is_err(), "{odd}");
+        }
+    }
+}

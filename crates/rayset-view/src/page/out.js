@@ -1,0 +1,62 @@
+// @ts-check
+/** What leaves the page: scenes, pictures, the command that makes them, and addresses of further pages. */
+
+import { button, buttons, download, element, number, panel } from "./widgets.js";
+
+/** @typedef {import("./view.js").RaysetView} RaysetView */
+
+/** @param {RaysetView} view */
+export function outPanel(view) {
+  const status = element("p", { class: "caption", role: "status" });
+  const guarded = (/** @type {() => Promise<void>} */ act) => () => act().catch((error) => (status.textContent = error.message));
+  const save = button("Save scene", guarded(async () => download(new Blob([await view.sceneFile()], { type: "application/json" }), "scene.json")));
+  const another = button("New window", guarded(async () => void window.open(await view.invitation(), "_blank", "noopener")));
+  const hint = element("p", { class: "caption" }, ["A saved scene is rendered by: rayset render scene.json -o picture.png"]);
+  return panel("Out again", [buttons([save, another]), hint, ...picture(view, status), status, ...command(view)]);
+}
+
+/** A picture of any size. @param {RaysetView} view @param {HTMLElement} status */
+function picture(view, status) {
+  const [width, height] = ["width in pixels", "height in pixels"].map((label) => number(label, () => {}));
+  const progress = /** @type {HTMLProgressElement} */ (element("progress", { max: "1", value: "0", "aria-label": "The picture that is being saved" }));
+  progress.hidden = true;
+  const size = element("div", { class: "row" }, [element("span", {}, ["Picture"]), width.input, element("span", {}, ["×"]), height.input]);
+  const cancel = button("Cancel", () => view.cancelPicture());
+  cancel.hidden = true;
+  const save = button("Save picture", async () => {
+    const wanted = [width, height].map(({ input }) => Math.round(input.valueAsNumber));
+    const [w, h] = [wanted[0] || view.canvas.width, wanted[1] || view.canvas.height];
+    progress.hidden = cancel.hidden = false;
+    status.textContent = "";
+    try {
+      const blob = await view.picture([w, h], (part) => (progress.value = part));
+      download(blob, "picture.png");
+    } catch (error) {
+      status.textContent = /** @type {Error} */ (error).message;
+    }
+    progress.hidden = cancel.hidden = true;
+    progress.value = 0;
+  });
+  const follow = () => {
+    [width, height].forEach(({ input }, k) => (input.placeholder = `${k ? view.canvas.height : view.canvas.width}`));
+  };
+  view.addEventListener("change", follow);
+  follow();
+  return [size, buttons([save, cancel]), progress];
+}
+
+/** The command that renders what is seen. @param {RaysetView} view */
+function command(view) {
+  const text = /** @type {HTMLTextAreaElement} */ (element("textarea", { readonly: "", rows: "4", "aria-label": "The command that renders this" }));
+  const copy = button("Copy the command", () => {
+    text.select();
+    // Beyond this machine, browsers let pages without TLS copy only what is selected.
+    if (navigator.clipboard) navigator.clipboard.writeText(text.value).catch(() => document.execCommand("copy"));
+    else document.execCommand("copy");
+  });
+  const follow = () => (text.value = view.command ?? "rayset render scene.json -o picture.png");
+  view.addEventListener("change", follow);
+  view.addEventListener("legend", follow);
+  follow();
+  return [text, buttons([copy])];
+}

@@ -1,0 +1,110 @@
+// @ts-check
+/** Asking what is seen: a click tells of a point, two clicks of the distance between two, a double click turns about it. */
+
+import { focus, subtract } from "./camera.js";
+import { button, buttons, element, panel, short } from "./widgets.js";
+
+/** @typedef {import("./view.js").RaysetView} RaysetView */
+/** @typedef {import("./view.js").Picked} Picked */
+/** @typedef {import("./overlay.js").Overlay} Overlay */
+
+/** A pointer that moves less than so many pixels clicks. */
+const STILL = 4;
+/** What a double click leaves of the distance. */
+const NEARER = 0.5;
+
+/** @param {RaysetView} view @param {() => void} begin @param {Overlay} overlay */
+export function picksPanel(view, begin, overlay) {
+  const { canvas } = view;
+  /** @type {Picked[]} the last two, the latest last */
+  let picks = [];
+  const told = element("div", { "aria-live": "polite" });
+  const hint = "Click on the picture, or press Enter for its middle: what is there is told here; double-click, or F, to turn about it.";
+  const clear = button("Clear", () => ((picks = []), show()));
+  const made = panel("Points", [told, buttons([clear])]);
+
+  const show = () => {
+    clear.hidden = picks.length === 0;
+    told.replaceChildren(...(picks.length ? picks.map((pick, k) => table(pick, picks.length > 1 ? `Point ${k + 1}` : "Point")) : [element("p", {}, [hint])]));
+    const [a, b] = picks.map(placeOf);
+    if (a && b) {
+      const apart = subtract(b, a);
+      told.append(element("p", { class: "distance" }, [`Distance ${exact(Math.hypot(...apart))}  (${apart.map(exact).join(", ")})`]));
+    }
+    overlay.redraw();
+  };
+  overlay.set("picks", () => {
+    const places = picks.map(placeOf);
+    const [a, b] = places;
+    return { marks: places.map((at, k) => ({ at, label: `${k + 1}` })), lines: a && b ? [[a, b]] : [] };
+  });
+
+  /** @param {number} x @param {number} y from the left and the top, 0 to 1 @param {(pick: Picked) => void} then */
+  const ask = async (x, y, then) => {
+    const pick = await view.pick(x, y);
+    if (pick.position) then(pick);
+    else told.replaceChildren(element("p", {}, ["There is nothing."]));
+  };
+  const keep = (/** @type {Picked} */ pick) => {
+    picks = [...picks.slice(-1), pick];
+    made.open = true;
+    show();
+  };
+  const turnAbout = (/** @type {Picked} */ pick) => {
+    if (!view.camera || !pick.position) return;
+    begin();
+    view.camera = focus(view.camera, pick.position, NEARER);
+  };
+
+  /** @type {[number, number] | null} */
+  let pressed = null;
+  /** @type {number} */
+  let waiting = 0;
+  const place = (/** @type {MouseEvent} */ event) => {
+    const box = canvas.getBoundingClientRect();
+    return /** @type {[number, number]} */ ([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]);
+  };
+  canvas.addEventListener("pointerdown", (event) => (pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null));
+  canvas.addEventListener("pointerup", (event) => {
+    if (!pressed || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > STILL) return;
+    const at = place(event);
+    // The first half of a double click is not told of.
+    clearTimeout(waiting);
+    waiting = window.setTimeout(() => ask(...at, keep), 250);
+  });
+  canvas.addEventListener("dblclick", (event) => {
+    clearTimeout(waiting);
+    ask(...place(event), turnAbout);
+  });
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "Enter") ask(0.5, 0.5, keep);
+    if (event.key.toLowerCase() === "f") ask(0.5, 0.5, turnAbout);
+  });
+  show();
+  return made;
+}
+
+/** @param {Picked} pick @returns {import("./camera.js").Vector} */
+const placeOf = (pick) => /** @type {import("./camera.js").Vector} */ (pick.point?.position ?? pick.position);
+
+/** A number with all digits that matter to a surveyor. @param {number} value */
+const exact = (value) => (Math.abs(value) >= 1e9 || (value !== 0 && Math.abs(value) < 1e-6) ? value.toExponential(9) : String(Number(value.toFixed(6))));
+
+/** @param {Picked} pick @param {string} title */
+function table(pick, title) {
+  const { point } = pick;
+  /** @type {[string, string][]} */
+  const rows = [["place", (point ? point.stored : /** @type {number[]} */ (pick.position)).map(exact).join(", ")]];
+  const isMoved = point && point.stored.some((v, k) => v !== point.position[k]);
+  if (isMoved) rows.push(["in the scene", point.position.map(exact).join(", ")]);
+  const values = new Map(point?.values.map(([name, value]) => [name, value]));
+  const isColored = ["red", "green", "blue"].every((name) => values.has(name));
+  if (isColored) rows.push(["colour", ["red", "green", "blue"].map((name) => values.get(name)).join(", ")]);
+  for (const [name, value, unit] of point?.values ?? []) {
+    if (isColored && ["red", "green", "blue"].includes(name)) continue;
+    rows.push([name, `${short(value)}${unit ? ` ${unit}` : ""}`]);
+  }
+  return element("table", {}, [element("caption", {}, [title]), element("tbody", {}, rows.map(([name, text]) =>
+    element("tr", {}, [element("th", { scope: "row" }, [name]), element("td", {}, [text])])))]);
+}

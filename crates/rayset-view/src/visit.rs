@@ -1,0 +1,261 @@
+//! A page's connection, from its first message to its last.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use axum::extract::ws::{Message, WebSocket};
+use rayset::CancelToken;
+use tokio::sync::mpsc;
+
+use crate::asks::{self, Ask, Current};
+use crate::frames::{Frames, Outgoing, Send};
+use crate::protocol::{FromPage, Show, ToPage};
+use crate::rate::Rate;
+use crate::saving;
+use crate::server::{MOST_PAGES, Ready, Shared, Stage};
+use crate::wanted::Wanted;
+
+/// Messages that wait for a page, besides frames, of which at most two are under way.
+const MESSAGES_WAITING: usize = 4;
+/// Questions of a page that wait for an answer; further ones are not heard.
+const QUESTIONS_WAITING: usize = 4;
+/// Between pings, which keep a page that rests from being taken for one that has gone.
+const BETWEEN_PINGS: Duration = Duration::from_secs(10);
+/// A page that takes longer than this for a message has gone.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// One of the places for pages; free again when dropped.
+pub(crate) struct Place(Arc<Shared>);
+
+impl Place {
+    pub(crate) fn take(shared: &Arc<Shared>) -> Option<Self> {
+        let free = |pages| (pages < MOST_PAGES).then_some(pages + 1);
+        let taken = shared.pages.fetch_update(Ordering::Relaxed, Ordering::Relaxed, free);
+        taken.ok().map(|_| Self(shared.clone()))
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.0.pages.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Speaks with a page until either side has enough.
+pub(crate) async fn serve(place: Place, mut socket: WebSocket) {
+    // The place is free again when the page's threads, too, have ended: one may be preparing a scene.
+    let place = Arc::new(place);
+    let shared = place.0.clone();
+    let Some(ready) = opened(&shared, &mut socket).await else { return };
+    let (send, mut outgoing) = mpsc::channel(MESSAGES_WAITING);
+    let Some(page) = Page::start(&place, ready, send) else { return };
+    if give(&mut socket, Outgoing::Text(page.ready.hello.clone())).await.is_err() {
+        return;
+    }
+    let mut rate = Rate::new();
+    let mut pings = tokio::time::interval(BETWEEN_PINGS);
+    loop {
+        let ended = tokio::select! {
+            message = socket.recv() => match message.map(|message| message.map(|m| page.hear(&mut rate, m))) {
+                Some(Ok(Ok(None))) => Ok(()),
+                Some(Ok(Ok(Some(answer)))) => give(&mut socket, Outgoing::Text(answer)).await,
+                Some(Ok(Err(()))) | Some(Err(_)) | None => Err(()),
+            },
+            _ = pings.tick() => deliver(&mut socket, Message::Ping(Vec::new().into())).await,
+            message = outgoing.recv() => match message {
+                Some(message) => give(&mut socket, message).await,
+                None => Err(()),
+            },
+        };
+        if ended.is_err() {
+            return;
+        }
+    }
+}
+
+/// Waits until there is something to see, and tells the page meanwhile how far it is; `None` if the page does not wait.
+async fn opened(shared: &Shared, socket: &mut WebSocket) -> Option<Arc<Ready>> {
+    let mut stage = shared.stage.subscribe();
+    loop {
+        let now = stage.borrow_and_update().clone();
+        match now {
+            Stage::Ready(ready) => return Some(ready),
+            Stage::Opening { what, part } => {
+                give(socket, Outgoing::Text(ToPage::Opening { what, part })).await.ok()?;
+            }
+        }
+        tokio::select! {
+            changed = stage.changed() => changed.ok()?,
+            // What it says is not known yet; that it has gone is.
+            message = socket.recv() => drop(message?.ok()?),
+        }
+    }
+}
+
+/// A page that is served.
+struct Page {
+    shared: Arc<Shared>,
+    ready: Arc<Ready>,
+    place: Arc<Place>,
+    wanted: Arc<Wanted>,
+    asks: SyncSender<Ask>,
+    /// Sends to the page, from a thread.
+    send: mpsc::Sender<Outgoing>,
+    /// The picture that is being saved.
+    saving: Mutex<Option<CancelToken>>,
+}
+
+impl Page {
+    /// Starts the threads of a page: one makes its pictures, one answers its questions. `None` if the system starts none.
+    fn start(place: &Arc<Place>, ready: Arc<Ready>, send: mpsc::Sender<Outgoing>) -> Option<Self> {
+        let (wanted, current) = (Arc::new(Wanted::default()), Current::default());
+        let (asks, questions) = std::sync::mpsc::sync_channel(QUESTIONS_WAITING);
+        let shared = place.0.clone();
+        // Made first: dropped, it ends the threads that have been started.
+        let page = Self {
+            shared: shared.clone(),
+            ready: ready.clone(),
+            place: place.clone(),
+            wanted: wanted.clone(),
+            asks,
+            send,
+            saving: Mutex::default(),
+        };
+        let (session, opened) = (ready.session.clone(), ready.opened.clone());
+        let frames = Frames::new(session, opened, shared.most_pixels, wanted, current.clone(), page.sender());
+        page.thread(move || frames.run())?;
+        let send = page.sender();
+        page.thread(move || asks::answer(&questions, &ready.session, &ready.opened, &current, &send))?;
+        Some(page)
+    }
+
+    /// Runs something on a thread of its own. `None`, and a line in the log, if the system starts none.
+    fn thread(&self, run: impl FnOnce() + std::marker::Send + 'static) -> Option<()> {
+        let place = self.place.clone();
+        let started = std::thread::Builder::new().name("rayset-view".into()).spawn(move || {
+            run();
+            drop(place);
+        });
+        let said =
+            |error: std::io::Error| (self.shared.log)(&format!("the system starts no thread: {error}"));
+        started.map_err(said).ok().map(drop)
+    }
+
+    fn sender(&self) -> Send {
+        let send = self.send.clone();
+        Box::new(move |message| send.blocking_send(message).is_ok())
+    }
+
+    /// Takes note of what a page says; returns the answer, if there is one at once. An error ends the connection.
+    fn hear(&self, rate: &mut Rate, message: Message) -> Result<Option<ToPage>, ()> {
+        let log = &self.shared.log;
+        if !rate.allows() {
+            log("closed a page: it sent too many messages");
+            return Err(());
+        }
+        let text = match message {
+            Message::Text(text) => text,
+            Message::Ping(_) | Message::Pong(_) => return Ok(None),
+            Message::Binary(_) | Message::Close(_) => return Err(()),
+        };
+        match serde_json::from_str(&text) {
+            Ok(message) => self.follow(message),
+            Err(error) => {
+                log(&format!("closed a page: it sent what is no message: {error}"));
+                Err(())
+            }
+        }
+    }
+
+    fn follow(&self, message: FromPage) -> Result<Option<ToPage>, ()> {
+        match message {
+            FromPage::Show(show) => self.wanted.show(*show),
+            FromPage::Ack { frame } => self.wanted.acknowledge(frame),
+            FromPage::Invite => {
+                let token = self.shared.access.issue().map_err(|_| ())?;
+                return Ok(Some(ToPage::Invited { token }));
+            }
+            FromPage::Save(show) => {
+                let saved = self.ready.opened.saved(&show);
+                let text =
+                    saved.and_then(|scene| serde_json::to_string_pretty(&scene).map_err(|e| e.to_string()));
+                let generation = show.generation;
+                let problem = |what| ToPage::Problem { generation, what };
+                return Ok(Some(text.map_or_else(problem, |scene| ToPage::Saved { scene })));
+            }
+            // Of a page that asks faster than it is answered, some questions are not.
+            FromPage::Pick { question, at, show } => {
+                drop(self.asks.try_send(Ask::Pick { question, at, show }))
+            }
+            FromPage::Engine { with_map } => drop(self.asks.try_send(Ask::Engine { with_map })),
+            FromPage::Picture(show) => {
+                return Ok(self.save(show).err().map(|what| ToPage::Pictured { what: Some(what) }));
+            }
+            FromPage::Cancel => {
+                if let Some(cancel) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
+                    cancel.cancel();
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// Saves a picture, if no other is being saved: there is memory for one.
+    fn save(&self, show: Box<Show>) -> Result<(), String> {
+        let Some(only) = Only::take(&self.shared) else {
+            return Err("another picture is being saved; try again when it is done".into());
+        };
+        let cancel = CancelToken::new();
+        *self.saving.lock().unwrap_or_else(PoisonError::into_inner) = Some(cancel.clone());
+        let (ready, send, bytes) = (self.ready.clone(), self.sender(), self.shared.saving_bytes);
+        let started = self.thread(move || {
+            saving::save(&ready.session, &ready.opened, &show, bytes, &cancel, &send);
+            drop(only);
+        });
+        started.ok_or_else(|| "the system starts no thread".into())
+    }
+}
+
+impl Drop for Page {
+    /// Ends the threads whichever way the connection ended.
+    fn drop(&mut self) {
+        self.wanted.close();
+        if let Some(cancel) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
+            cancel.cancel();
+        }
+    }
+}
+
+/// The right to save a picture; free again when dropped.
+struct Only(Arc<Shared>);
+
+impl Only {
+    fn take(shared: &Arc<Shared>) -> Option<Self> {
+        let is_saving: &AtomicBool = &shared.is_saving;
+        (!is_saving.swap(true, Ordering::AcqRel)).then(|| Self(shared.clone()))
+    }
+}
+
+impl Drop for Only {
+    fn drop(&mut self) {
+        self.0.is_saving.store(false, Ordering::Release);
+    }
+}
+
+/// Sends a message; an error if the page does not take it.
+async fn give(socket: &mut WebSocket, message: Outgoing) -> Result<(), ()> {
+    let message = match message {
+        Outgoing::Text(text) => Message::Text(serde_json::to_string(&text).map_err(|_| ())?.into()),
+        Outgoing::Frame(bytes) => Message::Binary(bytes.into()),
+    };
+    deliver(socket, message).await
+}
+
+async fn deliver(socket: &mut WebSocket, message: Message) -> Result<(), ()> {
+    match tokio::time::timeout(PATIENCE, socket.send(message)).await {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(_)) | Err(_) => Err(()),
+    }
+}
