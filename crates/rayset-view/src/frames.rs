@@ -20,7 +20,7 @@ use crate::wanted::{Grade, Order, Wanted};
 /// Finished parts of a picture are sent at most this often.
 const BETWEEN_PARTS: Duration = Duration::from_millis(40);
 /// Rows of a finished picture that are sent together.
-const BAND_ROWS: u32 = 32;
+const BAND_ROWS: u32 = 16;
 /// Pixels in a message, about: few enough that a slow line carries it in seconds.
 const MOST_PIXELS: usize = 128 << 10;
 /// What the page shows where a moving picture is transparent.

@@ -19,7 +19,7 @@ pub(crate) const MOST_EDGE: u32 = 4096;
 
 /// A message from the page.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
-#[serde(tag = "type", rename_all = "camelCase", deny_unknown_fields)]
+#[serde(tag = "type", rename_all = "camelCase", rename_all_fields = "camelCase", deny_unknown_fields)]
 pub(crate) enum FromPage {
     /// What is to be seen from now on.
     Show(Box<Show>),

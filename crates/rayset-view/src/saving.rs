@@ -3,7 +3,7 @@
 
 use std::io::{self, Write};
 
-use rayset::image::{Band, PngBands};
+use rayset::image::{Band, LayerPixel, PngBands};
 use rayset::{BandSink, CancelToken, RenderError, Session, SinkError};
 
 use crate::compose::{self, Opened};
@@ -14,8 +14,15 @@ use crate::protocol::{FrameHead, FrameKind, Show, ToPage};
 pub(crate) const MOST_SAVED_EDGE: u32 = 16_384;
 /// Bytes of a piece.
 const PIECE_BYTES: usize = 64 << 10;
-/// Bytes of a pixel while it is in a band: light, its layers, and those of its surroundings.
-const BAND_PIXEL_BYTES: u64 = 160;
+/// Bytes of a pixel while it is in a band: its light, and its layers where they are needed.
+const PIXEL_BYTES: u64 = size_of::<[f32; 4]>() as u64;
+const LAYERS_BYTES: u64 = size_of::<LayerPixel>() as u64;
+/// The part of the height within which shading looks around, on either side, with some room.
+const SURROUNDINGS: u64 = 45;
+/// The fewest rows of a band.
+const LEAST_ROWS: u64 = 8;
+/// The most.
+const MOST_ROWS: u64 = 32;
 /// Parts that progress is told in.
 const PARTS: u32 = 100;
 
@@ -42,12 +49,17 @@ fn picture(
 ) -> Result<(), String> {
     show.check(MOST_SAVED_EDGE, u64::MAX)?;
     let [width, height] = show.size;
-    let rows = bytes / (u64::from(width) * BAND_PIXEL_BYTES);
     let file = opened.parse(&opened.composed(show, true)?)?;
-    let surroundings = if file.settings.ambient_occlusion > 0.0 { u64::from(height) / 20 } else { 0 };
-    if rows < surroundings + 8 {
+    let is_shaded_at_the_end = file.settings.ambient_occlusion > 0.0;
+    // Rows are held until those within the surroundings of the last of them are known.
+    let (layers, around) =
+        if is_shaded_at_the_end { (LAYERS_BYTES, 2 * u64::from(height) / SURROUNDINGS) } else { (0, 0) };
+    // Twice a band: the one that is made, and the one that is passed on.
+    let rows = bytes.saturating_sub(2 * PIECE_BYTES as u64) / (u64::from(width) * (PIXEL_BYTES + layers));
+    let band_rows = rows.saturating_sub(around) / 2;
+    if band_rows < LEAST_ROWS {
         return Err(format!(
-            "there is no memory for a picture of {width}x{height}; start with more --memory"
+            "there is no memory for a picture of {width}x{height}; close other pages, or start with more --memory"
         ));
     }
     let said = |error: RenderError| match error {
@@ -62,8 +74,7 @@ fn picture(
     let encoder = PngBands::new(written.clone(), width, height, file.display_transform);
     let encoder = encoder.map_err(|error| error.to_string())?;
     let mut sink = Sink { encoder, written: written.clone(), pieces, height, told: 0 };
-    let band_rows = (rows - surroundings).min(32) as u32;
-    view.render_bands(&view.region(), band_rows, cancel, &mut sink).map_err(said)?;
+    view.render_bands(&view.region(), band_rows.min(MOST_ROWS) as u32, cancel, &mut sink).map_err(said)?;
     let Sink { encoder, mut pieces, .. } = sink;
     encoder.finish().map_err(|error| error.to_string())?;
     pieces.add(&written.take()).and_then(|()| pieces.flush()).map_err(|error| error.to_string())

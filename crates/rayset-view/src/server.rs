@@ -3,7 +3,7 @@
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::atomic::AtomicUsize;
 
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
@@ -22,12 +22,13 @@ use crate::compose::{Opened, Subject};
 use crate::connections::Limited;
 use crate::page;
 use crate::protocol::{MOST_MESSAGE_BYTES, ToPage};
-use crate::visit::{self, Place};
+use crate::visit::{self, Places};
 
 /// Most pages that are connected at a time.
 pub(crate) const MOST_PAGES: usize = 4;
-/// Bytes that a page's picture takes for each of its pixels: as it is shown, its distances, on its way.
-const PIXEL_BYTES: u64 = 14;
+/// Bytes that a page's picture takes for each of its pixels: as it is shown, its distances, on its way, and the rows that are shaded at
+/// the end with those around them.
+const PIXEL_BYTES: u64 = 20;
 /// What the page may do: run its own scripts, show its own pictures, speak to this server, and nothing else.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
     connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
@@ -98,9 +99,9 @@ pub(crate) struct Shared {
     pub(crate) stage: watch::Sender<Stage>,
     /// The most pixels of a page's picture.
     pub(crate) most_pixels: u64,
-    /// Memory for a picture that is saved.
-    pub(crate) saving_bytes: u64,
-    pub(crate) is_saving: AtomicBool,
+    /// Memory for the pictures of a page.
+    pub(crate) page_bytes: u64,
+    /// Places for pages that are taken.
     pub(crate) pages: AtomicUsize,
     pub(crate) log: Box<dyn Fn(&str) + Send + Sync>,
 }
@@ -168,15 +169,13 @@ impl Server {
             .block_on(TcpListener::bind(address))
             .map_err(|source| ServeError::Listen { address, source })?;
         let address = listener.local_addr()?;
-        // One share for each page, and one for a picture that is saved.
-        let share = options.picture_bytes / (MOST_PAGES as u64 + 1);
+        let page_bytes = options.picture_bytes / MOST_PAGES as u64;
         let password = options.password.as_deref();
         let shared = Shared {
             access: Access::new(options.key, address.port(), options.allowed_hosts, password),
             stage: watch::Sender::new(Stage::Opening { what: "opening".into(), part: 0.0 }),
-            most_pixels: share / PIXEL_BYTES,
-            saving_bytes: share,
-            is_saving: AtomicBool::new(false),
+            most_pixels: page_bytes / PIXEL_BYTES,
+            page_bytes,
             pages: AtomicUsize::new(0),
             log: Box::new(log),
         };
@@ -252,7 +251,8 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
     let said = [
         (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (header::REFERRER_POLICY, "no-referrer"),
+        // Without any, browsers would say nothing of where the password's form comes from.
+        (header::REFERRER_POLICY, "same-origin"),
         (header::CACHE_CONTROL, "no-store"),
         (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
         (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
@@ -361,7 +361,7 @@ async fn socket(
         Ok(upgrade) => upgrade,
         Err(rejection) => return rejection.into_response(),
     };
-    let Some(place) = Place::take(&shared) else {
+    let Some(place) = Places::one(&shared) else {
         (shared.log)(&format!("refused a page: {MOST_PAGES} are open already"));
         return (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open\n").into_response();
     };

@@ -1,6 +1,6 @@
 //! A page's connection, from its first message to its last.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -26,28 +26,45 @@ const BETWEEN_PINGS: Duration = Duration::from_secs(10);
 /// A page that takes longer than this for a message has gone.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// One of the places for pages; free again when dropped.
-pub(crate) struct Place(Arc<Shared>);
+/// Places for pages, each with its share of the memory for pictures; free again when dropped.
+pub(crate) struct Places {
+    shared: Arc<Shared>,
+    count: usize,
+}
 
-impl Place {
-    pub(crate) fn take(shared: &Arc<Shared>) -> Option<Self> {
-        let free = |pages| (pages < MOST_PAGES).then_some(pages + 1);
-        let taken = shared.pages.fetch_update(Ordering::Relaxed, Ordering::Relaxed, free);
-        taken.ok().map(|_| Self(shared.clone()))
+impl Places {
+    /// One place; `None` if all are taken.
+    pub(crate) fn one(shared: &Arc<Shared>) -> Option<Self> {
+        Self::take(shared, |free| free.min(1))
+    }
+
+    /// All that are free; `None` if none is.
+    fn rest(shared: &Arc<Shared>) -> Option<Self> {
+        Self::take(shared, |free| free)
+    }
+
+    fn take(shared: &Arc<Shared>, wanted: impl Fn(usize) -> usize) -> Option<Self> {
+        let mut count = 0;
+        let take = |taken| {
+            count = wanted(MOST_PAGES - taken);
+            (count > 0).then_some(taken + count)
+        };
+        let taken = shared.pages.fetch_update(Ordering::Relaxed, Ordering::Relaxed, take);
+        taken.ok().map(|_| Self { shared: shared.clone(), count })
     }
 }
 
-impl Drop for Place {
+impl Drop for Places {
     fn drop(&mut self) {
-        self.0.pages.fetch_sub(1, Ordering::Relaxed);
+        self.shared.pages.fetch_sub(self.count, Ordering::Relaxed);
     }
 }
 
 /// Speaks with a page until either side has enough.
-pub(crate) async fn serve(place: Place, mut socket: WebSocket) {
+pub(crate) async fn serve(place: Places, mut socket: WebSocket) {
     // The place is free again when the page's threads, too, have ended: one may be preparing a scene.
     let place = Arc::new(place);
-    let shared = place.0.clone();
+    let shared = place.shared.clone();
     let Some(ready) = opened(&shared, &mut socket).await else { return };
     let (send, mut outgoing) = mpsc::channel(MESSAGES_WAITING);
     let Some(page) = Page::start(&place, ready, send) else { return };
@@ -98,7 +115,7 @@ async fn opened(shared: &Shared, socket: &mut WebSocket) -> Option<Arc<Ready>> {
 struct Page {
     shared: Arc<Shared>,
     ready: Arc<Ready>,
-    place: Arc<Place>,
+    place: Arc<Places>,
     wanted: Arc<Wanted>,
     asks: SyncSender<Ask>,
     /// Sends to the page, from a thread.
@@ -109,10 +126,10 @@ struct Page {
 
 impl Page {
     /// Starts the threads of a page: one makes its pictures, one answers its questions. `None` if the system starts none.
-    fn start(place: &Arc<Place>, ready: Arc<Ready>, send: mpsc::Sender<Outgoing>) -> Option<Self> {
+    fn start(place: &Arc<Places>, ready: Arc<Ready>, send: mpsc::Sender<Outgoing>) -> Option<Self> {
         let (wanted, current) = (Arc::new(Wanted::default()), Current::default());
         let (asks, questions) = std::sync::mpsc::sync_channel(QUESTIONS_WAITING);
-        let shared = place.0.clone();
+        let shared = place.shared.clone();
         // Made first: dropped, it ends the threads that have been started.
         let page = Self {
             shared: shared.clone(),
@@ -202,17 +219,18 @@ impl Page {
         Ok(None)
     }
 
-    /// Saves a picture, if no other is being saved: there is memory for one.
+    /// Saves a picture, with the memory of the pages that are not open.
     fn save(&self, show: Box<Show>) -> Result<(), String> {
-        let Some(only) = Only::take(&self.shared) else {
-            return Err("another picture is being saved; try again when it is done".into());
+        let Some(places) = Places::rest(&self.shared) else {
+            return Err("there is no memory to save a picture while as many pages are open, or another is being saved".into());
         };
         let cancel = CancelToken::new();
         *self.saving.lock().unwrap_or_else(PoisonError::into_inner) = Some(cancel.clone());
-        let (ready, send, bytes) = (self.ready.clone(), self.sender(), self.shared.saving_bytes);
+        let (ready, send) = (self.ready.clone(), self.sender());
+        let bytes = self.shared.page_bytes * places.count as u64;
         let started = self.thread(move || {
             saving::save(&ready.session, &ready.opened, &show, bytes, &cancel, &send);
-            drop(only);
+            drop(places);
         });
         started.ok_or_else(|| "the system starts no thread".into())
     }
@@ -225,22 +243,6 @@ impl Drop for Page {
         if let Some(cancel) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
             cancel.cancel();
         }
-    }
-}
-
-/// The right to save a picture; free again when dropped.
-struct Only(Arc<Shared>);
-
-impl Only {
-    fn take(shared: &Arc<Shared>) -> Option<Self> {
-        let is_saving: &AtomicBool = &shared.is_saving;
-        (!is_saving.swap(true, Ordering::AcqRel)).then(|| Self(shared.clone()))
-    }
-}
-
-impl Drop for Only {
-    fn drop(&mut self) {
-        self.0.is_saving.store(false, Ordering::Release);
     }
 }
 

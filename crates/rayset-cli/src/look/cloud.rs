@@ -168,10 +168,10 @@ impl CloudLook {
             return self.densities();
         }
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
-        // As of gas that is not normalised, for each by itself.
+        // A point counts whole at its own place, and each other that it reaches by its kernel, whose mean over its ball is about a fifth.
         let reached = |i: usize, density: f64| density * BALL * radii[i].powi(3);
         let around = self.statistics.number_densities();
-        around.iter().map(|&(i, density)| (0.2 * reached(i, density)).max(1.0) * weights[i]).collect()
+        around.iter().map(|&(i, density)| (1.0 + 0.2 * reached(i, density)) * weights[i]).collect()
     }
 
     /// The density of mass at points, or of numbers where points have no weights, ascending: estimates.

@@ -72,7 +72,8 @@ export function lookPanel(view, begin) {
     if (hasMap && !style.colormap && typeof shown.color === "string") map.input.value = shown.color;
     [low, high].forEach((each, k) => each.set(shown.valueRange?.[k]));
     bar.hidden = caption.hidden = !hasMap;
-    said.textContent = view.legend?.line?.split(";")[0] ?? "";
+    // Of what the program says of its choice, the look and its reason; colours are told by the bar.
+    said.textContent = view.legend?.line?.match(/^[^(]*\([^)]*\)/)?.[0] ?? "";
     if (hasMap) drawBar(/** @type {HTMLCanvasElement} */ (bar), caption, view);
   };
   view.addEventListener("change", follow);
