@@ -3,7 +3,9 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use rayset::geometry::DAffine3;
 use rayset::image::Band;
+use rayset::scene::{RenderSettings, Shadows, Step};
 use rayset::scene_file::SceneFile;
 use rayset::{
     BandSink, CancelToken, FinishedTile, PreparedScene, RenderError, Session, SinkError, View, Work,
@@ -14,6 +16,7 @@ use crate::asks::{Current, Seen};
 use crate::compose::{self, Opened};
 use crate::pacing::Pacing;
 use crate::payload::{self, Depths, Rectangle, Shown};
+use crate::picking::find_clouds;
 use crate::protocol::{MOST_EDGE, Show, ToPage};
 use crate::wanted::{Grade, Order, Wanted};
 
@@ -43,21 +46,15 @@ pub(crate) struct Frames {
     wanted: Arc<Wanted>,
     send: Send,
     most_pixels: u64,
-    /// What was shown last.
+    /// What was shown last at rest.
     prepared: Option<Prepared>,
-    /// The same without caps, which take a while, if it was shown while it was changing.
+    /// What was shown last while it moved: with longer steps and coarser shadows, and without caps, which take a while.
     draft: Option<Prepared>,
     /// Told of what is shown, for those who ask about it.
     current: Current,
     pacing: Pacing,
     shown: Shown,
     depths: Depths,
-}
-
-/// Where a scene is kept.
-enum Slot {
-    Whole,
-    Draft,
 }
 
 /// A scene that is ready to be traced.
@@ -69,10 +66,33 @@ struct Prepared {
 }
 
 impl Prepared {
+    fn seen(&self) -> Seen {
+        Seen { file: self.file.clone(), scene: self.scene.clone() }
+    }
+
     /// Whether shading of the whole picture follows once it is traced.
     fn is_shaded_at_the_end(&self) -> bool {
         self.file.settings.ambient_occlusion > 0.0
     }
+}
+
+/// Settings with which a picture that moves is traced in a fraction of the time. Steps of a radius, four times the customary ones, hardly
+/// ever miss a surface.
+fn drafted(settings: RenderSettings) -> RenderSettings {
+    const STEPS: f64 = 4.0;
+    const LONGEST_FRACTION: f64 = 1.0;
+    const SHADOW_RESOLUTION: u32 = 256;
+    let step = match settings.step {
+        Step::Automatic { fraction } => {
+            Step::Automatic { fraction: (STEPS * fraction).min(LONGEST_FRACTION).max(fraction) }
+        }
+        other => other,
+    };
+    let shadows = match settings.shadows {
+        Shadows::Cached { resolution } => Shadows::Cached { resolution: resolution.min(SHADOW_RESOLUTION) },
+        _ => Shadows::Cached { resolution: SHADOW_RESOLUTION },
+    };
+    settings.with_step(step).with_shadows(shadows)
 }
 
 /// Why a picture was not completed.
@@ -156,53 +176,77 @@ impl Frames {
     fn prepared(&mut self, show: &Show, grade: Grade) -> Result<&Prepared, Unfinished> {
         show.check(MOST_EDGE, self.most_pixels).map_err(Unfinished::Problem)?;
         let whole = self.without_camera(show, true)?;
-        if self.prepared.as_ref().is_none_or(|known| known.composed != whole) {
+        if self.prepared.as_ref().is_some_and(|known| known.composed != whole) {
             // What is not shown any more makes room before anything else is made.
             self.current.set(None);
-            if grade == Grade::Quick && show.changes.cap.is_some() {
-                let draft = self.without_camera(show, false)?;
-                let known = self.draft.take().filter(|known| known.composed == draft);
-                let draft = known.map_or_else(|| self.prepare(show, draft), Ok)?;
-                return Ok(self.seen(Slot::Draft, draft));
-            }
             (self.prepared, self.draft) = (None, None);
-            let prepared = self.prepare(show, whole)?;
-            return Ok(self.seen(Slot::Whole, prepared));
         }
-        self.prepared.as_ref().ok_or(Unfinished::GivenUp)
-    }
-
-    fn seen(&mut self, slot: Slot, prepared: Prepared) -> &Prepared {
-        self.current.set(Some(Seen { file: prepared.file.clone(), scene: prepared.scene.clone() }));
-        match slot {
-            Slot::Whole => self.prepared.insert(prepared),
-            Slot::Draft => self.draft.insert(prepared),
+        // Once caps have been made, they stay where they are while it moves.
+        if grade == Grade::Fine || show.changes.cap.is_some() && self.prepared.is_some() {
+            if self.prepared.is_none() {
+                self.prepared = Some(self.at_rest(show, whole)?);
+            }
+            let prepared = self.prepared.as_ref().ok_or(Unfinished::GivenUp)?;
+            self.current.set(Some(prepared.seen()));
+            return Ok(prepared);
         }
+        let draft = self.without_camera(show, false)?;
+        let known = self.draft.take().filter(|known| known.composed == draft);
+        let draft = known.map_or_else(|| self.prepare(show, draft, drafted), Ok)?;
+        if self.prepared.is_none() {
+            self.current.set(Some(draft.seen()));
+        }
+        Ok(self.draft.insert(draft))
     }
 
     /// What a page wants to see, the camera and the size aside.
     fn without_camera(&self, show: &Show, with_caps: bool) -> Result<Value, Unfinished> {
         let mut composed = self.opened.composed(show, with_caps).map_err(Unfinished::Problem)?;
-        composed["camera"] = Value::Null;
-        composed["image"]["size"] = Value::Null;
+        // Any will do; the scene file's own are those that were opened.
+        if let Some(keys) = composed.as_object_mut() {
+            keys.remove("camera");
+        }
+        if let Some(image) = composed["image"].as_object_mut() {
+            image.remove("size");
+        }
         Ok(composed)
     }
 
-    fn prepare(&self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
-        let mut whole = composed.clone();
-        // Any camera and size will do; the scene file's own are those that were opened.
-        if let Some(keys) = whole.as_object_mut() {
-            keys.remove("camera");
+    /// A scene to be seen at rest. If there is no memory for it besides the one that moves, that one is made again when it is needed.
+    fn at_rest(&mut self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
+        let first = self.prepare(show, composed.clone(), |settings| settings);
+        if first.is_err() && self.draft.take().is_some() {
+            self.current.set(None);
+            return self.prepare(show, composed, |settings| settings);
         }
-        if let Some(image) = whole["image"].as_object_mut() {
-            image.remove("size");
-        }
-        let file = self.opened.parse(&whole).map_err(Unfinished::Problem)?;
+        first
+    }
+
+    fn prepare(
+        &self,
+        show: &Show,
+        composed: Value,
+        adapted: impl Fn(RenderSettings) -> RenderSettings,
+    ) -> Result<Prepared, Unfinished> {
+        let file = self.opened.parse(&composed).map_err(Unfinished::Problem)?;
         // Distances, with which the page moves a picture until the next has come. They change no pixel.
-        let scene = self.session.prepare(&file.scene, &file.settings.with_layers(true))?;
+        let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_layers(true))?;
+        self.pin_nodes()?;
         let legend = self.opened.legend(&show.changes, scene.remarks()).map_err(Unfinished::Problem)?;
         (self.send)(Outgoing::Text(ToPage::Styled(Box::new(legend))));
         Ok(Prepared { composed, scene, file: Arc::new(file) })
+    }
+
+    /// Keeps the coarse parts of octrees in memory, where they take little of it: a camera that jumps needs them first.
+    fn pin_nodes(&self) -> Result<(), Unfinished> {
+        const PART: u64 = 8;
+        let mut clouds = Vec::new();
+        find_clouds(&self.opened.file.scene.root, DAffine3::IDENTITY, &mut clouds);
+        let each = self.session.page_budget_bytes() / PART / clouds.len().max(1) as u64;
+        for (object, _) in clouds {
+            self.session.pin_nodes(&object.cloud, each)?;
+        }
+        Ok(())
     }
 
     /// One frame of as many rays as its time allows, as JPEG.

@@ -28,6 +28,29 @@ mod server;
 mod visit;
 mod wanted;
 
+/// Takes a message as a page would send it, for tests: reads it, and makes of a wish the scene that would be traced.
+///
+/// # Errors
+/// What is wrong with it.
+#[doc(hidden)]
+pub fn hear_message(bytes: &[u8]) -> Result<(), String> {
+    use self::protocol::{FromPage, MOST_EDGE, Show};
+    let scene = serde_json::json!({"rayset": 1, "root": {"type": "sphere", "radius": 1}});
+    let opened =
+        compose::Opened::new(Subject { title: String::new(), path: "ball.json".into(), scene, looks: None })?;
+    let seen = |show: &Show| {
+        show.check(MOST_EDGE, u64::MAX)?;
+        opened.saved(show)?;
+        opened.legend(&show.changes, &[])?;
+        opened.parse(&opened.composed(show, true)?).map(drop)
+    };
+    match serde_json::from_slice::<FromPage>(bytes).map_err(|error| error.to_string())? {
+        FromPage::Show(show) | FromPage::Save(show) | FromPage::Picture(show) => seen(&show),
+        FromPage::Pick { show, .. } => seen(&show),
+        FromPage::Ack { .. } | FromPage::Invite {} | FromPage::Engine { .. } | FromPage::Cancel {} => Ok(()),
+    }
+}
+
 pub use self::access::{SECRET_BYTES, secret};
 pub use self::compose::Subject;
 pub use self::looks::{Attribute, Choices, Histogram, Looks, Style, Styled};

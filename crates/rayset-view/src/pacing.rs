@@ -11,8 +11,8 @@ const TOO_LONG: f64 = 1.25;
 const SHORT_ENOUGH: f64 = 0.8;
 /// From one scale to the next, the number of rays halves.
 const COARSEST: u32 = 12;
-/// A moving picture never has fewer rays than this along its sides, unless it is smaller itself.
-const LEAST_RAYS: [u32; 2] = [320, 180];
+/// A moving picture never has fewer rays than this, unless it has fewer pixels itself.
+const LEAST_RAYS: f64 = 320.0 * 180.0;
 
 /// Chooses the resolution of moving pictures.
 #[derive(Clone, Debug)]
@@ -25,8 +25,8 @@ pub(crate) struct Pacing {
 
 impl Pacing {
     pub(crate) fn new() -> Self {
-        // A guess until the first frame has been measured: 2 million rays a second.
-        Self { seconds_per_ray: 0.5e-6, halvings: 2 }
+        // The first frame has the fewest rays: it is there the sooner, and tells how many the next may have.
+        Self { seconds_per_ray: 1e-6, halvings: COARSEST }
     }
 
     /// Takes note of a frame.
@@ -61,9 +61,9 @@ fn rays([width, height]: [u32; 2]) -> f64 {
 /// A size with the number of rays halved so many times, in the same proportions.
 fn scaled(size: [u32; 2], halvings: u32) -> [u32; 2] {
     let wanted = 0.5_f64.powf(0.5 * f64::from(halvings));
-    let least = (0..2).map(|k| f64::from(LEAST_RAYS[k]) / f64::from(size[k])).fold(0.0, f64::max);
+    let least = (LEAST_RAYS / rays(size)).sqrt();
     let scale = wanted.max(least).min(1.0);
-    size.map(|edge| ((f64::from(edge) * scale).round() as u32).max(1))
+    size.map(|edge| ((f64::from(edge) * scale).ceil() as u32).clamp(1, edge))
 }
 
 #[cfg(test)]
@@ -80,11 +80,10 @@ mod tests {
             let size = [width, height];
             for _ in 0..frames {
                 let frame = pacing.next_size(size);
-                for k in 0..2 {
-                    prop_assert!(frame[k] <= size[k] && frame[k] >= LEAST_RAYS[k].min(size[k]), "{:?}", frame);
-                }
+                prop_assert!((0..2).all(|k| frame[k] <= size[k]), "{:?} of {:?}", frame, size);
+                prop_assert!(rays(frame) >= LEAST_RAYS.min(rays(size)), "{:?} of {:?}", frame, size);
                 let skew = f64::from(frame[0]) * f64::from(height) - f64::from(frame[1]) * f64::from(width);
-                prop_assert!(skew.abs() <= f64::from(width.max(height)), "{:?} of {:?}", frame, size);
+                prop_assert!(skew.abs() <= 2.0 * f64::from(width.max(height)), "{:?} of {:?}", frame, size);
                 pacing.traced(frame, Duration::from_micros(micros));
             }
         }

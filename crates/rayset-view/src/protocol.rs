@@ -26,7 +26,7 @@ pub(crate) enum FromPage {
     /// The scene file of what is seen is wanted.
     Save(Box<Show>),
     /// Somebody else is to be let in.
-    Invite,
+    Invite {},
     /// What lies behind a place of the picture?
     Pick {
         /// Answers say which question they are for.
@@ -43,7 +43,7 @@ pub(crate) enum FromPage {
     /// A picture of what is seen is wanted as a file, of the size in `show`.
     Picture(Box<Show>),
     /// It is not wanted any more.
-    Cancel,
+    Cancel {},
     /// A frame has arrived and been drawn.
     Ack {
         /// Its number.

@@ -190,7 +190,7 @@ impl Page {
         match message {
             FromPage::Show(show) => self.wanted.show(*show),
             FromPage::Ack { frame } => self.wanted.acknowledge(frame),
-            FromPage::Invite => {
+            FromPage::Invite {} => {
                 let token = self.shared.access.issue().map_err(|_| ())?;
                 return Ok(Some(ToPage::Invited { token }));
             }
@@ -210,7 +210,7 @@ impl Page {
             FromPage::Picture(show) => {
                 return Ok(self.save(show).err().map(|what| ToPage::Pictured { what: Some(what) }));
             }
-            FromPage::Cancel => {
+            FromPage::Cancel {} => {
                 if let Some(cancel) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
                     cancel.cancel();
                 }

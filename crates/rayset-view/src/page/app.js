@@ -55,9 +55,14 @@ view.addEventListener("opening", (event) => {
   const { what, part } = /** @type {CustomEvent} */ (event).detail;
   status.textContent = `${what}: ${Math.floor(100 * part)} %`;
 });
+/** Remembers what is seen, once it rests, or when the page goes. */
+let keeping = 0;
+const keep = () => opened && sessionStorage.setItem(KEPT, JSON.stringify({ opened, ...view.state }));
+window.addEventListener("pagehide", keep);
 view.addEventListener("change", () => {
-  status.textContent = "tracing";
-  if (opened) sessionStorage.setItem(KEPT, JSON.stringify({ opened, ...view.state }));
+  if (status.textContent !== "tracing") status.textContent = "tracing";
+  clearTimeout(keeping);
+  keeping = window.setTimeout(keep, 200);
 });
 view.addEventListener("converged", (event) => {
   const seconds = /** @type {CustomEvent} */ (event).detail.seconds;

@@ -2,7 +2,7 @@
 /** Cuts: a box along the axes, and solids of any place, size and turn. They are nodes of the scene that is saved. */
 
 import { add, dot, pivot, scale, subtract, turned, unit } from "./camera.js";
-import { button, buttons, checkbox, color, element, panel, slider } from "./widgets.js";
+import { button, buttons, checkbox, color, element, following, panel, slider } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 /** @typedef {import("./view.js").Cutter} Cutter */
@@ -44,8 +44,7 @@ function filled(view, begin) {
     if (view.changes.cap) shown.input.value = view.changes.cap;
     shown.row.hidden = !view.changes.cap;
   };
-  view.addEventListener("change", follow);
-  follow();
+  following(view, follow);
   return [on.row, shown.row];
 }
 
@@ -85,8 +84,7 @@ function sectionBox(view, begin) {
       });
     }
   };
-  view.addEventListener("change", follow);
-  follow();
+  following(view, follow);
   return element("div", {}, [check.row, ...sliders.map(({ row }) => row)]);
 }
 
@@ -147,8 +145,7 @@ function cutters(view, begin) {
     built = now;
     list.replaceChildren(...all.map((cutter, k) => solid(view, begin, cutter, k, set)));
   };
-  view.addEventListener("change", rebuild);
-  rebuild();
+  following(view, rebuild);
   return element("div", {}, [buttons(adds), list]);
 }
 

@@ -1,7 +1,7 @@
 // @ts-check
 /** Exposure, and a sun in the place of the scene's. */
 
-import { checkbox, element, panel, shape, slider } from "./widgets.js";
+import { checkbox, element, following, panel, shape, slider } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 /** @typedef {import("./camera.js").Vector} Vector */
@@ -56,9 +56,7 @@ export function lightPanel(view, begin) {
     for (const { row } of sunny) row.hidden = view.legend?.isLit === false;
   };
   const sunny = [dial, around, height, bright, shadows];
-  view.addEventListener("change", follow);
-  view.addEventListener("legend", follow);
-  follow();
+  following(view, follow);
   return panel("Light", [exposure.row, ...sunny.map(({ row }) => row)]);
 }
 

@@ -2,7 +2,7 @@
 /** What a cloud or grid looks like: the looks of `rayset render`, its colours, and their bar. */
 
 import { editor } from "./transfer.js";
-import { checkbox, color, element, number, panel, select, short } from "./widgets.js";
+import { checkbox, color, element, following, number, panel, select, short } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 /** @typedef {import("./view.js").Style} Style */
@@ -76,9 +76,7 @@ export function lookPanel(view, begin) {
     said.textContent = view.legend?.line?.match(/^[^(]*\([^)]*\)/)?.[0] ?? "";
     if (hasMap) drawBar(/** @type {HTMLCanvasElement} */ (bar), caption, view);
   };
-  view.addEventListener("change", follow);
-  view.addEventListener("legend", follow);
-  follow();
+  following(view, follow);
   return [
     panel("Look", [look.row, by.row, one.row, map.row, range, log.row, bar, caption, said], true),
     editor(view, begin, restyle),

@@ -37,11 +37,12 @@ function picture(view, status) {
     progress.hidden = cancel.hidden = true;
     progress.value = 0;
   });
-  const follow = () => {
+  const showSize = () => {
     [width, height].forEach(({ input }, k) => (input.placeholder = `${k ? view.canvas.height : view.canvas.width}`));
   };
-  view.addEventListener("change", follow);
-  follow();
+  // Both only as they are at rest: nobody reads them while the picture moves.
+  view.addEventListener("converged", showSize);
+  showSize();
   return [size, buttons([save, cancel]), progress];
 }
 
@@ -55,8 +56,7 @@ function command(view) {
     else document.execCommand("copy");
   });
   const follow = () => (text.value = view.command ?? "rayset render scene.json -o picture.png");
-  view.addEventListener("change", follow);
-  view.addEventListener("legend", follow);
+  for (const rest of ["converged", "legend"]) view.addEventListener(rest, follow);
   follow();
   return [text, buttons([copy])];
 }

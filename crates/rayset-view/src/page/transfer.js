@@ -1,7 +1,7 @@
 // @ts-check
 /** Opacity over density or value: a curve over the data's histogram, whose points are dragged, or moved with arrow keys. */
 
-import { button, buttons, element, panel, shape, short } from "./widgets.js";
+import { button, buttons, element, following, panel, shape, short } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 /** @typedef {import("./view.js").Style} Style */
@@ -150,9 +150,7 @@ export function editor(view, begin, restyle) {
     made.hidden = points.length === 0;
     draw();
   };
-  view.addEventListener("legend", follow);
-  view.addEventListener("change", follow);
-  follow();
+  following(view, follow);
   return made;
 }
 

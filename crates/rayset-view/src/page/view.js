@@ -7,7 +7,7 @@
  *
  * Events: `opening` (`detail.what`, `detail.part`: there is nothing to see yet), `hello` (a scene has been opened; `view.scene`,
  * `view.bounds`, `view.choices` and `view.camera` are known), `change` (the camera or the changes are others), `legend` (`view.legend`
- * is another), `frame`, `reprojected` (the last picture was drawn as the camera sees it now), `converged` (`detail.seconds`: the picture
+ * is another), `frame` (`detail.width`, `detail.height`, `detail.milliseconds` since it was asked for), `reprojected` (the last picture was drawn as the camera sees it now), `converged` (`detail.seconds`: the picture
  * is complete), `problem` (`detail.what`), `connection` (`detail.open`).
  */
 
@@ -339,12 +339,14 @@ export class RaysetView extends EventTarget {
       return;
     }
     const socket = this.#socket;
+    const asked = this.#asked.get(frame.generation)?.asked;
     // A frame of what was wanted a moment ago is better than an older one; parts of it are not.
     const isWanted = (/** @type {import("./frames.js").Frame} */ { kind, generation }) =>
       kind === 1 ? !this.#converged : generation === this.#generation;
     await this.#painter.draw(frame, isWanted);
     if (socket === this.#socket) this.#send({ type: "ack", frame: frame.frame });
-    this.#tell("frame", { generation: frame.generation, width: frame.width });
+    const milliseconds = asked === undefined ? null : performance.now() - asked;
+    this.#tell("frame", { generation: frame.generation, width: frame.width, height: frame.height, milliseconds });
   }
 
   #resized() {

@@ -122,6 +122,21 @@ export function bytes(count) {
   return `${Number((count / 1024 ** unit).toPrecision(3))} ${units[unit]}`;
 }
 
+/**
+ * Calls a function now and whenever what a view shows changes, the camera aside: that moves with every frame.
+ * @param {import("./view.js").RaysetView} view @param {() => void} follow
+ */
+export function following(view, follow) {
+  let last = view.changes;
+  view.addEventListener("change", () => {
+    if (view.changes === last) return;
+    last = view.changes;
+    follow();
+  });
+  view.addEventListener("legend", follow);
+  follow();
+}
+
 /** Gives a person a file. @param {Blob} blob @param {string} name */
 export function download(blob, name) {
   const link = document.createElement("a");

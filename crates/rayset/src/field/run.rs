@@ -121,12 +121,12 @@ impl RunDecoder {
             out.points.radius[..n].fill(r);
             out.points.inverse_radius[..n].fill(1.0 / r);
         } else if let Some(radii) = run.radii(header) {
-            for ((radius, inverse), r) in
-                out.points.radius.iter_mut().zip(&mut out.points.inverse_radius).zip(radii)
-            {
-                radius_min = radius_min.min(f64::from(r));
-                (*radius, *inverse) = (r, 1.0 / r);
-            }
+            let (stored, inverse) = (&mut out.points.radius[..n], &mut out.points.inverse_radius[..n]);
+            stored.iter_mut().zip(radii).for_each(|(o, r)| *o = r);
+            inverse.iter_mut().zip(&*stored).for_each(|(o, r)| *o = 1.0 / r);
+            // Numbers above zero are in the order of their bits, whose least is found several at a time.
+            let least = stored.iter().fold(u32::MAX, |least, r| least.min(r.to_bits()));
+            radius_min = f64::from(f32::from_bits(least));
         }
         out.pad_last_chunk();
         out.bound_chunks(simd);

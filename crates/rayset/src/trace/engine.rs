@@ -8,8 +8,9 @@ use super::predict::{self, Predictor};
 use super::scheduler::Scheduler;
 use super::work::MAX_TILE_PIXELS;
 use crate::field::{SLAB_SAMPLES, SimdLevel};
+use crate::octree::Cloud;
 use crate::scene::{RenderSettings, Scene};
-use crate::working_set::{Kind, Limits, PagedFiles, WorkingSet};
+use crate::working_set::{Kind, Limits, PageGuard, PagedFiles, WorkingSet};
 
 /// Most threads allowed: more than any machine has processors.
 const MOST_THREADS: usize = 4096;
@@ -53,9 +54,14 @@ pub(super) struct Engine {
     /// `None` if the budget is for pages alone, and fixed.
     memory: Option<Mutex<Memory>>,
     pub(super) name_of_io: String,
+    /// Pages that stay in memory, and the clouds that they are of.
+    pinned: Mutex<Pinned>,
     // Declared, and so dropped, last: dropping it ends its threads.
     pub(super) scheduler: Scheduler,
 }
+
+/// Clouds, and what is kept of each.
+type Pinned = Vec<(Arc<Cloud>, Vec<PageGuard>)>;
 
 /// The memory of an engine as a whole, divided between prepared scenes and pages.
 #[derive(Debug)]
@@ -109,12 +115,17 @@ impl Engine {
         let pages = files.pages.clone();
         let files = Mutex::new(files);
         let memory = memory_bytes.map(|total| Mutex::new(Memory { total, scenes: Vec::new(), last: 0 }));
-        Ok(Self { files, pages, exec, memory, name_of_io, scheduler })
+        let pinned = Mutex::default();
+        Ok(Self { files, pages, exec, memory, name_of_io, pinned, scheduler })
     }
 
     /// The open files.
     pub(super) fn files(&self) -> MutexGuard<'_, PagedFiles> {
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn pinned(&self) -> MutexGuard<'_, Pinned> {
+        self.pinned.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reserves memory for a scene, and gives the rest to pages.

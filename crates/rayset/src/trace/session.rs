@@ -209,6 +209,29 @@ impl Session {
         object.map_or(0, |object| pages.filter(|&page| object.is_resident(page)).count() as u32)
     }
 
+    /// Keeps pages of a cloud's octree in memory for as long as the session lives, those nearest to the root first, up to `most_bytes` of
+    /// them: however the camera jumps, what rays meet first need not be read again. The cloud is one of a scene that has been prepared.
+    /// Returns the bytes that are kept; pages that were kept before stay.
+    ///
+    /// # Errors
+    /// [`RenderError::Page`] if a page cannot be read, or there is no room for it.
+    pub fn pin_nodes(&self, cloud: &Arc<Cloud>, most_bytes: u64) -> Result<u64, RenderError> {
+        let Some(object) = self.0.files().find(cloud).map(|(_, object)| object.clone()) else { return Ok(0) };
+        let header = cloud.header();
+        let wanted = (most_bytes / u64::from(header.page_bytes)).min(u64::from(header.node_pages)) as u32;
+        let client = self.0.pages.client(&CancelToken::new());
+        let mut pinned = self.0.pinned();
+        if !pinned.iter().any(|(known, _)| Arc::ptr_eq(known, cloud)) {
+            // Children are written before their parents: the root is in the last page.
+            let last = header.pages();
+            let guards = (last - wanted..last).rev().map(|page| client.retain(&object, page));
+            pinned.push((cloud.clone(), guards.collect::<Result<_, _>>()?));
+        }
+        let kept =
+            pinned.iter().find(|(known, _)| Arc::ptr_eq(known, cloud)).map_or(0, |(_, guards)| guards.len());
+        Ok(kept as u64 * u64::from(header.page_bytes))
+    }
+
     /// The configured number of threads that trace rays.
     #[must_use]
     pub fn threads(&self) -> usize {

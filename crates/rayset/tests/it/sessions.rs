@@ -9,6 +9,7 @@ use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::image::LayerPixel;
 use rayset::scene::{Camera, Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
+use rayset::scene_file::SceneFile;
 use rayset::trace::{
     ExecSettings, FinishedTile, Region, RenderError, Session, SinkError, Tile, View, Work, render_once,
 };
@@ -144,6 +145,61 @@ fn tiles_in_any_order_and_passes_of_any_size_come_to_the_picture_of_one_pass() {
             assert!(layers(&found.layers) == layers(&expected.layers), "{threads} threads, {passes} passes");
         }
     }
+}
+
+#[test]
+fn a_scene_that_changes_keeps_the_pages_of_its_files() {
+    let folder = folder();
+    let cloud = workload_cloud("knot-20k", folder.path());
+    let text = |color: &str| {
+        format!(
+            r#"{{"rayset": 1, "image": {{"size": [40, 40]}}, "root": {{"type": "cloud", "file": {:?}, "transferFunction": {{"color": "{color}"}}}}}}"#,
+            cloud.path()
+        )
+    };
+    let session = Session::builder().memory(64 << 20).build().expect("a session");
+    let place = folder.path().join("scene.json");
+    let picture = |file: &SceneFile| {
+        let prepared = session.prepare(&file.scene, &file.settings).expect("a scene");
+        prepared.view(&file.camera).expect("a view").picture().expect("a picture")
+    };
+    let reads = || session.statistics().total(|kind| kind.reads);
+    let first = SceneFile::parse(&place, &text("#ff0000")).expect("a scene");
+    let red = picture(&first);
+    let read = reads();
+    assert!(read > 0);
+    let changed = first.parse_changed(&place, &text("#0000ff")).expect("a scene");
+    let blue = picture(&changed);
+    assert!(bits(&red.pixels) != bits(&blue.pixels));
+    assert_eq!(reads(), read, "nothing was read again");
+    let anew = SceneFile::parse(&place, &text("#0000ff")).expect("a scene");
+    assert!(bits(&blue.pixels) == bits(&picture(&anew).pixels));
+    assert!(reads() > read, "another opening is another file");
+}
+
+#[test]
+fn nodes_that_are_pinned_stay_and_change_no_pixel() {
+    let folder = folder();
+    let cloud = workload_cloud("knot-200k", folder.path());
+    let scene = scene(&cloud, Kernel::Wyvill, true);
+    let settings = settings(40, 40);
+    let picture = |session: &Session| {
+        let prepared = session.prepare(&scene, &settings).expect("a scene");
+        prepared.view(&turned(0, 1)).expect("a view").picture().expect("a picture")
+    };
+    let session = Session::over(paged(&scene, 1 << 30), exec(2)).expect("a session");
+    let first = picture(&session);
+    let page = u64::from(cloud.header().page_bytes);
+    // Not a page more than there is room for.
+    let kept = session.pin_nodes(&cloud, 2 * page - 1).expect("it reads");
+    assert_eq!(kept, page);
+    assert_eq!(session.pin_nodes(&cloud, 1 << 30).expect("it reads"), kept, "what is kept stays");
+    session.evict_all();
+    assert_eq!(session.statistics().kind(Kind::Octree).resident_bytes, kept);
+    assert_eq!(session.statistics().kind(Kind::Points).resident_bytes, 0);
+    assert!(bits(&picture(&session).pixels) == bits(&first.pixels));
+    let other = workload_cloud("knot-20k", folder.path());
+    assert_eq!(session.pin_nodes(&other, 1 << 30).expect("it is none of the session's"), 0);
 }
 
 #[test]
