@@ -79,6 +79,9 @@ pub struct Style {
     /// The map is over the logarithm.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub log: bool,
+    /// Radii of points, as a factor of those in the file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius_scale: Option<f64>,
     /// Opacity over density or value: points of a curve.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub opacity: Option<Vec<[f64; 2]>>,
@@ -96,6 +99,7 @@ impl Style {
             ("color-by", self.color_by.clone()),
             ("colormap", self.colormap.clone()),
             ("value-range", self.value_range.map(pair)),
+            ("radius-scale", self.radius_scale.map(|scale| scale.to_string())),
             ("opacity", self.opacity.as_ref().map(curve)),
         ];
         let words = texts.into_iter().filter_map(|(name, text)| Some(format!("--{name}={}", text?)));

@@ -21,6 +21,9 @@ pub(crate) struct LookArgs {
     /// Kernels integrate to one (smoothed-particle hydrodynamics)
     #[arg(long)]
     pub(super) normalised: bool,
+    /// Radii of the points, as a factor of those in the file, 0.001 to 1000
+    #[arg(long, value_parser = radius_scale)]
+    pub(super) radius_scale: Option<f64>,
     /// Opacity from density, or from a grid's values: clamp, extinction:K, or a curve like 0:0,1:0.5,4:1
     #[arg(long)]
     pub(super) opacity: Option<String>,
@@ -155,6 +158,10 @@ fn step_fraction(text: &str) -> Result<f64, String> {
     values::number_within(text, 1e-3, 4.0)
 }
 
+fn radius_scale(text: &str) -> Result<f64, String> {
+    values::number_within(text, 1e-3, 1e3)
+}
+
 fn occlusion(text: &str) -> Result<f64, String> {
     values::number_within(text, 0.0, 4.0)
 }
@@ -170,6 +177,7 @@ impl LookArgs {
             ("--look", self.look.is_some()),
             ("--kernel", self.kernel.is_some()),
             ("--normalised", self.normalised),
+            ("--radius-scale", self.radius_scale.is_some()),
             ("--opacity", self.opacity.is_some()),
             ("--unit-distance", self.unit_distance.is_some()),
             ("--color", self.color.is_some()),
@@ -198,6 +206,7 @@ impl LookArgs {
             look: other.look.or(self.look),
             kernel: other.kernel.or(self.kernel),
             normalised: other.normalised || self.normalised,
+            radius_scale: other.radius_scale.or(self.radius_scale),
             opacity: other.opacity.or_else(|| self.opacity.clone()),
             unit_distance: other.unit_distance.or(self.unit_distance),
             color: other.color.or(of_before.color),
@@ -223,6 +232,7 @@ impl LookArgs {
         let texts = [
             ("look", self.look.map(|look| look.name().to_owned())),
             ("kernel", self.kernel.map(|kernel| kernel.to_string())),
+            ("radius-scale", number(self.radius_scale)),
             ("opacity", self.opacity.clone()),
             ("unit-distance", number(self.unit_distance)),
             ("color", self.color.clone()),
@@ -274,6 +284,12 @@ impl LookArgs {
         }
         if self.normalised {
             root["normalised"] = json!(true);
+        }
+        if let Some(scale) = self.radius_scale {
+            if root["type"] != "cloud" {
+                bail!("--radius-scale is for points; the input has voxels");
+            }
+            root["radiusScale"] = json!(scale);
         }
         match self.shading {
             Some(ShadingArg::None) => scene["lights"] = json!("none"),

@@ -2,7 +2,7 @@
 /** What a cloud or grid looks like: the looks of `rayset render`, its colours, and their bar. */
 
 import { editor } from "./transfer.js";
-import { checkbox, color, element, following, number, panel, select, short } from "./widgets.js";
+import { checkbox, color, element, following, number, panel, select, short, slider } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 /** @typedef {import("./view.js").Style} Style */
@@ -54,6 +54,9 @@ export function lookPanel(view, begin) {
   const [low, high] = [end(0), end(1)];
   const range = element("div", { class: "row" }, [element("span", {}, ["Range"]), low.input, high.input]);
   const log = checkbox("Logarithm", false, (on) => act({ log: on || undefined }));
+  // By powers of two, from a sixteenth to sixteen times.
+  const radius = slider("Point radius", [-4, 4, 0.25], 0, (power) => restyle({ radiusScale: power ? 2 ** power : undefined }),
+    (power) => `${short(2 ** power)}×`);
   const bar = element("canvas", { class: "bar", width: "256", height: "44", role: "img" });
   const caption = element("p", { class: "caption" });
   const said = element("p", { class: "caption" });
@@ -63,6 +66,7 @@ export function lookPanel(view, begin) {
     look.input.value = style.look ?? "";
     by.input.value = style.color ? AS : style.colorBy ?? "";
     if (style.color) one.input.value = style.color;
+    radius.set(Math.log2(style.radiusScale ?? 1));
     one.row.hidden = !style.color;
     if (style.colormap) map.input.value = style.colormap;
     log.input.checked = Boolean(style.log);
@@ -78,7 +82,7 @@ export function lookPanel(view, begin) {
   };
   following(view, follow);
   return [
-    panel("Look", [look.row, by.row, one.row, map.row, range, log.row, bar, caption, said], true),
+    panel("Look", [look.row, by.row, one.row, map.row, range, log.row, bar, caption, ...(attributes.length ? [radius.row] : []), said], true),
     editor(view, begin, restyle),
   ];
 }

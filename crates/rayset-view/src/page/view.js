@@ -22,7 +22,7 @@ import { Warp } from "./warp.js";
  * @typedef {{min: Vector, max: Vector}} Section
  * @typedef {{form: "box" | "ellipsoid" | "cylinder", center: Vector, size: Vector, turns?: {axis: Vector, degrees: number}[], keep?: boolean}} Cutter
  *   takes away what is inside of it, or all else
- * @typedef {{look?: string, color?: string, colorBy?: string, colormap?: string, valueRange?: [number, number], log?: boolean, opacity?: [number, number][]}} Style
+ * @typedef {{look?: string, color?: string, colorBy?: string, colormap?: string, valueRange?: [number, number], log?: boolean, radiusScale?: number, opacity?: [number, number][]}} Style
  *   options of `rayset render`
  * @typedef {{exposure?: number, sun?: Sun, section?: Section, cutters?: Cutter[], cap?: string, style?: Style}} Changes
  *   what is other than in the scene that was opened; `cap`: the colour that fills cuts

@@ -7,6 +7,7 @@ use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
 use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
+use crate::scene::{FARTHEST, SHORTEST};
 use crate::storage::{MemoryStorage, Storage};
 
 /// An open cloud: its checked header, and where its pages are read from.
@@ -16,6 +17,8 @@ pub struct Cloud {
     /// `None` for a file on disk, which is opened by its path.
     storage: Option<Arc<dyn Storage>>,
     header: Header,
+    /// The cloud as it is stored, if this one has other radii.
+    stored: Option<Arc<Self>>,
 }
 
 impl std::fmt::Debug for Cloud {
@@ -34,7 +37,7 @@ impl Cloud {
     /// [`OpenError`] if the file cannot be read, or is not a complete cloud of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let mut file = OpenFile::open(path, FileKind::Cloud)?;
-        Ok(Self { path: path.to_owned(), storage: None, header: Header::read(&mut file)? })
+        Ok(Self { path: path.to_owned(), storage: None, header: Header::read(&mut file)?, stored: None })
     }
 
     /// Opens a cloud whose bytes are in memory, for example those of a file that was read. They are used in place.
@@ -54,7 +57,30 @@ impl Cloud {
     pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
         let path = PathBuf::from(name);
         let mut file = OpenFile::over(&path, storage.clone(), FileKind::Cloud)?;
-        Ok(Self { path, storage: Some(storage), header: Header::read(&mut file)? })
+        Ok(Self { path, storage: Some(storage), header: Header::read(&mut file)?, stored: None })
+    }
+
+    /// The same cloud with its points' radii multiplied by a factor. Both have the same pages in memory. `None` if the factor is not
+    /// above 0, or a radius is then not from 1e-18 to 1e18.
+    #[must_use]
+    pub fn with_radius_scale(self: &Arc<Self>, factor: f32) -> Option<Self> {
+        let stored = self.stored();
+        let radius = stored.header.radius.scaled(factor);
+        let is_length = |v: f32| (SHORTEST..=FARTHEST).contains(&f64::from(v));
+        if !(factor > 0.0 && is_length(radius.min()) && is_length(radius.max())) {
+            return None;
+        }
+        let radius_mean = stored.header.radius_mean * f64::from(factor);
+        let header = Header { radius, radius_mean, radius_scale: factor, ..stored.header.clone() };
+        let (path, storage) = (stored.path.clone(), stored.storage.clone());
+        Some(Self { path, storage, header, stored: Some(stored.clone()) })
+    }
+
+    /// The cloud as it is stored, whose pages this one has.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn stored(self: &Arc<Self>) -> &Arc<Self> {
+        self.stored.as_ref().unwrap_or(self)
     }
 
     /// The storage that its pages are read from; `None` for a file on disk, which is opened by its path.
@@ -96,6 +122,9 @@ impl Cloud {
     /// [`PageError`], which says what is wrong.
     #[doc(hidden)]
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
+        if let Some(stored) = &self.stored {
+            return stored.check_page(page, bytes);
+        }
         if self.page_kind(page) == PageKind::Points {
             PointPage::check(bytes, page, &self.header).map(|_| ())
         } else {

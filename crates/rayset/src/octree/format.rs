@@ -54,6 +54,14 @@ impl Column {
         }
     }
 
+    /// The column of values multiplied by a factor above 0.
+    pub(crate) fn scaled(self, factor: f32) -> Self {
+        match self {
+            Self::Constant(v) => Self::Constant(v * factor),
+            Self::Varying { min, max } => Self::Varying { min: min * factor, max: max * factor },
+        }
+    }
+
     /// Whether each point stores its own value.
     #[must_use]
     pub fn is_stored(self) -> bool {
@@ -112,6 +120,9 @@ pub struct Header {
     pub radius: Column,
     /// Mean radius.
     pub radius_mean: f64,
+    /// Radii are those that are stored, times this: 1, unless [`Cloud::with_radius_scale`](crate::Cloud::with_radius_scale) made it
+    /// another.
+    pub radius_scale: f32,
     /// Weight.
     pub weight: Column,
     /// Largest distance between a stored position and the original one, world space.
@@ -302,6 +313,7 @@ impl Header {
             root_size: r.f64()?,
             bounds: Aabb::new(r.vec()?, r.vec()?),
             radius_mean: r.f64()?,
+            radius_scale: 1.0,
             position_error: r.f64()?,
             position_error_radii: r.f64()?,
             radius: Column::Constant(1.0),

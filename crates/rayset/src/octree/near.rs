@@ -35,7 +35,9 @@ impl Cloud {
             }
             let of_node = page;
             let bytes = lookup.pages.read(SectionKind::NODES, page)?;
-            let Some(node) = NodePage::trusted(&bytes).get(usize::from(index)) else { continue };
+            let Some(node) = NodePage::scaled(&bytes, self.header()).get(usize::from(index)) else {
+                continue;
+            };
             lookup.own_points(node.own, &mut found)?;
             if node.child_mask == 0 {
                 continue;
@@ -43,7 +45,7 @@ impl Cloud {
             let NodeRef { page, index: first } = node.first_child;
             // Children lie in one page, and most often in that of their parent.
             let bytes = if page == of_node { bytes } else { lookup.pages.read(SectionKind::NODES, page)? };
-            let children = NodePage::trusted(&bytes);
+            let children = NodePage::scaled(&bytes, self.header());
             for index in first..first.saturating_add(node.child_mask.count_ones() as u16) {
                 let Some(child) = children.get(usize::from(index)) else { continue };
                 let distance = lookup.distance_squared(&child);
@@ -68,7 +70,7 @@ impl Cloud {
         let reader = Pages::new(self)?;
         for page in 0..header.node_pages {
             let bytes = reader.read(SectionKind::NODES, page)?;
-            let nodes = NodePage::trusted(&bytes);
+            let nodes = NodePage::scaled(&bytes, self.header());
             for node in (0..nodes.len()).filter_map(|index| nodes.get(index)).filter(|node| node.own.runs > 0)
             {
                 let group = &mut groups[(node.own.first_page / in_group) as usize];

@@ -57,6 +57,21 @@ impl Node {
         u16::from(self.level) == u16::from(parent.level) + 1
     }
 
+    /// The node of points whose radii are multiplied by a factor above 0. Its bounds hold them, and are not always tight.
+    fn with_radii_scaled(self, factor: f32, root_size: f64) -> Self {
+        let margin = (f64::from(factor) - 1.0).max(0.0) * f64::from(self.radius_max) / root_size;
+        // Two `f32` steps cover the rounding of the conversion and of the sum.
+        let down = |v: f32| ((f64::from(v) - margin) as f32).next_down().next_down();
+        let up = |v: f32| ((f64::from(v) + margin) as f32).next_up().next_up();
+        Self {
+            bounds_min: self.bounds_min.map(down),
+            bounds_max: self.bounds_max.map(up),
+            radius_min: self.radius_min * factor,
+            radius_max: self.radius_max * factor,
+            ..self
+        }
+    }
+
     /// Writes the record into its 80 bytes.
     pub fn encode(&self, bytes: &mut [u8]) {
         let mut at = 0;
@@ -109,6 +124,8 @@ impl Node {
 pub struct NodePage<'a> {
     bytes: &'a [u8],
     nodes: usize,
+    /// What radii are multiplied by, and the edge of the root cell in world space.
+    scale: (f32, f64),
 }
 
 impl<'a> NodePage<'a> {
@@ -161,7 +178,14 @@ impl<'a> NodePage<'a> {
     /// A page that has already passed [`check`](Self::check).
     #[must_use]
     pub fn trusted(bytes: &'a [u8]) -> Self {
-        Self { bytes, nodes: u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize }
+        let nodes = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
+        Self { bytes, nodes, scale: (1.0, 1.0) }
+    }
+
+    /// As [`trusted`](Self::trusted), with radii, and the bounds that follow from them, as the header of a cloud scales them.
+    #[must_use]
+    pub fn scaled(bytes: &'a [u8], header: &Header) -> Self {
+        Self { scale: (header.radius_scale, header.root_size), ..Self::trusted(bytes) }
     }
 
     /// Number of nodes.
@@ -184,7 +208,9 @@ impl<'a> NodePage<'a> {
 
     fn node(&self, index: usize) -> Node {
         let at = PAGE_HEAD_BYTES + index * NODE_BYTES;
-        Node::decode(&self.bytes[at..at + NODE_BYTES])
+        let node = Node::decode(&self.bytes[at..at + NODE_BYTES]);
+        let (scale, root_size) = self.scale;
+        if scale == 1.0 { node } else { node.with_radii_scaled(scale, root_size) }
     }
 }
 

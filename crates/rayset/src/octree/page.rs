@@ -133,6 +133,11 @@ impl RunHead {
         f32::from_bits(u32::from(self.radius_max) << 16)
     }
 
+    /// The record of a run whose radii are multiplied by a factor above 0.
+    fn with_radii_scaled(self, factor: f32) -> Self {
+        Self { radius_max: round_up_to_16_bits(self.radius_max() * factor), ..self }
+    }
+
     /// Length of one offset step, world space.
     #[must_use]
     pub fn step(&self, root: RootCell) -> f64 {
@@ -286,6 +291,7 @@ pub struct PointPage<'a> {
     bytes: &'a [u8],
     runs: usize,
     columns: ColumnLayout,
+    radius_scale: f32,
 }
 
 impl<'a> PointPage<'a> {
@@ -323,7 +329,7 @@ impl<'a> PointPage<'a> {
     #[must_use]
     pub fn trusted(bytes: &'a [u8], header: &Header) -> Self {
         let runs = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
-        Self { bytes, runs, columns: header.columns }
+        Self { bytes, runs, columns: header.columns, radius_scale: header.radius_scale }
     }
 
     /// Number of runs.
@@ -343,7 +349,9 @@ impl<'a> PointPage<'a> {
     pub fn head(&self, index: usize) -> RunHead {
         assert!(index < self.runs, "run {index} of {}", self.runs);
         let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
-        RunHead::decode(&self.bytes[at..at + RUN_HEAD_BYTES]).expect("checked when the page was read")
+        let head =
+            RunHead::decode(&self.bytes[at..at + RUN_HEAD_BYTES]).expect("checked when the page was read");
+        if self.radius_scale == 1.0 { head } else { head.with_radii_scaled(self.radius_scale) }
     }
 
     /// A run with its data.
@@ -442,9 +450,10 @@ impl<'a> Run<'a> {
         self.words(self.column_start() + 4 * n * column, n).map(f32::from_le_bytes)
     }
 
-    /// The stored radii, if the header says that there are any.
+    /// The stored radii, scaled as the header says, if it says that there are any.
     pub fn radii(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
-        header.radius.is_stored().then(|| self.f32_column(0))
+        let scale = header.radius_scale;
+        header.radius.is_stored().then(|| self.f32_column(0).map(move |radius| radius * scale))
     }
 
     /// The stored weights, if the header says that there are any.

@@ -32,6 +32,8 @@ const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "m
 const DEEPEST: usize = 100;
 /// Most children of an operator: no graph may have more places of nodes.
 const MOST_CHILDREN: usize = MOST_PLACES as usize;
+/// The least and the largest factor of radii.
+const RADIUS_SCALES: [f64; 2] = [1e-3, 1e3];
 /// Longest name of a node in bytes.
 const LONGEST_NAME: usize = 256;
 
@@ -57,6 +59,8 @@ pub(super) struct GraphReader<'a> {
     /// Names of the nodes that are being built, outermost first.
     making: Vec<&'a str>,
     clouds: HashMap<PathBuf, Arc<Cloud>>,
+    /// Those with other radii than are stored.
+    scaled: Vec<Arc<Cloud>>,
     grids: HashMap<PathBuf, Arc<Grid>>,
     /// Number of nodes that enclose the one being built.
     depth: usize,
@@ -72,6 +76,7 @@ impl<'a> GraphReader<'a> {
             made: HashMap::new(),
             making: Vec::new(),
             clouds: HashMap::new(),
+            scaled: Vec::new(),
             grids: HashMap::new(),
             depth: 0,
             heights: HashMap::new(),
@@ -93,7 +98,7 @@ impl<'a> GraphReader<'a> {
         match &node.shape {
             Shape::Cloud(object) => {
                 let path = object.cloud.path().canonicalize();
-                drop(path.map(|path| self.clouds.insert(path, object.cloud.clone())));
+                drop(path.map(|path| self.clouds.insert(path, object.cloud.stored().clone())));
             }
             Shape::Grid(object) => {
                 let path = object.grid.path().canonicalize();
@@ -221,7 +226,7 @@ impl<'a> GraphReader<'a> {
         let with = |more: &[&str]| at.object(&[&COMMON[..], more].concat());
         let (object, shape) = match any.require("type")?.one_of(&types)? {
             Type::Cloud => {
-                let object = with(&["file", "kernel", "normalised", "transferFunction"])?;
+                let object = with(&["file", "kernel", "normalised", "radiusScale", "transferFunction"])?;
                 let cloud = self.cloud(&object)?;
                 (object, Shape::Cloud(cloud))
             }
@@ -278,6 +283,10 @@ impl<'a> GraphReader<'a> {
     fn cloud(&mut self, object: &Object<'a>) -> Result<CloudObject, SceneFileError> {
         let at = object.require("file")?;
         let cloud = self.open(&at)?;
+        let cloud = match object.get("radiusScale") {
+            Some(at) => self.scaled(cloud, &at)?,
+            None => cloud,
+        };
         let mut made = CloudObject::plain(cloud);
         let kernels: Vec<(&str, Kernel)> =
             Kernel::ALL.iter().map(|kernel| (kernel.name(), *kernel)).collect();
@@ -287,6 +296,29 @@ impl<'a> GraphReader<'a> {
             read_transfer_function(&at, &mut made)?;
         }
         Ok(made)
+    }
+
+    /// A cloud with other radii, made once for all nodes that ask for the same.
+    fn scaled(&mut self, cloud: Arc<Cloud>, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
+        let factor = at.number(RADIUS_SCALES[0], RADIUS_SCALES[1])? as f32;
+        if factor == 1.0 {
+            return Ok(cloud);
+        }
+        let is_same = |known: &&Arc<Cloud>| {
+            known.header().radius_scale == factor && Arc::ptr_eq(known.stored(), &cloud)
+        };
+        if let Some(known) = self.scaled.iter().find(is_same) {
+            return Ok(known.clone());
+        }
+        let scaled = cloud.with_radius_scale(factor).ok_or_else(|| {
+            at.error(format!(
+                "a radius of {} times this is not from 1e-18 to 1e18",
+                cloud.header().radius_mean
+            ))
+        })?;
+        let scaled = Arc::new(scaled);
+        self.scaled.push(scaled.clone());
+        Ok(scaled)
     }
 
     /// Opens a grid file, once for all nodes that refer to it.

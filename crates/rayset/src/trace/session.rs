@@ -221,14 +221,16 @@ impl Session {
         let wanted = (most_bytes / u64::from(header.page_bytes)).min(u64::from(header.node_pages)) as u32;
         let client = self.0.pages.client(&CancelToken::new());
         let mut pinned = self.0.pinned();
-        if !pinned.iter().any(|(known, _)| Arc::ptr_eq(known, cloud)) {
+        if !pinned.iter().any(|(known, _)| Arc::ptr_eq(known, cloud.stored())) {
             // Children are written before their parents: the root is in the last page.
             let last = header.pages();
             let guards = (last - wanted..last).rev().map(|page| client.retain(&object, page));
-            pinned.push((cloud.clone(), guards.collect::<Result<_, _>>()?));
+            pinned.push((cloud.stored().clone(), guards.collect::<Result<_, _>>()?));
         }
-        let kept =
-            pinned.iter().find(|(known, _)| Arc::ptr_eq(known, cloud)).map_or(0, |(_, guards)| guards.len());
+        let kept = pinned
+            .iter()
+            .find(|(known, _)| Arc::ptr_eq(known, cloud.stored()))
+            .map_or(0, |(_, guards)| guards.len());
         Ok(kept as u64 * u64::from(header.page_bytes))
     }
 

@@ -300,7 +300,7 @@ impl Exponents {
             if node.child_mask != 0 {
                 let page = node.first_child.page;
                 let guard = access.retain(cloud, cloud.first_node_page + page)?;
-                let nodes = NodePage::trusted(&guard);
+                let nodes = NodePage::scaled(&guard, cloud.header());
                 for child in 0..node.child_mask.count_ones() as usize {
                     let index = usize::from(node.first_child.index) + child;
                     let child = nodes.get(index).filter(|child| child.is_child_of(&node));

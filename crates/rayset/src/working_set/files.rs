@@ -27,8 +27,9 @@ impl PagedFiles {
     /// Adds a cloud whose pages are read from `storage`. A cloud that has been added already stays as it is.
     pub fn add(&mut self, cloud: &Arc<Cloud>, storage: Arc<dyn Storage>) {
         if self.find(cloud).is_none() {
-            let object = self.pages.add(Arc::new(CloudPages::new(cloud.clone(), storage)));
-            self.clouds.push((cloud.clone(), object));
+            let stored = cloud.stored();
+            let object = self.pages.add(Arc::new(CloudPages::new(stored.clone(), storage)));
+            self.clouds.push((stored.clone(), object));
         }
     }
 
@@ -74,10 +75,10 @@ impl PagedFiles {
         self.grids.retain(|(grid, object)| keep(Arc::strong_count(grid) > OWN, pages, object));
     }
 
-    /// The number of a cloud, and its object.
+    /// The number of a cloud, and its object. Clouds that differ in nothing but their radii have the same.
     #[must_use]
     pub fn find(&self, cloud: &Arc<Cloud>) -> Option<(usize, &Arc<Object>)> {
-        let at = self.clouds.iter().position(|(known, _)| Arc::ptr_eq(known, cloud))?;
+        let at = self.clouds.iter().position(|(known, _)| Arc::ptr_eq(known, cloud.stored()))?;
         Some((at, &self.clouds[at].1))
     }
 

@@ -199,6 +199,45 @@ fn lit_and_coloured_pictures_are_right_for_every_kernel_and_opacity_rule() {
 }
 
 #[test]
+fn pictures_with_other_radii_than_those_stored_are_right() {
+    let folder = folder();
+    let stored = build_at(
+        &folder.path().join("c.rset"),
+        Box::new(mixed_points(2500, 2.0, 6)),
+        &BuildOptions::default(),
+    );
+    let constant = workload_cloud("sphere-20k", folder.path());
+    for cloud in [&stored, &constant] {
+        for factor in [0.4_f32, 3.0] {
+            let scaled = std::sync::Arc::new(cloud.with_radius_scale(factor).expect("radii in range"));
+            assert_eq!(scaled.header().radius.max(), cloud.header().radius.max() * factor);
+            let (before, after) = (cloud.sample(500).expect("it reads"), scaled.sample(500).expect("it reads"));
+            for i in 0..before.len() {
+                let expected = before.columns[0].get(i) as f32 * factor;
+                assert_eq!(after.columns[0].get(i) as f32, expected, "point {i}");
+            }
+            check_field(&scaled, 1.0, Kernel::Wyvill, SimdLevel::default());
+            let step = f64::from(scaled.header().radius.min()) * 0.3;
+            for is_lit in [false, true] {
+                let mut object = look(&scaled, Kernel::Wyvill);
+                object.normalised = is_lit;
+                object.transfer.opacity = OpacityRule::Extinction(1.5);
+                let settings = RenderSettings { step: Step::Fixed(step.max(0.004)), ..settings(48, 48) };
+                let wrong = count_wrong_pixels(&scene_of(object, is_lit), &settings, step.max(0.004), 300);
+                assert!(wrong <= 1, "{factor}, {is_lit}: {wrong} of 300 pixels beyond 1/1024");
+            }
+        }
+        for wrong in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e30, 1e-30] {
+            assert!(cloud.with_radius_scale(wrong).is_none(), "{wrong}");
+        }
+    }
+    // The factor counts from what is stored, not from what has been made of it.
+    let twice = std::sync::Arc::new(stored.with_radius_scale(2.0).expect("radii in range"));
+    let again = twice.with_radius_scale(3.0).expect("radii in range");
+    assert_eq!(again.header().radius.max(), stored.header().radius.max() * 3.0);
+}
+
+#[test]
 fn densities_colours_and_opacities_are_right_with_weights_of_both_signs() {
     let folder = folder();
     let mut random = Random(8);

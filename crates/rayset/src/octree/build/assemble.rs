@@ -383,6 +383,7 @@ impl Assembler {
                 None if ingested.count > 0 => summary.radius_sum / ingested.count as f64,
                 _ => 1.0,
             },
+            radius_scale: 1.0,
             weight,
             position_error: summary.position_error,
             position_error_radii: summary.position_error_radii,

@@ -196,7 +196,7 @@ impl Frontier {
                 ask(&[page]);
                 return;
             };
-            let nodes = NodePage::trusted(&guard);
+            let nodes = NodePage::scaled(&guard, cloud.header());
             let first = usize::from(node.first_child.index);
             let children = (0..node.child_mask.count_ones() as usize).filter_map(|k| nodes.get(first + k));
             next = nearest(&mut children.filter(|child| child.is_child_of(&node)));
@@ -222,7 +222,7 @@ impl Frontier {
         let Place { access, cloud, .. } = place;
         let NodeRef { page, index } = node.first_child;
         let guard = access.retain(cloud, cloud.first_node_page + page)?;
-        let nodes = NodePage::trusted(&guard);
+        let nodes = NodePage::scaled(&guard, cloud.header());
         for k in 0..node.child_mask.count_ones() as usize {
             let child = nodes.get(usize::from(index) + k).filter(|child| child.is_child_of(node));
             let child = child.filter(|_| self.opened < cloud.most_nodes());

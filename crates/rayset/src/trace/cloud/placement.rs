@@ -142,7 +142,7 @@ impl Access<'_> {
         }
         let place = header.root;
         let guard = self.retain(cloud, cloud.first_node_page + place.page)?;
-        match NodePage::trusted(&guard).get(usize::from(place.index)) {
+        match NodePage::scaled(&guard, cloud.header()).get(usize::from(place.index)) {
             Some(root) => Ok(Some(root)),
             None => Err(cloud.broken(place.page).into()),
         }

@@ -383,7 +383,7 @@ impl View<'_, '_> {
     /// A node record, if its page is in memory.
     fn node_at(&self, page: u32, index: u16) -> Option<Node> {
         let guard = self.ahead.pages.peek(&self.cloud.pages, self.cloud.first_node_page + page)?;
-        NodePage::trusted(&guard).get(usize::from(index))
+        NodePage::scaled(&guard, self.cloud.header()).get(usize::from(index))
     }
 }
 
