@@ -206,12 +206,14 @@ fn pictures_with_other_radii_than_those_stored_are_right() {
         Box::new(mixed_points(2500, 2.0, 6)),
         &BuildOptions::default(),
     );
-    let constant = workload_cloud("sphere-20k", folder.path());
+    // Of many nodes, each of which reaches beyond what it reached before.
+    let constant = workload_cloud("sphere-100k", folder.path());
     for cloud in [&stored, &constant] {
         for factor in [0.4_f32, 3.0] {
             let scaled = std::sync::Arc::new(cloud.with_radius_scale(factor).expect("radii in range"));
             assert_eq!(scaled.header().radius.max(), cloud.header().radius.max() * factor);
-            let (before, after) = (cloud.sample(500).expect("it reads"), scaled.sample(500).expect("it reads"));
+            let (before, after) =
+                (cloud.sample(500).expect("it reads"), scaled.sample(500).expect("it reads"));
             for i in 0..before.len() {
                 let expected = before.columns[0].get(i) as f32 * factor;
                 assert_eq!(after.columns[0].get(i) as f32, expected, "point {i}");
@@ -221,9 +223,12 @@ fn pictures_with_other_radii_than_those_stored_are_right() {
             for is_lit in [false, true] {
                 let mut object = look(&scaled, Kernel::Wyvill);
                 object.normalised = is_lit;
-                object.transfer.opacity = OpacityRule::Extinction(1.5);
-                let settings = RenderSettings { step: Step::Fixed(step.max(0.004)), ..settings(48, 48) };
-                let wrong = count_wrong_pixels(&scene_of(object, is_lit), &settings, step.max(0.004), 300);
+                // Translucent, so that every point on the way shows.
+                object.transfer.opacity = OpacityRule::Extinction(if is_lit { 0.001 } else { 0.3 });
+                let (step, stop) = (step.max(0.01), 0.0);
+                let settings =
+                    RenderSettings { step: Step::Fixed(step), stop_transmittance: stop, ..settings(48, 48) };
+                let wrong = count_wrong_pixels(&scene_of(object, is_lit), &settings, step, 300);
                 assert!(wrong <= 1, "{factor}, {is_lit}: {wrong} of 300 pixels beyond 1/1024");
             }
         }
