@@ -202,11 +202,8 @@ impl Page {
                 let problem = |what| ToPage::Problem { generation, what };
                 return Ok(Some(text.map_or_else(problem, |scene| ToPage::Saved { scene })));
             }
-            // Of a page that asks faster than it is answered, some questions are not.
-            FromPage::Pick { question, at, show } => {
-                drop(self.asks.try_send(Ask::Pick { question, at, show }))
-            }
-            FromPage::Engine { with_map } => drop(self.asks.try_send(Ask::Engine { with_map })),
+            FromPage::Pick { question, at, show } => self.ask(Ask::Pick { question, at, show }),
+            FromPage::Engine { with_map } => self.ask(Ask::Engine { with_map }),
             FromPage::Picture(show) => {
                 return Ok(self.save(show).err().map(|what| ToPage::Pictured { what: Some(what) }));
             }
@@ -217,6 +214,11 @@ impl Page {
             }
         }
         Ok(None)
+    }
+
+    /// Passes a question on. Of a page that asks faster than it is answered, some are not.
+    fn ask(&self, ask: Ask) {
+        let _ = self.asks.try_send(ask);
     }
 
     /// Saves a picture, with the memory of the pages that are not open.

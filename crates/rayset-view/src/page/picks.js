@@ -41,7 +41,14 @@ export function picksPanel(view, begin, overlay) {
 
   /** @param {number} x @param {number} y from the left and the top, 0 to 1 @param {(pick: Picked) => void} then */
   const ask = async (x, y, then) => {
-    const pick = await view.pick(x, y);
+    /** @type {Picked} */
+    let pick;
+    try {
+      pick = await view.pick(x, y);
+    } catch {
+      // Not connected, or asked again.
+      return;
+    }
     if (pick.position) then(pick);
     else told.replaceChildren(element("p", {}, ["There is nothing."]));
   };

@@ -235,6 +235,12 @@ export class RaysetView extends EventTarget {
     this.#waiting.delete(answer);
   }
 
+  /** @param {string} answer @param {string} what is wrong */
+  #refused(answer, what) {
+    this.#waiting.get(answer)?.reject(new Error(what));
+    this.#waiting.delete(answer);
+  }
+
   /** Ends the connection. */
   close() {
     this.#closed = true;
@@ -292,6 +298,7 @@ export class RaysetView extends EventTarget {
         });
         break;
       case "problem":
+        this.#refused("saved", message.what);
         if (message.generation === this.#generation) this.#tell("problem", { what: message.what });
         break;
       case "opening":
@@ -306,12 +313,13 @@ export class RaysetView extends EventTarget {
         break;
       case "pictured":
         if (message.what === null) this.#answered("pictured", message);
-        else {
-          this.#waiting.get("pictured")?.reject(new Error(message.what));
-          this.#waiting.delete("pictured");
-        }
+        else this.#refused("pictured", message.what);
         break;
       case "picked":
+        // Questions that come too fast are not answered; answers come in the order of the questions.
+        for (const waits of this.#waiting.keys()) {
+          if (waits.startsWith("picked ") && Number(waits.slice(7)) < message.question) this.#refused(waits, "asked again");
+        }
         this.#answered(`picked ${message.question}`, message);
         break;
       case "invited":
