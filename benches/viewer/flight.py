@@ -10,7 +10,6 @@ import os
 import pathlib
 import re
 import shutil
-import signal
 import statistics
 import subprocess
 import sys
@@ -91,7 +90,7 @@ class Flight:
 
     def end(self):
         self.browser.close()
-        self.server.send_signal(signal.SIGINT)
+        self.server.terminate()
         self.server.wait(20)
 
 

@@ -10,7 +10,6 @@ import os
 import pathlib
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -79,7 +78,7 @@ def main():
             time.sleep(max(0, begin + seconds * (connection + 1) / RECONNECTIONS - time.time()))
         peak = memory(server.pid, "VmHWM")
         browser.close()
-    server.send_signal(signal.SIGINT)
+    server.terminate()
     server.wait(20)
     half = len(rss) // 2
     before, after = max(rss[half // 4:half]), max(rss[half:])

@@ -21,8 +21,10 @@ const MOST_TOKENS: usize = 64;
 
 /// Decides about visitors.
 pub(crate) struct Access {
-    /// Signs cookies.
+    /// Signs passwords.
     signer: Hmac<Sha256>,
+    /// Signs cookies.
+    cookie_signer: Hmac<Sha256>,
     cookie_name: String,
     allowed_hosts: Vec<String>,
     /// Issued, and not used yet.
@@ -80,8 +82,13 @@ impl Access {
             let signature = of_password(&signer, password).finalize().into_bytes().to_vec();
             Password { signature, tried: Mutex::default() }
         });
+        // Cookies of one password are worth nothing with another.
+        let mut cookie_signer = signer.clone();
+        if let Some(password) = &password {
+            cookie_signer.update(&password.signature);
+        }
         let cookie_name = format!("rayset-{port}");
-        Self { signer, cookie_name, allowed_hosts, tokens: Mutex::default(), password }
+        Self { signer, cookie_signer, cookie_name, allowed_hosts, tokens: Mutex::default(), password }
     }
 
     /// Whether there is a password, and so people from elsewhere.
@@ -94,9 +101,10 @@ impl Access {
         let password = self.password.as_ref().ok_or(Refusal::Password)?;
         {
             let mut tried = password.tried.lock().unwrap_or_else(PoisonError::into_inner);
-            if tried.replace(Instant::now()).is_some_and(|before| before.elapsed() < BETWEEN_ATTEMPTS) {
+            if tried.is_some_and(|before| before.elapsed() < BETWEEN_ATTEMPTS) {
                 return Err(Refusal::Password);
             }
+            *tried = Some(Instant::now());
         }
         let attempt = of_password(&self.signer, attempt);
         attempt.verify_slice(&password.signature).map_err(|_| Refusal::Password)?;
@@ -175,7 +183,7 @@ impl Access {
     }
 
     fn mac(&self, visitor: &str) -> Hmac<Sha256> {
-        let mut mac = self.signer.clone();
+        let mut mac = self.cookie_signer.clone();
         // Cookies are sent to all ports of a machine: one of another port is none of ours.
         mac.update(self.cookie_name.as_bytes());
         mac.update(b"=");
@@ -320,6 +328,8 @@ mod tests {
         let cookie = here.enter("a long sentence").expect("it is right");
         let pair = cookie.split(';').next().expect("a pair");
         assert_eq!(here.check_cookie(&headers(&[(header::COOKIE, pair)])), Ok(()));
+        let other = Access::new([1; SECRET_BYTES], 8000, Vec::new(), Some("another sentence"));
+        assert_eq!(other.check_cookie(&headers(&[(header::COOKIE, pair)])), Err(Refusal::Cookie));
         let to = |host| headers(&[(header::HOST, host)]);
         assert_eq!(here.check_host(&to("192.168.1.20:8000")), Ok(()), "where it listens beyond this machine");
         assert_eq!(here.check_host(&to("evil.example.org:8000")), Err(Refusal::Host));

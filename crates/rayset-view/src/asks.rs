@@ -16,6 +16,7 @@ use crate::protocol::{Show, ToPage};
 pub(crate) enum Ask {
     Pick { question: u32, at: [f64; 2], show: Box<Show> },
     Engine { with_map: bool },
+    Save(Box<Show>),
 }
 
 /// The scene that a page sees, for those who ask about it.
@@ -53,6 +54,7 @@ pub(crate) fn answer(
             Ask::Pick { question, at, show } => {
                 ToPage::Picked(Box::new(picked(question, at, &show, current)))
             }
+            Ask::Save(show) => saved(&show, opened),
             Ask::Engine { with_map } => {
                 // A cloud that cannot be read has no map; what is wrong with it is said where it is rendered.
                 let map = map.get_or_insert_with(|| Map::new(opened).unwrap_or_default());
@@ -63,6 +65,14 @@ pub(crate) fn answer(
             return;
         }
     }
+}
+
+/// The scene file of what is seen.
+fn saved(show: &Show, opened: &Opened) -> ToPage {
+    let text =
+        opened.saved(show).and_then(|scene| serde_json::to_string_pretty(&scene).map_err(|e| e.to_string()));
+    let problem = |what| ToPage::Problem { generation: show.generation, what };
+    text.map_or_else(problem, |scene| ToPage::Saved { scene })
 }
 
 fn picked(question: u32, at: [f64; 2], show: &Show, current: &Current) -> Picked {

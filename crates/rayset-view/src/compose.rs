@@ -36,6 +36,8 @@ pub(crate) struct Opened {
     pub(crate) file: SceneFile,
     /// The styles that were asked for last, and what they gave.
     styles: Mutex<Vec<(Style, Arc<Styled>)>>,
+    /// What a page that says nothing sees.
+    first_style: Style,
 }
 
 /// Most styles that are remembered.
@@ -46,7 +48,8 @@ impl Opened {
     pub(crate) fn new(subject: Subject) -> Result<Self, String> {
         let file = SceneFile::parse(&subject.path, &subject.scene.to_string()).map_err(|error| error.what)?;
         let (bounds, camera) = (file.scene.root.bounds(), pose(&file.camera));
-        Ok(Self { bounds, camera, subject, file, styles: Mutex::default() })
+        let first_style = subject.looks.as_ref().map_or_else(Style::default, |looks| looks.choices().style);
+        Ok(Self { bounds, camera, subject, file, styles: Mutex::default(), first_style })
     }
 
     /// The scene that a page wants to see. Without caps it is ready sooner.
@@ -98,18 +101,21 @@ impl Opened {
         });
         let transfer_function = scene["root"]["transferFunction"].clone();
         let (is_lit, remarks) = (scene["lights"] != "none", remarks.to_vec());
-        Ok(Legend { look, line, is_lit, transfer_function, densities, remarks, command })
+        let exposure = scene["image"]["exposure"].as_f64().unwrap_or(0.0);
+        Ok(Legend { look, line, is_lit, exposure, transfer_function, densities, remarks, command })
     }
 
     /// The scene in the style of a page; `None` if it has no other looks.
     fn styled(&self, changes: &Changes) -> Result<Option<Arc<Styled>>, String> {
         let Some(looks) = &self.subject.looks else { return Ok(None) };
-        let style = changes.style.clone().unwrap_or_default();
-        let mut styles = self.styles.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, known)) = styles.iter().find(|(known, _)| *known == style) {
+        let style = changes.style.as_ref().unwrap_or(&self.first_style).clone();
+        let styles = || self.styles.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = styles().iter().find(|(known, _)| *known == style) {
             return Ok(Some(known.clone()));
         }
+        // Not under the lock: it takes a while, and other pages want theirs.
         let styled = Arc::new(looks.styled(&style)?);
+        let mut styles = styles();
         if styles.len() == MOST_STYLES {
             styles.remove(0);
         }

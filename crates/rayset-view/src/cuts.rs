@@ -113,7 +113,8 @@ fn taken_away(cutter: &Cutter, bounds: &Aabb) -> Value {
     if !cutter.keep {
         return solid;
     }
-    let around = (bounds.size() * 3.0).to_array();
+    // Points whose radii are scaled reach beyond the bounds.
+    let around = [bounds.size().max_element() * 4.0; 3];
     let whole =
         json!({"type": "box", "size": around, "transform": {"translate": bounds.center().to_array()}});
     json!({"type": "difference", "children": [whole, solid]})

@@ -101,6 +101,8 @@ enum Unfinished {
     GivenUp,
     /// It cannot be made.
     Problem(String),
+    /// There is no memory for its scene.
+    NoMemory(String),
 }
 
 impl From<RenderError> for Unfinished {
@@ -108,6 +110,7 @@ impl From<RenderError> for Unfinished {
         match error {
             // A sink refuses what it cannot send.
             RenderError::Cancelled | RenderError::Sink(_) => Self::GivenUp,
+            RenderError::Memory { .. } => Self::NoMemory(error.to_string()),
             other => Self::Problem(other.to_string()),
         }
     }
@@ -144,7 +147,8 @@ impl Frames {
                     }
                 }
                 Err(Unfinished::GivenUp) => self.wanted.given_up(),
-                Err(Unfinished::Problem(what)) => {
+                Err(Unfinished::Problem(what) | Unfinished::NoMemory(what)) => {
+                    self.current.set(None);
                     // What cannot be shown quickly cannot be shown finely either.
                     self.wanted.done(&Order { grade: Grade::Fine, ..order });
                     (self.send)(Outgoing::Text(ToPage::Problem { generation, what }));
@@ -192,6 +196,10 @@ impl Frames {
         }
         let draft = self.without_camera(show, false)?;
         let known = self.draft.take().filter(|known| known.composed == draft);
+        if known.is_none() && self.prepared.is_none() {
+            // The one before makes room.
+            self.current.set(None);
+        }
         let draft = known.map_or_else(|| self.prepare(show, draft, drafted), Ok)?;
         if self.prepared.is_none() {
             self.current.set(Some(draft.seen()));
@@ -215,7 +223,7 @@ impl Frames {
     /// A scene to be seen at rest. If there is no memory for it besides the one that moves, that one is made again when it is needed.
     fn at_rest(&mut self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
         let first = self.prepare(show, composed.clone(), |settings| settings);
-        if first.is_err() && self.draft.take().is_some() {
+        if matches!(first, Err(Unfinished::NoMemory(_))) && self.draft.take().is_some() {
             self.current.set(None);
             return self.prepare(show, composed, |settings| settings);
         }
@@ -231,22 +239,22 @@ impl Frames {
         let file = self.opened.parse(&composed).map_err(Unfinished::Problem)?;
         // Distances, with which the page moves a picture until the next has come. They change no pixel.
         let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_layers(true))?;
-        self.pin_nodes()?;
+        self.pin_nodes();
         let legend = self.opened.legend(&show.changes, scene.remarks()).map_err(Unfinished::Problem)?;
         (self.send)(Outgoing::Text(ToPage::Styled(Box::new(legend))));
         Ok(Prepared { composed, scene, file: Arc::new(file) })
     }
 
     /// Keeps the coarse parts of octrees in memory, where they take little of it: a camera that jumps needs them first.
-    fn pin_nodes(&self) -> Result<(), Unfinished> {
+    fn pin_nodes(&self) {
         const PART: u64 = 8;
         let mut clouds = Vec::new();
         find_clouds(&self.opened.file.scene.root, DAffine3::IDENTITY, &mut clouds);
         let each = self.session.page_budget_bytes() / PART / clouds.len().max(1) as u64;
         for (object, _) in clouds {
-            self.session.pin_nodes(&object.cloud, each)?;
+            // Pictures do without; what is wrong with a file is said where it is rendered.
+            let _ = self.session.pin_nodes(&object.cloud, each);
         }
-        Ok(())
     }
 
     /// One frame of as many rays as its time allows, as JPEG.

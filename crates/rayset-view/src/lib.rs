@@ -1,10 +1,11 @@
 //! A viewer in the browser: a server on the user's own machine, whose page looks around in a scene that the session traces
 //! within its memory.
 //!
-//! One visit, followed through the files: [`Server::start`] (`server`) listens; a visitor with a token (`access`) gets the page
+//! One visit, followed through the files (ARCHITECTURE.md has it as a table): [`Server::start`] (`server`) listens; a visitor with a token (`access`) gets the page
 //! (`page`), which opens a socket and says what it wants to see (`protocol`); its wishes (`wanted`) are fulfilled by a thread
 //! (`frames`) that makes a scene of them (`compose`), has the session trace it, at a resolution that keeps up with motion
-//! (`pacing`), and sends the pictures (`payload`).
+//! (`pacing`), and sends the pictures (`payload`). A page's connection is `visit`; looks that it can choose `looks`, cuts `cuts`; questions
+//! besides are answered in `asks`, `picking` and `engine`; `saving` renders pictures for files.
 //!
 //! Nothing of the engine is reached around: pictures come from [`rayset::View::render`], and the last of them is that of
 //! `rayset render`, bit for bit.

@@ -57,7 +57,7 @@ pub struct Histogram {
     pub counts: Vec<u64>,
 }
 
-/// How a cloud or grid is to look: options of `rayset render`. What is missing stays as it was chosen when the program was started.
+/// How a cloud or grid is to look: options of `rayset render`. What is missing is chosen from the data.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
 #[serde(rename_all = "camelCase", deny_unknown_fields, default)]
 pub struct Style {

@@ -121,6 +121,8 @@ pub(crate) struct Legend {
     pub(crate) line: String,
     /// Whether there are lights.
     pub(crate) is_lit: bool,
+    /// Stops, if the page says nothing of it.
+    pub(crate) exposure: f64,
     /// As the scene file has it.
     pub(crate) transfer_function: Value,
     /// How what opacity is over is spread.

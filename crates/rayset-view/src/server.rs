@@ -75,6 +75,9 @@ pub enum ServeError {
     /// The scene cannot be shown.
     #[error("{0}")]
     Scene(String),
+    /// The password is too short.
+    #[error("the password is too short; at least {LEAST_PASSWORD} characters are needed")]
+    ShortPassword,
     /// It would be open to everybody.
     #[error(
         "{0} is beyond this machine: whoever can reach it could look, so a password of at least {LEAST_PASSWORD} characters is needed"
@@ -159,9 +162,12 @@ impl Server {
     /// # Errors
     /// [`ServeError`] if the port cannot be had, or if it would be open to everybody.
     pub fn start(options: Options, log: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, ServeError> {
-        let has_password = options.password.as_ref().is_some_and(|p| p.chars().count() >= LEAST_PASSWORD);
-        if !(options.address.is_loopback() && options.password.is_none() || has_password) {
-            return Err(ServeError::Password(options.address));
+        match &options.password {
+            Some(password) if password.chars().count() < LEAST_PASSWORD => {
+                return Err(ServeError::ShortPassword);
+            }
+            None if !options.address.is_loopback() => return Err(ServeError::Password(options.address)),
+            _ => {}
         }
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let address = SocketAddr::new(options.address, options.port);
@@ -274,7 +280,9 @@ const DOOR: &str = "<!doctype html><html lang=en><meta charset=utf-8><meta name=
     <title>rayset</title><link rel=icon href=icon.svg><link rel=stylesheet href=style.css>\
     <body class=door><main><form method=post action=enter><h1>rayset</h1><label for=password>Password</label>\
     <input id=password name=password type=password autocomplete=current-password required autofocus>\
-    <button>Enter</button></form></main>";
+    <button>Enter</button>REFUSAL</form></main>";
+/// What is said to who was not let in.
+const NOT_LET_IN: &str = "<p role=alert>That was not it, or too soon after another attempt.";
 
 /// Lets in who knows the password.
 async fn enter(State(shared): State<Arc<Shared>>, headers: HeaderMap, body: String) -> Response {
@@ -283,7 +291,10 @@ async fn enter(State(shared): State<Arc<Shared>>, headers: HeaderMap, body: Stri
         Ok(cookie) => ([(header::SET_COOKIE, cookie)], Html(WELCOME)).into_response(),
         Err(refusal) => {
             let mut response = shared.refuse(refusal, "/enter");
-            *response.body_mut() = DOOR.into();
+            if !shared.access.has_password() {
+                return response;
+            }
+            *response.body_mut() = DOOR.replace("REFUSAL", NOT_LET_IN).into();
             let kind = HeaderValue::from_static("text/html; charset=utf-8");
             response.headers_mut().insert(header::CONTENT_TYPE, kind);
             response
@@ -328,12 +339,13 @@ async fn index(
             Err(_) if shared.access.check_cookie(&headers).is_ok() => {
                 (StatusCode::SEE_OTHER, [(header::LOCATION, "./")]).into_response()
             }
+            Err(_) if shared.access.has_password() => Html(DOOR.replace("REFUSAL", "")).into_response(),
             Err(refusal) => shared.refuse(refusal, "/"),
         };
     }
     match shared.access.check_cookie(&headers) {
         Ok(()) => page::file("index.html").map_or(StatusCode::NOT_FOUND.into_response(), page::response),
-        Err(_) if shared.access.has_password() => Html(DOOR).into_response(),
+        Err(_) if shared.access.has_password() => Html(DOOR.replace("REFUSAL", "")).into_response(),
         Err(refusal) => shared.refuse(refusal, "/"),
     }
 }
@@ -362,8 +374,14 @@ async fn socket(
         Err(rejection) => return rejection.into_response(),
     };
     let Some(place) = Places::one(&shared) else {
-        (shared.log)(&format!("refused a page: {MOST_PAGES} are open already"));
-        return (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open\n").into_response();
+        (shared.log)(&format!(
+            "refused a page: {MOST_PAGES} are open, or a picture is being saved with the memory of those that are not"
+        ));
+        return (
+            StatusCode::SERVICE_UNAVAILABLE,
+            "no place is free: too many pages are open, or a picture is being saved\n",
+        )
+            .into_response();
     };
     let upgrade = upgrade.max_message_size(MOST_MESSAGE_BYTES).max_frame_size(MOST_MESSAGE_BYTES);
     upgrade.on_upgrade(move |socket| visit::serve(place, socket))

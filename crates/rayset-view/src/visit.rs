@@ -1,6 +1,6 @@
 //! A page's connection, from its first message to its last.
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -95,6 +95,7 @@ pub(crate) async fn serve(place: Places, mut socket: WebSocket) {
 /// Waits until there is something to see, and tells the page meanwhile how far it is; `None` if the page does not wait.
 async fn opened(shared: &Shared, socket: &mut WebSocket) -> Option<Arc<Ready>> {
     let mut stage = shared.stage.subscribe();
+    let (mut rate, mut pings) = (Rate::new(), tokio::time::interval(BETWEEN_PINGS));
     loop {
         let now = stage.borrow_and_update().clone();
         match now {
@@ -105,8 +106,14 @@ async fn opened(shared: &Shared, socket: &mut WebSocket) -> Option<Arc<Ready>> {
         }
         tokio::select! {
             changed = stage.changed() => changed.ok()?,
-            // What it says is not known yet; that it has gone is.
-            message = socket.recv() => drop(message?.ok()?),
+            _ = pings.tick() => deliver(socket, Message::Ping(Vec::new().into())).await.ok()?,
+            // What it says means nothing yet; that it has gone does.
+            message = socket.recv() => {
+                message?.ok()?;
+                if !rate.allows() {
+                    return None;
+                }
+            }
         }
     }
 }
@@ -120,8 +127,13 @@ struct Page {
     asks: SyncSender<Ask>,
     /// Sends to the page, from a thread.
     send: mpsc::Sender<Outgoing>,
-    /// The picture that is being saved.
-    saving: Mutex<Option<CancelToken>>,
+    /// The picture that is being saved, or was saved last.
+    saving: Mutex<Option<Saving>>,
+}
+
+struct Saving {
+    cancel: CancelToken,
+    is_done: Arc<AtomicBool>,
 }
 
 impl Page {
@@ -194,26 +206,23 @@ impl Page {
                 let token = self.shared.access.issue().map_err(|_| ())?;
                 return Ok(Some(ToPage::Invited { token }));
             }
-            FromPage::Save(show) => {
-                let saved = self.ready.opened.saved(&show);
-                let text =
-                    saved.and_then(|scene| serde_json::to_string_pretty(&scene).map_err(|e| e.to_string()));
-                let generation = show.generation;
-                let problem = |what| ToPage::Problem { generation, what };
-                return Ok(Some(text.map_or_else(problem, |scene| ToPage::Saved { scene })));
-            }
+            FromPage::Save(show) => self.ask(Ask::Save(show)),
             FromPage::Pick { question, at, show } => self.ask(Ask::Pick { question, at, show }),
             FromPage::Engine { with_map } => self.ask(Ask::Engine { with_map }),
             FromPage::Picture(show) => {
                 return Ok(self.save(show).err().map(|what| ToPage::Pictured { what: Some(what) }));
             }
             FromPage::Cancel {} => {
-                if let Some(cancel) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
-                    cancel.cancel();
-                }
+                self.cancel_saving();
             }
         }
         Ok(None)
+    }
+
+    fn cancel_saving(&self) {
+        if let Some(saving) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
+            saving.cancel.cancel();
+        }
     }
 
     /// Passes a question on. Of a page that asks faster than it is answered, some are not.
@@ -223,15 +232,26 @@ impl Page {
 
     /// Saves a picture, with the memory of the pages that are not open.
     fn save(&self, show: Box<Show>) -> Result<(), String> {
+        let mut saving = self.saving.lock().unwrap_or_else(PoisonError::into_inner);
+        if saving.as_ref().is_some_and(|saving| !saving.is_done.load(Ordering::Acquire)) {
+            return Err("a picture is being saved already".into());
+        }
         let Some(places) = Places::rest(&self.shared) else {
             return Err("there is no memory to save a picture while as many pages are open, or another is being saved".into());
         };
-        let cancel = CancelToken::new();
-        *self.saving.lock().unwrap_or_else(PoisonError::into_inner) = Some(cancel.clone());
+        let (cancel, is_done) = (CancelToken::new(), Arc::new(AtomicBool::new(false)));
+        *saving = Some(Saving { cancel: cancel.clone(), is_done: is_done.clone() });
         let (ready, send) = (self.ready.clone(), self.sender());
         let bytes = self.shared.page_bytes * places.count as u64;
         let started = self.thread(move || {
-            saving::save(&ready.session, &ready.opened, &show, bytes, &cancel, &send);
+            // Before the page is told, so that it can ask for the next.
+            let told: Send = Box::new(move |message| {
+                if matches!(message, Outgoing::Text(ToPage::Pictured { .. })) {
+                    is_done.store(true, Ordering::Release);
+                }
+                send(message)
+            });
+            saving::save(&ready.session, &ready.opened, &show, bytes, &cancel, &told);
             drop(places);
         });
         started.ok_or_else(|| "the system starts no thread".into())
@@ -242,9 +262,7 @@ impl Drop for Page {
     /// Ends the threads whichever way the connection ended.
     fn drop(&mut self) {
         self.wanted.close();
-        if let Some(cancel) = &*self.saving.lock().unwrap_or_else(PoisonError::into_inner) {
-            cancel.cancel();
-        }
+        self.cancel_saving();
     }
 }
 

@@ -51,13 +51,13 @@ pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (
 
 /// A cloud or grid whose look is chosen again and again: what was sampled is kept.
 pub(crate) enum Looks {
-    Cloud(Arc<Cloud>, Arc<Statistics>),
+    Cloud(Arc<Cloud>, Statistics),
     Grid(Box<Grid>, Box<GridLook>),
 }
 
 impl Looks {
     pub(crate) fn of_cloud(cloud: Arc<Cloud>) -> Result<Self> {
-        let statistics = Arc::new(Statistics::of(&cloud)?);
+        let statistics = Statistics::of(&cloud)?;
         Ok(Self::Cloud(cloud, statistics))
     }
 
@@ -94,8 +94,8 @@ impl Looks {
 }
 
 fn of_sampled_cloud(
-    cloud: &Cloud,
-    statistics: Arc<Statistics>,
+    cloud: &Arc<Cloud>,
+    statistics: Statistics,
     look: &LookArgs,
     camera: &CameraArgs,
     size: (u32, u32),
@@ -103,6 +103,11 @@ fn of_sampled_cloud(
     if look.look == Some(LookName::Volume) {
         bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
     }
+    let (cloud, statistics) = match look.radius_scale {
+        // Densities, and the lengths that opacity refers to, are those of the radii that are shown.
+        Some(scale) => (&scaled(cloud, scale)?, statistics.with_radius_scale(scale)),
+        None => (cloud, statistics),
+    };
     let chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
     let mut scene =
         around(chosen.root(cloud, &path_text(cloud.path())?), &chosen.orientation.reason_and_up(), size);
@@ -134,6 +139,14 @@ fn of_sampled_cloud(
         up: chosen.orientation.reason_and_up(),
         densities: Box::new(move || chosen.opacity_densities()),
     })
+}
+
+/// A cloud with other radii.
+fn scaled(cloud: &Arc<Cloud>, scale: f64) -> Result<Arc<Cloud>> {
+    let scaled = cloud.with_radius_scale(scale as f32);
+    scaled
+        .map(Arc::new)
+        .with_context(|| format!("--radius-scale {scale}: radii would not be from 1e-18 to 1e18"))
 }
 
 fn of_sampled_grid(

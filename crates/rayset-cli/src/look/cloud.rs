@@ -1,7 +1,5 @@
 //! Looks of points.
 
-use std::sync::Arc;
-
 use anyhow::{Result, bail};
 use rayset::Cloud;
 use rayset::file::Header;
@@ -51,7 +49,7 @@ pub(super) struct CloudLook {
     pub(super) name: LookName,
     paint: Paint,
     pub(super) orientation: Orientation,
-    statistics: Arc<Statistics>,
+    statistics: Statistics,
     /// Whether the kernels of gas are normalised: the density is that of numbers.
     is_normalised: bool,
     /// Stops by which dark colours are made brighter.
@@ -64,7 +62,7 @@ impl CloudLook {
     /// The look of a cloud: `wanted`, or the one that its columns and its shape suggest.
     pub(super) fn choose(
         cloud: &Cloud,
-        statistics: Arc<Statistics>,
+        statistics: Statistics,
         wanted: Option<LookName>,
         up: Option<DVec3>,
     ) -> Result<Self> {

@@ -196,34 +196,6 @@ impl LookArgs {
         options.into_iter().find(|(_, given)| *given).map(|(name, _)| name)
     }
 
-    /// The same, except for what `other` says.
-    pub(crate) fn overridden_by(&self, other: Self) -> Self {
-        let colors =
-            [&other.color, &other.color_by].iter().any(|given| given.is_some()) || other.colormap.is_some();
-        // What is coloured otherwise has another range, and no colour of before.
-        let of_before = if colors { Self::default() } else { self.clone() };
-        Self {
-            look: other.look.or(self.look),
-            kernel: other.kernel.or(self.kernel),
-            normalised: other.normalised || self.normalised,
-            radius_scale: other.radius_scale.or(self.radius_scale),
-            opacity: other.opacity.or_else(|| self.opacity.clone()),
-            unit_distance: other.unit_distance.or(self.unit_distance),
-            color: other.color.or(of_before.color),
-            colormap: other.colormap.or(of_before.colormap),
-            color_by: other.color_by.or(of_before.color_by),
-            value_range: other.value_range.or(of_before.value_range),
-            log: other.log || of_before.log,
-            shading: other.shading.or(self.shading),
-            ambient_occlusion: other.ambient_occlusion.or(self.ambient_occlusion),
-            background: other.background.or_else(|| self.background.clone()),
-            step: other.step.or_else(|| self.step.clone()),
-            step_fraction: other.step_fraction.or(self.step_fraction),
-            phase: other.phase.or(self.phase),
-            stop: other.stop.or(self.stop),
-        }
-    }
-
     /// The options as one would type them.
     pub(crate) fn words(&self) -> Vec<String> {
         let named =

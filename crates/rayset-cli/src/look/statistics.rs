@@ -1,5 +1,7 @@
 //! What a sample of points says about a cloud.
 
+use std::sync::{Arc, OnceLock};
+
 use anyhow::Result;
 use rayset::Cloud;
 use rayset::file::Header;
@@ -9,31 +11,54 @@ use rayset::points::{PointBatch, Schema};
 /// Points of a sample: enough for percentiles to a hundredth, few enough for the smallest memory budgets.
 const SAMPLE_POINTS: usize = 1 << 14;
 
-/// A sample of a cloud's points.
+/// A sample of a cloud's points. Cheap to clone.
+#[derive(Clone)]
 pub(crate) struct Statistics {
+    sample: Arc<Sample>,
+    /// Radii are those of the sample, times this.
+    radius_scale: f64,
+}
+
+struct Sample {
     batch: PointBatch,
     schema: Schema,
     /// By what the density of the sample has to be multiplied.
     stride: u64,
+    /// See [`Statistics::number_densities`].
+    densities: OnceLock<Vec<(usize, f64)>>,
 }
 
 impl Statistics {
     pub(super) fn of(cloud: &Cloud) -> Result<Self> {
+        let (batch, schema) = (cloud.sample(SAMPLE_POINTS)?, cloud.sample_schema());
         let stride = cloud.sample_stride(SAMPLE_POINTS);
-        Ok(Self { batch: cloud.sample(SAMPLE_POINTS)?, schema: cloud.sample_schema(), stride })
+        let sample = Sample { batch, schema, stride, densities: OnceLock::new() };
+        Ok(Self { sample: Arc::new(sample), radius_scale: 1.0 })
+    }
+
+    /// The same points with other radii.
+    pub(super) fn with_radius_scale(&self, factor: f64) -> Self {
+        Self { sample: self.sample.clone(), radius_scale: factor }
+    }
+
+    /// The values of a column of the sample, point by point.
+    fn column(&self, column: usize) -> impl Iterator<Item = f64> + '_ {
+        let Sample { batch, schema, .. } = &*self.sample;
+        let scale = if schema.columns[column].name == "radius" { self.radius_scale } else { 1.0 };
+        (0..batch.len()).map(move |i| batch.columns[column].get(i) * scale)
     }
 
     pub(super) fn positions(&self) -> impl Iterator<Item = DVec3> + '_ {
-        self.batch.position.iter().map(|&p| DVec3::from_array(p))
+        self.sample.batch.position.iter().map(|&p| DVec3::from_array(p))
     }
 
     /// The finite values of a column, or of a coordinate, in ascending order; empty if there is no such column.
     pub(super) fn sorted(&self, name: &str) -> Vec<f64> {
-        let column = self.schema.columns.iter().position(|column| column.name == name);
+        let column = self.sample.schema.columns.iter().position(|column| column.name == name);
         let axis = ["x", "y", "z"].iter().position(|axis| *axis == name);
         let mut values: Vec<f64> = match (column, axis) {
-            (Some(column), _) => (0..self.batch.len()).map(|i| self.batch.columns[column].get(i)).collect(),
-            (None, Some(axis)) => self.batch.position.iter().map(|p| p[axis]).collect(),
+            (Some(column), _) => self.column(column).collect(),
+            (None, Some(axis)) => self.sample.batch.position.iter().map(|p| p[axis]).collect(),
             (None, None) => Vec::new(),
         };
         values.retain(|value| value.is_finite());
@@ -43,14 +68,16 @@ impl Statistics {
 
     /// The values of a column, point by point; empty if there is no such column.
     pub(super) fn values(&self, name: &str) -> Vec<f64> {
-        let column = self.schema.columns.iter().position(|column| column.name == name);
-        column.map_or_else(Vec::new, |column| {
-            (0..self.batch.len()).map(|i| self.batch.columns[column].get(i)).collect()
-        })
+        let column = self.sample.schema.columns.iter().position(|column| column.name == name);
+        column.map_or_else(Vec::new, |column| self.column(column).collect())
     }
 
     /// Some points of the sample, and the number of points in a unit of volume around each.
-    pub(super) fn number_densities(&self) -> Vec<(usize, f64)> {
+    pub(super) fn number_densities(&self) -> &[(usize, f64)] {
+        self.sample.densities.get_or_init(|| self.counted_densities())
+    }
+
+    fn counted_densities(&self) -> Vec<(usize, f64)> {
         /// Most points that are asked.
         const ASKED: usize = 1024;
         /// The neighbour whose distance is taken, the point itself being the first.
@@ -67,7 +94,7 @@ impl Statistics {
                 squares.iter_mut().zip(&all).for_each(|(square, &q)| *square = (q - p).length_squared());
                 let (_, &mut farthest, _) = squares.select_nth_unstable_by(NEIGHBOUR, f64::total_cmp);
                 let ball = 4.0 / 3.0 * std::f64::consts::PI * farthest.powf(1.5);
-                (i, self.stride as f64 * NEIGHBOUR as f64 / ball)
+                (i, self.sample.stride as f64 * NEIGHBOUR as f64 / ball)
             })
             .collect()
     }
@@ -90,7 +117,7 @@ impl Statistics {
             return None;
         }
         let channels = ["red", "green", "blue"].map(|name| self.values(name));
-        let mut largest: Vec<f64> = (0..self.batch.len())
+        let mut largest: Vec<f64> = (0..self.sample.batch.len())
             .map(|i| channels.iter().map(|channel| channel[i]).fold(0.0, f64::max) / 255.0)
             .collect();
         largest.sort_by(f64::total_cmp);

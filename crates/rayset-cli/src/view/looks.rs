@@ -47,6 +47,43 @@ impl LooksOfFile {
         Ok((chosen.scene, chosen.line))
     }
 
+    /// What was said when the program was started, as far as pages can say it.
+    fn first_style(&self) -> Style {
+        let mut style = Style::default();
+        for word in self.look.words() {
+            let (name, text) = word.split_once('=').unwrap_or((&word, ""));
+            let text = text.to_owned();
+            match name {
+                "--look" => style.look = Some(text),
+                "--color" => style.color = Some(text),
+                "--color-by" => style.color_by = Some(text),
+                "--colormap" => style.colormap = Some(text),
+                "--value-range" => style.value_range = pair(&text),
+                "--radius-scale" => style.radius_scale = text.parse().ok(),
+                "--opacity" => style.opacity = text.split(',').map(pair).collect(),
+                "--log" => style.log = true,
+                _ => {}
+            }
+        }
+        style
+    }
+
+    /// What was said when the program was started and a style does not say: what pages cannot say, and what a style that keeps the look
+    /// cannot express.
+    fn other_words(&self, style: &Style) -> Vec<String> {
+        let first = self.first_style();
+        let (said, own) = (first.words(), style.words());
+        let name = |word: &String| word.split_once('=').map_or(word.clone(), |(name, _)| name.to_owned());
+        let is_of_look = |word: &String| ["--opacity", "--value-range"].contains(&name(word).as_str());
+        let mut words = self.look.words();
+        words.retain(|word| {
+            !said.contains(word)
+                && !own.iter().any(|own| name(own) == name(word))
+                && !(is_of_look(word) && style.look != first.look)
+        });
+        words
+    }
+
     fn attribute(&self, name: &str, unit: &str) -> Option<Attribute> {
         let sorted = self.looks.values(name);
         let at = |part: f64| {
@@ -73,13 +110,13 @@ impl ForPages for LooksOfFile {
             looks: self.looks.names().into_iter().map(str::to_owned).collect(),
             attributes,
             palettes,
-            style: Style::default(),
+            style: self.first_style(),
         }
     }
 
     fn styled(&self, style: &Style) -> Result<Styled, String> {
-        let words = Words::try_parse_from(style.words()).map_err(|error| first_line(&error.to_string()))?;
-        let look = self.look.overridden_by(words.look);
+        let words = self.other_words(style).into_iter().chain(style.words());
+        let look = Words::try_parse_from(words).map_err(|error| first_line(&error.to_string()))?.look;
         let chosen = self.looks.chosen(&look, &self.camera, SIZE).map_err(|error| format!("{error:#}"))?;
         let mut command = vec!["rayset".to_owned(), "render".to_owned()];
         command.extend(self.inputs.iter().map(|path: &PathBuf| text(path)));
@@ -95,6 +132,12 @@ impl ForPages for LooksOfFile {
             command,
         })
     }
+}
+
+/// Two numbers, as `0:10`; `None` of percentiles and other words.
+fn pair(text: &str) -> Option<[f64; 2]> {
+    let (low, high) = text.split_once(':')?;
+    Some([low.parse().ok()?, high.parse().ok()?])
 }
 
 fn text(path: &Path) -> String {

@@ -78,7 +78,9 @@ view.addEventListener("connection", (event) => {
 
 listen(view, begin);
 document.addEventListener("keydown", (event) => {
-  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") {
+  // In a field where one types, it is the typing that is taken back.
+  const types = event.target instanceof HTMLTextAreaElement || (event.target instanceof HTMLInputElement && /^(text|number)$/.test(event.target.type));
+  if ((event.ctrlKey || event.metaKey) && !event.shiftKey && !types && event.key.toLowerCase() === "z") {
     event.preventDefault();
     const now = JSON.stringify(view.state);
     while (undo.at(-1) === now) undo.pop();

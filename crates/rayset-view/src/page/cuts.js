@@ -136,14 +136,16 @@ function cutters(view, begin) {
       const inside = /** @type {Vector} */ (center.map((v, axis) => Math.min(Math.max(v, low[axis]), high[axis])));
       set([...all, { form, center: inside, size: [edge, edge, edge], turns: [], keep: false }]);
     }));
-  /** What the list was built for. */
-  let built = "";
+  /** The controls of each, and what they were built for. @type {{form: string, row: HTMLElement, set: (cutter: Cutter) => void}[]} */
+  let built = [];
   const rebuild = () => {
     const all = view.changes.cutters ?? [];
-    const now = all.map(({ form }) => form).join();
-    if (now === built && list.childElementCount === all.length) return;
-    built = now;
-    list.replaceChildren(...all.map((cutter, k) => solid(view, begin, cutter, k, set)));
+    const isSame = all.length === built.length && all.every(({ form }, k) => form === built[k].form);
+    if (!isSame) {
+      built = all.map((cutter, k) => ({ form: cutter.form, ...solid(view, begin, cutter, k, set) }));
+      list.replaceChildren(...built.map(({ row }) => row));
+    }
+    all.forEach((cutter, k) => built[k].set(cutter));
   };
   following(view, rebuild);
   return element("div", {}, [buttons(adds), list]);
@@ -167,8 +169,13 @@ function solid(view, begin, cutter, k, set) {
   const turn = slider("Turn", [-180, 180, 1], angles().turn, (v) => turnTo({ ...angles(), turn: v }), degrees);
   const tilt = slider("Tilt", [-90, 90, 1], angles().tilt, (v) => turnTo({ ...angles(), tilt: v }), degrees);
   const remove = button("Remove", () => (begin(), set((view.changes.cutters ?? []).filter((_, i) => i !== k))), `Remove ${name}`);
-  for (const { input } of [turn, tilt]) input.addEventListener("pointerdown", begin);
-  return element("fieldset", {}, [element("legend", {}, [name]), keep.row, turn.row, tilt.row, buttons([remove])]);
+  const row = element("fieldset", {}, [element("legend", {}, [name]), keep.row, turn.row, tilt.row, buttons([remove])]);
+  const show = (/** @type {Cutter} */ now) => {
+    keep.input.checked = Boolean(now.keep);
+    tilt.set(now.turns?.[0]?.degrees ?? 0);
+    turn.set(now.turns?.[1]?.degrees ?? 0);
+  };
+  return { row, set: show };
 }
 
 /** A direction at right angles to what is up, along an axis of the world if up is. @param {Vector} up @returns {Vector} */

@@ -10,6 +10,8 @@ import { bytes, checkbox, element, panel, short } from "./widgets.js";
 
 /** Milliseconds between two reports. */
 const BETWEEN = 500;
+/** Milliseconds after which a report is asked for again. */
+const PATIENCE = 5000;
 
 /** @param {RaysetView} view */
 export function enginePanel(view) {
@@ -18,11 +20,15 @@ export function enginePanel(view) {
   const caption = element("p", { class: "caption" });
   const table = element("table", { class: "numbers" });
   let isOn = false;
+  let timer = 0;
   /** @type {[Vector, Vector][]} */
   let boxes = [];
 
   const ask = async () => {
+    clearTimeout(timer);
     if (!isOn) return;
+    // A question that is not answered is asked again.
+    timer = window.setTimeout(ask, PATIENCE);
     try {
       const report = await view.engine(boxes.length === 0);
       if (report.regions) boxes = report.regions;
@@ -30,9 +36,11 @@ export function enginePanel(view) {
       caption.textContent = numbers(table, report) + (boxes.length ? "; bright: in memory; seen from above, with the eye" : "");
       draw(map, boxes, report.resident, view);
     } catch {
-      // Not connected: the next attempt may be luckier.
+      // Not connected, or asked again: the next attempt may be luckier.
+      return;
     }
-    setTimeout(ask, BETWEEN);
+    clearTimeout(timer);
+    timer = window.setTimeout(ask, BETWEEN);
   };
   const on = checkbox("Watch", false, (checked) => {
     const wasOn = isOn;

@@ -46,7 +46,7 @@ export function lightPanel(view, begin) {
   const height = slider("Sun, height", [-90, 90, 1], sun.elevation, (v) => ((sun.elevation = v), apply()), degrees);
   const bright = slider("Sun, bright", [0, 3, 0.05], sun.intensity, (v) => ((sun.intensity = v), apply()), one);
   const follow = () => {
-    exposure.set(view.changes.exposure ?? ownExposure);
+    exposure.set(view.changes.exposure ?? view.legend?.exposure ?? ownExposure);
     sun = view.changes.sun ? placed(view.changes.sun) : { ...first };
     around.set(sun.azimuth);
     height.set(sun.elevation);

@@ -18,9 +18,11 @@ export function lookPanel(view, begin) {
   if (!choices) return [];
   const { looks, attributes, palettes } = choices;
 
+  /** What was chosen last: here, or when the program was started. @returns {Style} */
+  const shown = () => view.changes.style ?? choices.style;
   /** @param {Partial<Style>} part */
   const restyle = (part) => {
-    const style = { ...view.changes.style, ...part };
+    const style = { ...shown(), ...part };
     for (const key of Object.keys(style)) if (/** @type {any} */ (style)[key] === undefined) delete (/** @type {any} */ (style)[key]);
     view.changes = { ...view.changes, style };
   };
@@ -38,7 +40,7 @@ export function lookPanel(view, begin) {
       if (name === AS) return act({ ...nothing, color: one.input.value });
       const range = attributes.find((each) => each.name === name)?.range ?? view.legend?.densities;
       const [low, high] = Array.isArray(range) ? range : [range?.low ?? 0, range?.high ?? 1];
-      act({ ...nothing, colorBy: name, colormap: view.changes.style?.colormap ?? "viridis",
+      act({ ...nothing, colorBy: name, colormap: shown().colormap ?? "viridis",
         valueRange: low < high ? [low, high] : [low, low + 1] });
     });
   const one = color("Colour", "#dbccb2", (value) => restyle({ color: value }));
@@ -62,7 +64,7 @@ export function lookPanel(view, begin) {
   const said = element("p", { class: "caption" });
 
   const follow = () => {
-    const style = view.changes.style ?? {};
+    const style = shown();
     look.input.value = style.look ?? "";
     by.input.value = style.color ? AS : style.colorBy ?? "";
     if (style.color) one.input.value = style.color;
@@ -70,11 +72,11 @@ export function lookPanel(view, begin) {
     one.row.hidden = !style.color;
     if (style.colormap) map.input.value = style.colormap;
     log.input.checked = Boolean(style.log);
-    const shown = view.legend?.transferFunction ?? {};
-    const hasMap = isMap(shown.color, palettes);
+    const transfer = view.legend?.transferFunction ?? {};
+    const hasMap = isMap(transfer.color, palettes);
     map.row.hidden = range.hidden = log.row.hidden = Boolean(style.color) || (!hasMap && !style.colormap);
-    if (hasMap && !style.colormap && typeof shown.color === "string") map.input.value = shown.color;
-    [low, high].forEach((each, k) => each.set(shown.valueRange?.[k]));
+    if (hasMap && !style.colormap && typeof transfer.color === "string") map.input.value = transfer.color;
+    [low, high].forEach((each, k) => each.set(transfer.valueRange?.[k]));
     bar.hidden = caption.hidden = !hasMap;
     // Of what the program says of its choice, the look and its reason; colours are told by the bar.
     said.textContent = view.legend?.line?.match(/^[^(]*\([^)]*\)/)?.[0] ?? "";

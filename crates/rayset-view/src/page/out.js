@@ -18,6 +18,7 @@ export function outPanel(view) {
 /** A picture of any size. @param {RaysetView} view @param {HTMLElement} status */
 function picture(view, status) {
   const [width, height] = ["width in pixels", "height in pixels"].map((label) => number(label, () => {}));
+  for (const { input } of [width, height]) Object.assign(input, { min: "1", max: "16384", step: "1" });
   const progress = /** @type {HTMLProgressElement} */ (element("progress", { max: "1", value: "0", "aria-label": "The picture that is being saved" }));
   progress.hidden = true;
   const size = element("div", { class: "row" }, [element("span", {}, ["Picture"]), width.input, element("span", {}, ["×"]), height.input]);
@@ -27,6 +28,7 @@ function picture(view, status) {
     const wanted = [width, height].map(({ input }) => Math.round(input.valueAsNumber));
     const [w, h] = [wanted[0] || view.canvas.width, wanted[1] || view.canvas.height];
     progress.hidden = cancel.hidden = false;
+    /** @type {HTMLButtonElement} */ (save).disabled = true;
     status.textContent = "";
     try {
       const blob = await view.picture([w, h], (part) => (progress.value = part));
@@ -34,6 +36,7 @@ function picture(view, status) {
     } catch (error) {
       status.textContent = /** @type {Error} */ (error).message;
     }
+    /** @type {HTMLButtonElement} */ (save).disabled = false;
     progress.hidden = cancel.hidden = true;
     progress.value = 0;
   });

@@ -123,7 +123,7 @@ export class Overlay {
 
   /** @param {string} name */
   #newHandle(name) {
-    const element = shape("circle", { class: "handle", r: 8, tabindex: 0, role: "button", "aria-label": `${name}: arrow keys move it` });
+    const element = shape("circle", { class: "handle", r: 11, tabindex: 0, role: "button", "aria-label": `${name}: arrow keys move it` });
     /** @type {[number, number] | null} */
     let last = null;
     element.addEventListener("pointerdown", (event) => {
@@ -159,7 +159,8 @@ export class Overlay {
     const handle = this.#handles.get(name)?.handle;
     if (!handle?.axis) return;
     const along = this.#onPage(handle.at, handle.axis);
-    const length = Math.hypot(...along) || 1;
+    const length = Math.hypot(...along);
+    if (length ** 2 <= this.#leastSquare(this.view.camera?.distance ?? 1)) return;
     const points = Math.abs(along[0]) > Math.abs(along[1]) ? along[0] : -along[1];
     handle.moved(scale(handle.axis, (sign * Math.sign(points || 1) * step) / length));
   }
@@ -172,14 +173,18 @@ export class Overlay {
     if (handle.axis) {
       const along = this.#onPage(handle.at, handle.axis);
       const square = along[0] ** 2 + along[1] ** 2;
-      // Towards the eye, a pixel would be any length.
-      if (square > 1e-12) handle.moved(scale(handle.axis, (x * along[0] + y * along[1]) / square));
+      if (square > this.#leastSquare(camera.distance)) handle.moved(scale(handle.axis, (x * along[0] + y * along[1]) / square));
       return;
     }
     const depth = dot(subtract(handle.at, camera.position), camera.direction);
     const unit = (2 * Math.tan((camera.fovy * Math.PI) / 360) * depth) / canvas.clientHeight;
     const across = right(camera);
     handle.moved(add(scale(across, x * unit), scale(cross(across, camera.direction), -y * unit)));
+  }
+
+  /** Along an axis towards the eye, a pixel would be any length: at least a fiftieth of what is across. @param {number} distance */
+  #leastSquare(distance) {
+    return (this.view.canvas.clientHeight / distance / 50) ** 2;
   }
 
   /** What a unit along an axis is on the page, in pixels. @param {Vector} at @param {Vector} axis @returns {[number, number]} */

@@ -30,13 +30,14 @@ export function build(into, view, begin, overlay, scene) {
     outPanel(view),
     enginePanel(view),
   );
-  for (const input of into.querySelectorAll("input[type=range], input[type=color]")) {
-    let last = -Infinity;
-    input.addEventListener("pointerdown", begin);
-    input.addEventListener("keydown", (event) => {
-      if (!/^(Arrow|Page|Home|End)/.test(/** @type {KeyboardEvent} */ (event).key)) return;
-      if (performance.now() - last > TOGETHER) begin();
-      last = performance.now();
-    });
-  }
+  const slides = (/** @type {Event} */ { target }) => target instanceof HTMLInputElement && /^(range|color)$/.test(target.type);
+  into.addEventListener("pointerdown", (event) => slides(event) && begin());
+  /** @type {EventTarget | null} */
+  let moved = null;
+  let last = -Infinity;
+  into.addEventListener("keydown", (event) => {
+    if (!slides(event) || !/^(Arrow|Page|Home|End)/.test(event.key)) return;
+    if (event.target !== moved || performance.now() - last > TOGETHER) begin();
+    [moved, last] = [event.target, performance.now()];
+  });
 }

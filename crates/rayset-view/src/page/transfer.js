@@ -26,8 +26,11 @@ export function editor(view, begin, restyle) {
   let points = [];
   /** Whether a point is being moved, so that the curve is what the person has, and not what the program says. */
   let isHeld = false;
+  /** The range that is shown; it stays while a point is moved. @type {{low: number, high: number, isLog: boolean} | null} */
+  let held = null;
 
-  const range = () => {
+  const range = () => held ?? shownRange();
+  const shownRange = () => {
     const spread = view.legend?.densities;
     const values = points.map(([value]) => value);
     const [low, high] = [Math.min(...values, spread?.low ?? Infinity), Math.max(...values, spread?.high ?? -Infinity)];
@@ -42,7 +45,7 @@ export function editor(view, begin, restyle) {
   const y = (/** @type {number} */ opacity) => HEIGHT - MARGIN - opacity * (HEIGHT - 2 * MARGIN);
   const valueAt = (/** @type {number} */ at) => {
     const { low, high, isLog } = range();
-    const t = (at - MARGIN) / (WIDTH - 2 * MARGIN);
+    const t = Math.min(Math.max((at - MARGIN) / (WIDTH - 2 * MARGIN), 0), 1);
     return isLog ? low * (high / low) ** t : low + t * (high - low);
   };
   const opacityAt = (/** @type {number} */ at) => Math.min(Math.max((HEIGHT - MARGIN - at) / (HEIGHT - 2 * MARGIN), 0), 1);
@@ -90,6 +93,7 @@ export function editor(view, begin, restyle) {
     const made = shape("circle", { r: 5, tabindex: 0, role: "button" });
     made.addEventListener("pointerdown", (event) => {
       begin();
+      held = shownRange();
       isHeld = true;
       made.setPointerCapture(event.pointerId);
       event.stopPropagation();
@@ -99,7 +103,11 @@ export function editor(view, begin, restyle) {
       const [px, py] = place(event);
       move(k, valueAt(px), opacityAt(py));
     });
-    for (const ended of /** @type {const} */ (["pointerup", "pointercancel"])) made.addEventListener(ended, () => (isHeld = false));
+    for (const ended of /** @type {const} */ (["pointerup", "pointercancel"])) made.addEventListener(ended, () => {
+      isHeld = false;
+      held = null;
+      draw();
+    });
     made.addEventListener("keydown", (event) => {
       const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
       const step = /** @type {Record<string, number[]>} */ (steps)[event.key];
@@ -123,6 +131,7 @@ export function editor(view, begin, restyle) {
     return [((event.clientX - box.left) / box.width) * WIDTH, ((event.clientY - box.top) / box.height) * HEIGHT];
   };
   svg.addEventListener("dblclick", (event) => {
+    if (event.target instanceof Element && event.target.tagName === "circle") return;
     const [px, py] = place(event);
     begin();
     points = [...points, /** @type {Point} */ ([valueAt(px), opacityAt(py)])].sort((a, b) => a[0] - b[0]);
@@ -145,7 +154,7 @@ export function editor(view, begin, restyle) {
   const made = panel("Opacity", [svg, caption, buttons([add, reset])]);
   const follow = () => {
     if (isHeld) return;
-    const own = view.changes.style?.opacity;
+    const own = (view.changes.style ?? view.choices?.style)?.opacity;
     points = own ? own.map(([value, opacity]) => /** @type {Point} */ ([value, opacity])) : curve(view.legend?.transferFunction?.opacity);
     made.hidden = points.length === 0;
     draw();
@@ -163,7 +172,7 @@ function curve(rule) {
   return Array.isArray(rule) ? simplified(rule.map(([value, opacity]) => [value, opacity])) : [];
 }
 
-/** The points of a curve that matter most (Douglas and Peucker). @param {Point[]} points @returns {Point[]} */
+/** The points of a curve that matter most: one after another, the one that is farthest from the lines between those before. @param {Point[]} points @returns {Point[]} */
 function simplified(points) {
   const kept = new Set([0, points.length - 1]);
   while (kept.size < Math.min(MOST_POINTS, points.length)) {
@@ -172,7 +181,7 @@ function simplified(points) {
     for (let i = 1; i < known.length; i++) {
       const [from, to] = [known[i - 1], known[i]];
       for (let k = from + 1; k < to; k++) {
-        const t = (k - from) / (to - from);
+        const t = (points[k][0] - points[from][0]) / (points[to][0] - points[from][0] || 1);
         const off = Math.abs(points[k][1] - (points[from][1] + t * (points[to][1] - points[from][1])));
         if (off > farthest) [worst, farthest] = [k, off];
       }

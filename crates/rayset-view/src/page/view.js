@@ -29,7 +29,7 @@ import { Warp } from "./warp.js";
  * @typedef {{low: number, high: number, logarithmic: boolean, counts: number[]}} Histogram
  * @typedef {{name: string, unit: string, range: [number, number], histogram: Histogram | null}} Attribute
  * @typedef {{looks: string[], attributes: Attribute[], palettes: [string, string[]][], style: Style}} Choices
- * @typedef {{look: string, line: string, isLit: boolean, transferFunction: any, densities: Histogram | null, remarks: string[], command: string | null}} Legend
+ * @typedef {{look: string, line: string, isLit: boolean, exposure: number, transferFunction: any, densities: Histogram | null, remarks: string[], command: string | null}} Legend
  * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, values: [string, number, string][]} | null}} Picked
  * @typedef {{name: string, bytes: number, hits: number, misses: number, reads: number, bytesRead: number, bytesUnique: number, evictions: number, waitedSeconds: number}} KindReport
  * @typedef {{budget: number, kinds: KindReport[], regions: [Vector, Vector][] | null, resident: number[]}} Report
@@ -46,6 +46,8 @@ const BETWEEN_WARPS = 25;
 const CHOSEN_ASPECT = 16 / 9;
 /** Largest edge of a picture. */
 const MOST_EDGE = 4096;
+/** Largest edge of a picture that is saved. */
+const MOST_SAVED_EDGE = 16384;
 /** Waits before the next attempt to connect, in milliseconds. */
 const RETRIES = [250, 500, 1000, 2000, 4000];
 
@@ -127,6 +129,8 @@ export class RaysetView extends EventTarget {
   }
 
   set changes(changes) {
+    // What is no number cannot be said.
+    if (!isSaid(changes)) return;
     this.#changes = changes;
     this.#changed();
   }
@@ -147,7 +151,7 @@ export class RaysetView extends EventTarget {
   }
 
   set state({ camera, changes }) {
-    this.#changes = changes ?? {};
+    this.#changes = isSaid(changes) ? changes : {};
     if (camera) this.camera = camera;
     else this.#changed();
   }
@@ -203,6 +207,9 @@ export class RaysetView extends EventTarget {
    * @returns {Promise<Blob>} a PNG file
    */
   async picture(size, progress = () => {}) {
+    if (this.#waiting.has("pictured")) throw new Error("a picture is being saved already");
+    const isSize = size.every((edge) => Number.isInteger(edge) && edge >= 1 && edge <= MOST_SAVED_EDGE);
+    if (!isSize) throw new Error(`a picture has 1 to ${MOST_SAVED_EDGE} pixels a side`);
     [this.#pieces, this.#progress] = [[], progress];
     await this.#ask("pictured", { type: "picture", ...this.#now, size });
     const pieces = this.#pieces;
@@ -442,6 +449,13 @@ export class RaysetView extends EventTarget {
   #tell(name, detail) {
     this.dispatchEvent(new CustomEvent(name, { detail }));
   }
+}
+
+/** Whether there are changes, and all of their numbers are finite. @param {any} value @returns {boolean} */
+function isSaid(value) {
+  if (value === null || value === undefined) return false;
+  if (typeof value === "number") return Number.isFinite(value);
+  return typeof value !== "object" || Object.values(value).every((each) => each === undefined || isSaid(each));
 }
 
 /** @type {import("./frames.js").Frame} */

@@ -47,8 +47,12 @@ export function slider(name, [min, max, step], value, changed, text = (v) => Str
     output.textContent = text(input.valueAsNumber);
     changed(input.valueAsNumber);
   });
+  // A thumb that is held stays where the pointer is.
+  let isHeld = false;
+  input.addEventListener("pointerdown", () => (isHeld = true));
+  for (const ended of ["pointerup", "pointercancel", "lostpointercapture"]) input.addEventListener(ended, () => (isHeld = false));
   const set = (/** @type {number} */ now) => {
-    if (document.activeElement !== input) input.value = `${now}`;
+    if (!isHeld) input.value = `${now}`;
     output.textContent = text(now);
   };
   return { row: row(id, name, [input, output]), input, set };

@@ -76,6 +76,11 @@ impl Cloud {
         Some(Self { path, storage, header, stored: Some(stored.clone()) })
     }
 
+    /// The cloud as it is stored.
+    pub(super) fn as_stored(&self) -> &Self {
+        self.stored.as_deref().unwrap_or(self)
+    }
+
     /// The cloud as it is stored, whose pages this one has.
     #[doc(hidden)]
     #[must_use]

@@ -9,7 +9,7 @@ use super::file::Cloud;
 use super::layout::NodeRef;
 use super::node::{Node, NodePage, RunRange};
 use super::page::PointPage;
-use crate::container::{OpenFile, ScanError, SectionKind};
+use crate::container::{OpenFile, PageError, ScanError, SectionKind};
 use crate::geometry::{Aabb, DVec3};
 use crate::points::PointBatch;
 
@@ -29,6 +29,8 @@ impl Cloud {
         let mut queue = BinaryHeap::new();
         let root = self.header().root;
         queue.push(Reverse((0_u64, root.page, root.index)));
+        // Of a whole file, no node is met twice, and no run.
+        let (mut nodes_left, mut runs_left) = (self.header().nodes, self.header().points);
         while let Some(Reverse((distance, page, index))) = queue.pop() {
             if f64::from_bits(distance) > lookup.nearest {
                 break;
@@ -38,6 +40,7 @@ impl Cloud {
             let Some(node) = NodePage::scaled(&bytes, self.header()).get(usize::from(index)) else {
                 continue;
             };
+            runs_left = runs_left.checked_sub(u64::from(node.own.runs)).ok_or_else(|| self.broken(page))?;
             lookup.own_points(node.own, &mut found)?;
             if node.child_mask == 0 {
                 continue;
@@ -47,7 +50,9 @@ impl Cloud {
             let bytes = if page == of_node { bytes } else { lookup.pages.read(SectionKind::NODES, page)? };
             let children = NodePage::scaled(&bytes, self.header());
             for index in first..first.saturating_add(node.child_mask.count_ones() as u16) {
-                let Some(child) = children.get(usize::from(index)) else { continue };
+                let child = children.get(usize::from(index)).filter(|child| child.is_child_of(&node));
+                let child = child.ok_or_else(|| self.broken(page))?;
+                nodes_left = nodes_left.checked_sub(1).ok_or_else(|| self.broken(page))?;
                 let distance = lookup.distance_squared(&child);
                 if distance <= lookup.nearest {
                     queue.push(Reverse((distance.to_bits(), page, index)));
@@ -55,6 +60,14 @@ impl Cloud {
             }
         }
         Ok(found)
+    }
+
+    /// The error for a node page whose records do not make a tree.
+    fn broken(&self, node_page: u32) -> ScanError {
+        let page = self.header().point_pages + node_page;
+        let (path, offset) = (self.path().to_owned(), self.header().page_offset(page));
+        let source = PageError::Content { what: "nodes that are no tree" };
+        ScanError::Damaged { path, page, offset, source }
     }
 
     /// The point pages in at most `most` groups of neighbours, each with the bounds of what its points influence. Reads all pages

@@ -60,14 +60,16 @@ impl Node {
     /// The node of points whose radii are multiplied by a factor above 0. Its bounds hold them, and are not always tight.
     fn with_radii_scaled(self, factor: f32, root_size: f64) -> Self {
         let margin = (f64::from(factor) - 1.0).max(0.0) * f64::from(self.radius_max) / root_size;
+        // Records of a damaged file may be beyond what its header says.
+        let scaled = |radius: f32| (radius * factor).clamp(f32::MIN_POSITIVE, f32::MAX);
         // Two `f32` steps cover the rounding of the conversion and of the sum.
         let down = |v: f32| ((f64::from(v) - margin) as f32).next_down().next_down();
         let up = |v: f32| ((f64::from(v) + margin) as f32).next_up().next_up();
         Self {
             bounds_min: self.bounds_min.map(down),
             bounds_max: self.bounds_max.map(up),
-            radius_min: self.radius_min * factor,
-            radius_max: self.radius_max * factor,
+            radius_min: scaled(self.radius_min),
+            radius_max: scaled(self.radius_max),
             ..self
         }
     }

@@ -135,7 +135,10 @@ impl RunHead {
 
     /// The record of a run whose radii are multiplied by a factor above 0.
     fn with_radii_scaled(self, factor: f32) -> Self {
-        Self { radius_max: round_up_to_16_bits(self.radius_max() * factor), ..self }
+        Self {
+            radius_max: round_up_to_16_bits((self.radius_max() * factor).clamp(f32::MIN_POSITIVE, 1e30)),
+            ..self
+        }
     }
 
     /// Length of one offset step, world space.

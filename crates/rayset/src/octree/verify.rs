@@ -75,7 +75,7 @@ impl Cloud {
     /// # Errors
     /// [`VerifyError`] for the first thing that is wrong.
     pub fn verify(&self, depth: Depth) -> Result<VerifyReport, VerifyError> {
-        verify(self, depth)
+        verify(self.as_stored(), depth)
     }
 }
 
