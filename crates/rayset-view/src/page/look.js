@@ -32,7 +32,8 @@ export function lookPanel(view, begin) {
     // Opacity is over another density, and colours over other values.
     (name) => act({ look: name || undefined, opacity: undefined, color: undefined, colorBy: undefined, colormap: undefined,
       valueRange: undefined, log: undefined }));
-  const shows = ["density", ...attributes.map(({ name }) => name)];
+  // Voxels have nothing but their values.
+  const shows = attributes.length ? ["density", ...attributes.map(({ name }) => name)] : [];
   const by = select("Colours", [["", OWN], [AS, ONE], ...shows.map((name) => /** @type {[string, string]} */ ([name, `by ${name}`]))],
     (name) => {
       const nothing = { color: undefined, colorBy: undefined, valueRange: undefined, log: undefined, colormap: undefined };
@@ -117,7 +118,7 @@ function drawBar(canvas, caption, view) {
   if (!context || !shown || !view.choices) return;
   const { width, height } = canvas;
   const [low, high] = shownRange(view.legend);
-  const input = shown.input ?? "density";
+  const input = shown.input ?? (view.choices.attributes.length ? "density" : "value");
   const attribute = view.choices.attributes.find(({ name }) => name === input);
   context.clearRect(0, 0, width, height);
   const gradient = context.createLinearGradient(0, 0, width, 0);
@@ -127,7 +128,7 @@ function drawBar(canvas, caption, view) {
   context.fillStyle = gradient;
   context.fillRect(0, height - 14, width, 14);
   // How the values are spread over the bar.
-  const spread = attribute?.histogram ?? (input === "density" ? view.legend?.densities : null);
+  const spread = attribute?.histogram ?? (attribute ? null : view.legend?.densities);
   if (spread) {
     const most = Math.max(...spread.counts, 1);
     const at = (/** @type {number} */ k) => {

@@ -123,7 +123,7 @@ export class Overlay {
 
   /** @param {string} name */
   #newHandle(name) {
-    const element = shape("circle", { class: "handle", r: 11, tabindex: 0, role: "button", "aria-label": `${name}: arrow keys move it` });
+    const element = shape("circle", { class: "handle", r: 9, tabindex: 0, role: "button", "aria-label": `${name}: arrow keys move it` });
     /** @type {[number, number] | null} */
     let last = null;
     element.addEventListener("pointerdown", (event) => {

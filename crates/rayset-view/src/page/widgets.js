@@ -87,7 +87,7 @@ export function number(label, changed) {
   const input = /** @type {HTMLInputElement} */ (element("input", { type: "number", step: "any", "aria-label": label }));
   input.addEventListener("change", () => Number.isFinite(input.valueAsNumber) && changed(input.valueAsNumber));
   const set = (/** @type {number | undefined} */ now) => {
-    if (document.activeElement !== input) input.value = now === undefined ? "" : `${now}`;
+    if (document.activeElement !== input) input.value = now === undefined ? "" : `${Number(now.toPrecision(7))}`;
   };
   return { input, set };
 }
