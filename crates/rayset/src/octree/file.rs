@@ -7,8 +7,10 @@ use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
 use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
-use crate::scene::{FARTHEST, SHORTEST};
 use crate::storage::{MemoryStorage, Storage};
+
+/// Radii that points may be given; lengths in scenes have the same limits.
+const RADII: std::ops::RangeInclusive<f64> = 1e-18..=1e18;
 
 /// An open cloud: its checked header, and where its pages are read from.
 pub struct Cloud {
@@ -66,7 +68,7 @@ impl Cloud {
     pub fn with_radius_scale(self: &Arc<Self>, factor: f32) -> Option<Self> {
         let stored = self.stored();
         let radius = stored.header.radius.scaled(factor);
-        let is_length = |v: f32| (SHORTEST..=FARTHEST).contains(&f64::from(v));
+        let is_length = |v: f32| RADII.contains(&f64::from(v));
         if !(factor > 0.0 && is_length(radius.min()) && is_length(radius.max())) {
             return None;
         }

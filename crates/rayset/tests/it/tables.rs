@@ -467,7 +467,8 @@ proptest! {
         let folder = folder();
         if let Err(error) = table(&write(folder.path(), "a.csv", &bytes), None) {
             let text = error.to_string();
-            prop_assert!(text.contains(", line "), "{text}");
+            // What looks like another kind of file, a molecule's, is refused as a whole.
+            prop_assert!(text.contains(", line ") || text.contains("which is not read"), "{text}");
         }
     }
 }
