@@ -27,19 +27,10 @@ const MOST_ROWS: u64 = 32;
 const PARTS: u32 = 100;
 
 /// Renders what a page sees and sends it as a PNG file, within `bytes` of memory besides the session's.
+///
+/// # Errors
+/// Why it is not whole, for the person who wanted it.
 pub(crate) fn save(
-    session: &Session,
-    opened: &Opened,
-    show: &Show,
-    bytes: u64,
-    cancel: &CancelToken,
-    send: &Send,
-) {
-    let saved = picture(session, opened, show, bytes, cancel, send);
-    send(Outgoing::Text(ToPage::Pictured { what: saved.err() }));
-}
-
-fn picture(
     session: &Session,
     opened: &Opened,
     show: &Show,

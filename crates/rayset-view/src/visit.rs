@@ -244,15 +244,11 @@ impl Page {
         let (ready, send) = (self.ready.clone(), self.sender());
         let bytes = self.shared.page_bytes * places.count as u64;
         let started = self.thread(move || {
+            let saved = saving::save(&ready.session, &ready.opened, &show, bytes, &cancel, &send);
             // Before the page is told, so that it can ask for the next.
-            let told: Send = Box::new(move |message| {
-                if matches!(message, Outgoing::Text(ToPage::Pictured { .. })) {
-                    is_done.store(true, Ordering::Release);
-                }
-                send(message)
-            });
-            saving::save(&ready.session, &ready.opened, &show, bytes, &cancel, &told);
+            is_done.store(true, Ordering::Release);
             drop(places);
+            send(Outgoing::Text(ToPage::Pictured { what: saved.err() }));
         });
         started.ok_or_else(|| "the system starts no thread".into())
     }

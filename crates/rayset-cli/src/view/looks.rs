@@ -13,7 +13,7 @@ use crate::look::{CameraArgs, LookArgs, Looks};
 
 /// Colours of a map that a page is told.
 const PALETTE_COLORS: usize = 33;
-/// Size for which a look is chosen; no part of it but the camera, which pages have of their own, depends on it.
+/// Size for which a look is chosen; no part of it but the first camera depends on it.
 const SIZE: (u32, u32) = (1280, 720);
 /// The part of the values at either end of a range that is left out at first.
 const LEFT_OUT: f64 = 0.01;
@@ -42,8 +42,8 @@ impl LooksOfFile {
     }
 
     /// The scene as it was asked for on the command line, and what was chosen.
-    pub(super) fn first(&self, size: (u32, u32)) -> Result<(Value, String)> {
-        let chosen = self.looks.chosen(&self.look, &self.camera, size)?;
+    pub(super) fn first(&self) -> Result<(Value, String)> {
+        let chosen = self.looks.chosen(&self.look, &self.camera, SIZE)?;
         Ok((chosen.scene, chosen.line))
     }
 

@@ -32,8 +32,6 @@ const SERVER_BYTES: u64 = 8 << 20;
 const PICTURE_BYTES: std::ops::RangeInclusive<u64> = 16 << 20..=256 << 20;
 /// The least that a session is of use with.
 const LEAST_SESSION_BYTES: u64 = 8 << 20;
-/// Size for which a look is chosen; the page then asks for its own.
-const SIZE: (u32, u32) = (1280, 720);
 
 /// Look around in a scene, a cloud, a grid, or any file of points or voxels, in a browser.
 ///
@@ -186,7 +184,7 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
         Input::Grid(grid) => (grid.path().to_owned(), Looks::of_grid(grid, &args.camera)?),
     };
     let looks = LooksOfFile::new(looks, args.look.clone(), args.camera.clone(), inputs);
-    let (scene, line) = looks.first(SIZE)?;
+    let (scene, line) = looks.first()?;
     remark(&line);
     Ok(Subject { title, path, scene, looks: Some(Box::new(looks)) })
 }
