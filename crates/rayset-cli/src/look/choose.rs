@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::cloud::CloudLook;
 use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
-use super::statistics::Statistics;
+use super::statistics::{Statistics, percentile};
 use super::view::CameraArgs;
 
 /// A scene chosen for an input.
@@ -103,6 +103,9 @@ fn of_sampled_cloud(
     if look.look == Some(LookName::Volume) {
         bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
     }
+    let mut look = look.clone();
+    let enlarged = if look.radius_scale.is_none() { radii_to_be_seen(cloud, &statistics, &look) } else { None };
+    look.radius_scale = look.radius_scale.or(enlarged);
     let (cloud, statistics) = match look.radius_scale {
         // Densities, and the lengths that opacity refers to, are those of the radii that are shown.
         Some(scale) => (&scaled(cloud, scale)?, statistics.with_radius_scale(scale)),
@@ -126,19 +129,42 @@ fn of_sampled_cloud(
         sorted: &|name| chosen.sorted(name),
         logarithmic: chosen.name == LookName::Gas,
     };
-    let mut look = look.clone();
     if look.color_by.as_deref() == Some("height") && !header.attributes.iter().any(|a| a.name == "height") {
         // In scenes it is z; here it is known what is up.
         look.color_by = Some(chosen.vertical().to_owned());
     }
     look.apply(&mut scene, &input)?;
+    let enlarged = enlarged.map_or_else(String::new, |scale| {
+        format!("; few points far apart: --radius-scale {scale}, so that they are seen")
+    });
     Ok(Chosen {
         scene,
-        line: chosen.line(),
+        line: chosen.line() + &enlarged,
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
         densities: Box::new(move || chosen.opacity_densities()),
     })
+}
+
+/// By what the radii of a few points that are far apart are multiplied, so that the picture is not empty; `None` if they are seen
+/// as they are. At two significant digits.
+fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> Option<f64> {
+    /// More points than these make a picture however small they are.
+    const FEW: u64 = 10_000;
+    /// The least radius that is seen, as a part of the extent: a pixel of a small picture…
+    const SEEN: f64 = 1.0 / 400.0;
+    /// … and the least part of the square of the extent that all points' squares of radii add up to.
+    const COVERED: f64 = 4e-3;
+    let count = cloud.header().points;
+    if count > FEW || matches!(look.look, Some(LookName::Density | LookName::Splats)) {
+        return None;
+    }
+    let extent = statistics.diagonal();
+    let least = extent * (COVERED / count as f64).sqrt().clamp(SEEN, 8.0 * SEEN);
+    let radius = percentile(&statistics.sorted("radius"), 0.5);
+    let scale = least / radius;
+    let digits = 10_f64.powf(scale.log10().floor() - 1.0);
+    (radius > 0.0 && scale.is_finite() && scale > 1.0).then(|| ((scale / digits).ceil() * digits).min(1e3))
 }
 
 /// A cloud with other radii.

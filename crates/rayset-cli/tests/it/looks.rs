@@ -409,6 +409,29 @@ fn gas_shows_in_units_of_any_size() {
 }
 
 #[test]
+fn a_few_points_far_apart_are_seen() {
+    let folder = folder();
+    let f = folder.path();
+    let place = |i: u32, step: f64| (f64::from(i) * step).fract() * 1000.0;
+    let points: String = (0..40)
+        .map(|i| format!("{} {} {} 0.01\n", place(i, 0.8191), place(i, 0.6711), place(i, 0.5498)))
+        .collect();
+    fs::write(f.join("few.xyz"), format!("x y z radius\n{points}")).expect("a write");
+    for look in [&[][..], &["--look", "gas"]] {
+        let arguments = ["render", "few.xyz", "-o", "a.png", "--size", "128x128", "--no-cache"];
+        let said = succeeds(f, &[&arguments, look].concat());
+        assert!(said.contains("--radius-scale"), "{said}");
+        let (_, _, pixels) = picture(&f.join("a.png"));
+        let background = pixels[0];
+        let lit = pixels.iter().filter(|pixel| pixel[..3].iter().zip(background).any(|(a, b)| a.abs_diff(b) > 8));
+        assert!(lit.count() > 100, "{look:?}");
+        // As stored, if that is what is asked for.
+        let stored = succeeds(f, &[&arguments, look, &["--radius-scale", "1"]].concat());
+        assert!(!stored.contains("few points"), "{stored}");
+    }
+}
+
+#[test]
 fn inputs_of_different_reference_systems_are_remarked_upon() {
     let folder = folder();
     let f = folder.path();
