@@ -13,7 +13,9 @@ use crate::bench_cloud::{Case, Measured, Prepared};
 use crate::bench_features::{self, Cost};
 use crate::bench_scenes;
 use crate::interrupts::TemporaryFolder;
-use crate::{report, values};
+use rayset_inputs::values;
+
+use crate::report;
 
 /// Build and render the standard workloads, and say how long it took.
 ///

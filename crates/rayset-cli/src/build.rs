@@ -13,7 +13,10 @@ use crate::budget::{name_smallest_budget, name_smallest_grid_budget};
 use crate::memory::{PROCESS_BYTES, peak_rss};
 use crate::outputs::Outputs;
 use crate::progress::Meter;
-use crate::{input, report, values};
+use rayset_inputs::values;
+
+use crate::input::Program;
+use crate::report;
 
 /// Build a cloud file from points, or a grid file from a volume.
 ///
@@ -103,8 +106,9 @@ enum Invalid {
 }
 
 pub(crate) fn run(args: &BuildArgs) -> Result<()> {
-    let inputs = input::expand(&args.inputs)?;
-    if args.raw.is_some() || input::has_volume(&inputs)? {
+    let host = Program::quiet();
+    let inputs = rayset_inputs::expand(&args.inputs, &host)?;
+    if args.raw.is_some() || rayset_inputs::has_volume(&inputs)? {
         return build_grid(args, &inputs);
     }
     let options = options(args)?;
@@ -114,15 +118,15 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
         .with_text_columns(args.columns.clone())
         .with_mesh_points(args.mesh_points)
         .with_particles(args.particles.clone());
-    let sources = input::open_points(&inputs, &read)?;
+    let sources = rayset_inputs::open_points(&inputs, &read, &host)?;
     let named = args.attributes.as_deref().unwrap_or_default();
     let attributes = match (&args.attributes, named) {
         (None, _) => {
-            let columns = input::customary_columns(&sources);
+            let columns = rayset_inputs::customary_columns(&sources);
             columns.remark().into_iter().for_each(report::remark);
             columns.kept
         }
-        (Some(_), [one]) if one == "all" => input::all_columns(&sources).kept,
+        (Some(_), [one]) if one == "all" => rayset_inputs::all_columns(&sources).kept,
         (Some(_), [one]) if one == "none" => Vec::new(),
         (Some(_), _) => named.to_vec(),
     };
@@ -155,7 +159,7 @@ fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
         Some(layout) => VolumeSource::open_raw(input, layout)?,
         None => VolumeSource::open(input)?,
     };
-    input::remark_about(input, &source);
+    rayset_inputs::remark_about(input, &source, &Program::quiet());
     let meter = Meter::new("slices", args.json);
     let started = std::time::Instant::now();
     let options = GridBuildOptions::default()

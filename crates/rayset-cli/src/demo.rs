@@ -10,10 +10,12 @@ use rayset::output::Destination;
 use rayset::points::Workload;
 
 use crate::interrupts::TemporaryFolder;
-use crate::look::CameraArgs;
 use crate::progress::Meter;
 use crate::render;
-use crate::{generate, memory, report, values};
+use rayset_inputs::look::CameraArgs;
+use rayset_inputs::values;
+
+use crate::{generate, memory, report};
 
 /// Make a cloud larger than its memory budget, build it, render it, and say what the working set did.
 ///

@@ -17,7 +17,9 @@ use rayset::volumes::{RawLayout, VolumeSource};
 use crate::interrupts::{self, TemporaryFolder};
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
 use crate::outputs::{self, Outputs};
-use crate::{generate, report, values};
+use rayset_inputs::values;
+
+use crate::{generate, report};
 
 /// A figure: its number, its scene and what it shows.
 struct Figure {

@@ -13,10 +13,12 @@ use rayset::{Cloud, Grid};
 
 use crate::annotate::of_reference_system;
 use crate::histogram::{Histogram, terminal_is_unicode};
-use crate::input::{self, CacheArgs, Input, Resources};
-use crate::look::{self, CameraArgs, Chosen, LookArgs};
+use rayset_inputs::{CacheArgs, Input};
+
+use crate::input::{self, Resources};
 use crate::memory::PROCESS_BYTES;
 use crate::report;
+use rayset_inputs::look::{self, CameraArgs, Chosen, LookArgs};
 
 /// Memory of the whole process for building what has not been built.
 const BUILD_MEMORY: u64 = 256 << 20;

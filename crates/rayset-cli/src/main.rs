@@ -17,7 +17,6 @@ mod histogram;
 mod info;
 mod input;
 mod interrupts;
-mod look;
 mod manual;
 mod memory;
 mod outputs;
@@ -25,7 +24,6 @@ mod progress;
 mod render;
 mod report;
 mod statistics;
-mod values;
 mod verify;
 #[cfg(feature = "view")]
 mod view;

@@ -48,6 +48,11 @@ impl<'a> Meter<'a> {
     }
 
     pub(crate) fn show(&self, title: &'static str, done: u64, total: u64) {
+        self.show_in(self.unit, title, done, total);
+    }
+
+    /// Shows progress that is counted in another unit.
+    pub(crate) fn show_in(&self, unit: &str, title: &'static str, done: u64, total: u64) {
         if let Some(told) = self.told {
             told(title, done, total);
         }
@@ -61,7 +66,7 @@ impl<'a> Meter<'a> {
             state.started = Instant::now();
             state.last_line = Instant::now();
             if self.terminal {
-                state.bar = self.bar(title, total);
+                state.bar = bar(unit, title, total);
             }
         }
         if self.terminal {
@@ -75,21 +80,10 @@ impl<'a> Meter<'a> {
                 "{title}: {} of {} {}, {} a second, {left:.0} s left",
                 report::count(done),
                 report::count(total.max(done)),
-                self.unit,
+                unit,
                 report::count(rate as u64)
             ));
         }
-    }
-
-    fn bar(&self, title: &'static str, total: u64) -> ProgressBar {
-        let bar = ProgressBar::with_draw_target(Some(total.max(1)), ProgressDrawTarget::stderr_with_hz(4));
-        let template =
-            format!("{{msg:8}} {{bar:30}} {{human_pos}}/{{human_len}} {} {{per_sec}} {{eta}}", self.unit);
-        if let Ok(style) = ProgressStyle::with_template(&template) {
-            bar.set_style(style);
-        }
-        bar.set_message(title);
-        bar
     }
 
     pub(crate) fn finish(&self) {
@@ -100,12 +94,16 @@ impl<'a> Meter<'a> {
 
 impl Progress for Meter<'_> {
     fn update(&self, stage: Stage, done: u64, total: u64) {
-        let title = match stage {
-            Stage::Read => "reading",
-            Stage::Spacing => "spacing",
-            Stage::Write => "writing",
-            _ => "building",
-        };
-        self.show(title, done, total);
+        self.show(rayset_inputs::stage_name(stage), done, total);
     }
+}
+
+fn bar(unit: &str, title: &'static str, total: u64) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(total.max(1)), ProgressDrawTarget::stderr_with_hz(4));
+    let template = format!("{{msg:8}} {{bar:30}} {{human_pos}}/{{human_len}} {unit} {{per_sec}} {{eta}}");
+    if let Ok(style) = ProgressStyle::with_template(&template) {
+        bar.set_style(style);
+    }
+    bar.set_message(title);
+    bar
 }

@@ -7,6 +7,8 @@ use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+pub(crate) use rayset_inputs::text::{bytes, count};
+
 /// Why results could not be printed. A closed pipe is the reader's wish, not a failure.
 static LOST: Mutex<Option<io::Error>> = Mutex::new(None);
 /// Whether standard output is in use for a picture or points.
@@ -94,26 +96,8 @@ fn printable(text: &str, shown: impl Fn(char) -> String) -> String {
     text.chars().map(|c| if obeyed(c) { shown(c) } else { c.to_string() }).collect()
 }
 
-/// A number of bytes as people write it.
-pub(crate) fn bytes(n: u64) -> String {
-    bytesize::ByteSize(n).display().iec().to_string()
-}
-
 /// A number in as few digits as represent it exactly, in scientific notation if it is very small or very large.
 pub(crate) fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
     let size = value.into().abs();
     if size == 0.0 || (1e-5..1e16).contains(&size) { value.to_string() } else { format!("{value:e}") }
-}
-
-/// A count with its thousands separated.
-pub(crate) fn count(n: u64) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, c) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(' ');
-        }
-        out.push(c);
-    }
-    out
 }

@@ -7,8 +7,8 @@ use clap::Args;
 use rayset::Grid;
 use rayset::file::Depth;
 
-use crate::input::{self, Built};
 use crate::report;
+use rayset_inputs::Built;
 
 /// Check a cloud or grid file: by default every page's checksum and records
 #[derive(Args)]
@@ -24,7 +24,7 @@ pub(crate) struct VerifyArgs {
 }
 
 pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
-    let cloud = match input::open_built(&args.cloud)? {
+    let cloud = match rayset_inputs::open_built(&args.cloud)? {
         Built::Cloud(cloud) => cloud,
         Built::Grid(grid) => return verify_grid(args, &grid),
     };

@@ -8,9 +8,9 @@ use clap::Args;
 use super::picture::PictureArgs;
 use super::work::WorkArgs;
 use crate::annotate::AnnotateArgs;
-use crate::input::CacheArgs;
-use crate::look::{CameraArgs, LookArgs};
-use crate::values::{self, Frames};
+use rayset_inputs::CacheArgs;
+use rayset_inputs::look::{CameraArgs, LookArgs};
+use rayset_inputs::values::{self, Frames};
 
 /// Render a scene, a cloud, a grid, or any file of points or voxels to a picture.
 ///

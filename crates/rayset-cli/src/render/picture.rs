@@ -6,7 +6,7 @@ use rayset::Region;
 use rayset::image::DisplayTransform;
 use rayset::scene::RenderSettings;
 
-use crate::values;
+use rayset_inputs::values;
 
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Picture")]

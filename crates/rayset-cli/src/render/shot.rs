@@ -13,9 +13,11 @@ use super::args::RenderArgs;
 use super::warnings;
 use super::work::DEFAULT_MEMORY;
 use crate::annotate::Annotations;
-use crate::input::{self, Input, Opened, Resources};
-use crate::look::{self, Chosen};
+use rayset_inputs::{Input, Opened};
+
+use crate::input::{self, Resources};
 use crate::{outputs, report};
+use rayset_inputs::look::{self, Chosen};
 
 /// A scene with its camera and settings.
 pub(super) struct Shot {

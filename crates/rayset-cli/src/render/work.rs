@@ -12,7 +12,9 @@ use rayset::storage::BackendKind;
 use rayset::{Prediction, RenderError, Session};
 
 use crate::memory::PROCESS_BYTES;
-use crate::{report, values};
+use rayset_inputs::values;
+
+use crate::report;
 
 /// Memory if neither the command line nor the file specifies any.
 pub(super) const DEFAULT_MEMORY: u64 = 256 << 20;

@@ -9,7 +9,7 @@ use rayset_view::{Attribute, Choices, Histogram, Looks as ForPages, Style, Style
 use serde_json::Value;
 
 use crate::histogram;
-use crate::look::{CameraArgs, LookArgs, Looks};
+use rayset_inputs::look::{CameraArgs, LookArgs, Looks};
 
 /// Colours of a map that a page is told.
 const PALETTE_COLORS: usize = 33;
@@ -97,13 +97,13 @@ impl LooksOfFile {
 
 impl ForPages for LooksOfFile {
     fn choices(&self) -> Choices {
-        let attributes = match &self.looks {
-            Looks::Cloud(cloud, _) => {
+        let attributes = match self.looks.cloud() {
+            Some(cloud) => {
                 let stored = &cloud.header().attributes;
                 let stored = stored.iter().filter_map(|a| self.attribute(&a.name, &a.unit));
                 stored.chain(["x", "y", "z"].iter().filter_map(|axis| self.attribute(axis, ""))).collect()
             }
-            Looks::Grid(..) => Vec::new(),
+            None => Vec::new(),
         };
         let palettes = Colormap::all().map(|map| (map.to_string(), colors(map))).collect();
         Choices {

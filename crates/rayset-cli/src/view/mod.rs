@@ -17,12 +17,15 @@ use serde_json::Value;
 
 use self::looks::LooksOfFile;
 
-use crate::input::{self, CacheArgs, Input, Resources};
+use rayset_inputs::{CacheArgs, Input};
+
+use crate::demo;
+use crate::input::{self, Resources};
 use crate::interrupts::TemporaryFolder;
-use crate::look::{CameraArgs, LookArgs, Looks};
 use crate::memory::PROCESS_BYTES;
 use crate::report::{bytes, remark, say};
-use crate::{demo, values};
+use rayset_inputs::look::{CameraArgs, LookArgs, Looks};
+use rayset_inputs::values;
 
 /// Memory for the whole process if nothing else is said.
 const DEFAULT_MEMORY: u64 = 256 << 20;

@@ -423,7 +423,8 @@ fn a_few_points_far_apart_are_seen() {
         assert!(said.contains("--radius-scale"), "{said}");
         let (_, _, pixels) = picture(&f.join("a.png"));
         let background = pixels[0];
-        let lit = pixels.iter().filter(|pixel| pixel[..3].iter().zip(background).any(|(a, b)| a.abs_diff(b) > 8));
+        let lit =
+            pixels.iter().filter(|pixel| pixel[..3].iter().zip(background).any(|(a, b)| a.abs_diff(b) > 8));
         assert!(lit.count() > 100, "{look:?}");
         // As stored, if that is what is asked for.
         let stored = succeeds(f, &[&arguments, look, &["--radius-scale", "1"]].concat());

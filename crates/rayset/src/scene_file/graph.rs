@@ -1,19 +1,15 @@
 //! Builds the scene graph of a scene file.
 
 use std::collections::HashMap;
-use std::io::Read;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::data_files::DataFiles;
 use super::error::SceneFileError;
 use super::json::Json;
 use super::preset::Preset;
 use super::reader::{Cursor, Object, listed, nearest, shortened};
 use crate::field::Kernel;
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
-use crate::grid::{self, Grid};
-use crate::octree::{self, Cloud};
-use crate::regular_file;
 use crate::scene::{
     Channel, CloudObject, ColorMap, ColorRule, FARTHEST, Form, GridObject, MOST_PLACES, MOST_STOPS, MapInput,
     Material, Node, NoiseCloud, OpacityRule, Operator, Palette, Pattern, Procedural, SHORTEST, Shape, Solid,
@@ -32,8 +28,6 @@ const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "m
 const DEEPEST: usize = 100;
 /// Most children of an operator: no graph may have more places of nodes.
 const MOST_CHILDREN: usize = MOST_PLACES as usize;
-/// The least and the largest factor of radii.
-const RADIUS_SCALES: [f64; 2] = [1e-3, 1e3];
 /// Longest name of a node in bytes.
 const LONGEST_NAME: usize = 256;
 
@@ -58,10 +52,7 @@ pub(super) struct GraphReader<'a> {
     made: HashMap<&'a str, Arc<Node>>,
     /// Names of the nodes that are being built, outermost first.
     making: Vec<&'a str>,
-    clouds: HashMap<PathBuf, Arc<Cloud>>,
-    /// Those with other radii than are stored.
-    scaled: Vec<Arc<Cloud>>,
-    grids: HashMap<PathBuf, Arc<Grid>>,
+    data: DataFiles,
     /// Number of nodes that enclose the one being built.
     depth: usize,
     /// For every node, the number of levels of nodes below it.
@@ -69,15 +60,13 @@ pub(super) struct GraphReader<'a> {
 }
 
 impl<'a> GraphReader<'a> {
-    /// Collects all names of a file.
-    pub(super) fn new(file: &Object<'a>) -> Result<Self, SceneFileError> {
+    /// Collects all names of a file, which may refer to data files that are open.
+    pub(super) fn new(file: &Object<'a>, data: DataFiles) -> Result<Self, SceneFileError> {
         let mut reader = Self {
             named: HashMap::new(),
             made: HashMap::new(),
             making: Vec::new(),
-            clouds: HashMap::new(),
-            scaled: Vec::new(),
-            grids: HashMap::new(),
+            data,
             depth: 0,
             heights: HashMap::new(),
         };
@@ -91,22 +80,6 @@ impl<'a> GraphReader<'a> {
             reader.find_names(&root, None)?;
         }
         Ok(reader)
-    }
-
-    /// Uses the data files of another graph where this one refers to them.
-    pub(super) fn share(&mut self, node: &Node) {
-        match &node.shape {
-            Shape::Cloud(object) => {
-                let path = object.cloud.path().canonicalize();
-                drop(path.map(|path| self.clouds.insert(path, object.cloud.stored().clone())));
-            }
-            Shape::Grid(object) => {
-                let path = object.grid.path().canonicalize();
-                drop(path.map(|path| self.grids.insert(path, object.grid.clone())));
-            }
-            Shape::Operator(_, children) => children.iter().for_each(|child| self.share(child)),
-            Shape::Procedural(_) => {}
-        }
     }
 
     fn name(&mut self, name: &'a str, node: &Cursor<'a>) -> Result<(), SceneFileError> {
@@ -232,7 +205,7 @@ impl<'a> GraphReader<'a> {
             }
             Type::Grid => {
                 let object = with(&["file", "transferFunction"])?;
-                let mut made = GridObject::plain(self.open_grid(&object.require("file")?)?);
+                let mut made = GridObject::plain(self.data.grid(&object.require("file")?)?);
                 if let Some(at) = object.get("transferFunction") {
                     read_value_transfer(&at, &mut made)?;
                 }
@@ -282,9 +255,9 @@ impl<'a> GraphReader<'a> {
 
     fn cloud(&mut self, object: &Object<'a>) -> Result<CloudObject, SceneFileError> {
         let at = object.require("file")?;
-        let cloud = self.open(&at)?;
+        let cloud = self.data.cloud(&at)?;
         let cloud = match object.get("radiusScale") {
-            Some(at) => self.scaled(cloud, &at)?,
+            Some(at) => self.data.scaled(cloud, &at)?,
             None => cloud,
         };
         let mut made = CloudObject::plain(cloud);
@@ -297,62 +270,6 @@ impl<'a> GraphReader<'a> {
         }
         Ok(made)
     }
-
-    /// A cloud with other radii, made once for all nodes that ask for the same.
-    fn scaled(&mut self, cloud: Arc<Cloud>, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
-        let factor = at.number(RADIUS_SCALES[0], RADIUS_SCALES[1])? as f32;
-        if factor == 1.0 {
-            return Ok(cloud);
-        }
-        let is_same = |known: &&Arc<Cloud>| {
-            known.header().radius_scale == factor && Arc::ptr_eq(known.stored(), &cloud)
-        };
-        if let Some(known) = self.scaled.iter().find(is_same) {
-            return Ok(known.clone());
-        }
-        let scaled = cloud.with_radius_scale(factor).ok_or_else(|| {
-            at.error(format!(
-                "a radius of {} times this is not from 1e-18 to 1e18",
-                cloud.header().radius_mean
-            ))
-        })?;
-        let scaled = Arc::new(scaled);
-        self.scaled.push(scaled.clone());
-        Ok(scaled)
-    }
-
-    /// Opens a grid file, once for all nodes that refer to it.
-    fn open_grid(&mut self, at: &Cursor<'a>) -> Result<Arc<Grid>, SceneFileError> {
-        let path = at.document.beside(at.text()?);
-        let key = data_file(at, &path)?;
-        if let Some(grid) = self.grids.get(&key) {
-            return Ok(grid.clone());
-        }
-        let grid =
-            Arc::new(Grid::open(&path).map_err(|e| unopened(at, &path, grid::format::MAGIC, e.to_string()))?);
-        self.grids.insert(key, grid.clone());
-        Ok(grid)
-    }
-
-    /// Opens a cloud file, once for all nodes that refer to it.
-    fn open(&mut self, at: &Cursor<'a>) -> Result<Arc<Cloud>, SceneFileError> {
-        let path = at.document.beside(at.text()?);
-        let key = data_file(at, &path)?;
-        if let Some(cloud) = self.clouds.get(&key) {
-            return Ok(cloud.clone());
-        }
-        let cloud = Arc::new(
-            Cloud::open(&path).map_err(|e| unopened(at, &path, octree::format::MAGIC, e.to_string()))?,
-        );
-        self.clouds.insert(key, cloud.clone());
-        Ok(cloud)
-    }
-}
-
-/// The key under which a data file is shared: its canonical path. An error if it is not a readable regular file.
-fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
-    let known = regular_file::open(path).and_then(|_| path.canonicalize());
-    known.map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))
 }
 
 /// Reads the transfer function of a grid, over its values.
@@ -382,20 +299,6 @@ fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), Sce
         };
     }
     Ok(())
-}
-
-/// The error for a data file that cannot be opened, with advice: the file may hold other data than its `type` says, or
-/// be raw data that has to be built first.
-fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
-    let mut head = [0_u8; 8];
-    let is_read = regular_file::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
-    let name = path.display();
-    at.error(match head {
-        _ if is_read && head == wanted => what,
-        octree::format::MAGIC => format!("{name} holds points; its \"type\" is \"cloud\""),
-        grid::format::MAGIC => format!("{name} holds voxels; its \"type\" is \"grid\""),
-        _ => format!("{what}; `rayset build {name} -o FILE.rset` makes one of points or voxels"),
-    })
 }
 
 /// A node of a shape, with the optional keys that all nodes have: transform, transfer functions and material.

@@ -4,6 +4,7 @@
 //! A scene file contains what determines pixels and nothing else: camera, image, lights, render settings and the graph.
 //! Memory and threads are up to the program that renders it.
 
+mod data_files;
 mod error;
 mod graph;
 mod json;
@@ -15,13 +16,17 @@ mod view;
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use self::data_files::DataFiles;
 pub use self::error::{LoadError, SceneFileError};
 use self::graph::GraphReader;
 use self::json::Json;
 use self::reader::{Cursor, Document, Object};
 use self::text::read_text;
+use crate::grid::Grid;
 use crate::image::DisplayTransform;
+use crate::octree::Cloud;
 use crate::scene::{
     BRIGHTEST, Camera, CameraPath, Light, LightKind, Lighting, RenderSettings, Scene, SceneError,
 };
@@ -71,7 +76,7 @@ impl SceneFile {
     /// # Errors
     /// [`SceneFileError`] if the text is invalid, with line, column, key and what was expected.
     pub fn parse(path: &Path, text: &str) -> Result<Self, SceneFileError> {
-        Self::parse_with(path, text, None)
+        Self::parse_with(path, text, DataFiles::default())
     }
 
     /// Reads a changed scene from a string, as [`parse`](Self::parse). Data files that are open in this scene are not opened again:
@@ -80,10 +85,28 @@ impl SceneFile {
     /// # Errors
     /// As [`parse`](Self::parse).
     pub fn parse_changed(&self, path: &Path, text: &str) -> Result<Self, SceneFileError> {
-        Self::parse_with(path, text, Some(&self.scene))
+        let mut open = DataFiles::default();
+        open.share(&self.scene.root);
+        Self::parse_with(path, text, open)
     }
 
-    fn parse_with(path: &Path, text: &str, open: Option<&Scene>) -> Result<Self, SceneFileError> {
+    /// Reads a scene from a string, as [`parse`](Self::parse), that refers to clouds and grids which are open already, perhaps in
+    /// memory, by the very names of their [`path`](Cloud::path)s.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse).
+    pub fn parse_using(
+        path: &Path,
+        text: &str,
+        clouds: &[Arc<Cloud>],
+        grids: &[Arc<Grid>],
+    ) -> Result<Self, SceneFileError> {
+        let mut open = DataFiles::default();
+        open.know(clouds, grids);
+        Self::parse_with(path, text, open)
+    }
+
+    fn parse_with(path: &Path, text: &str, open: DataFiles) -> Result<Self, SceneFileError> {
         let document = Document { file: path, text, named: RefCell::default() };
         let value = document.parse()?;
         let whole = Cursor::root(&document, &value);
@@ -102,10 +125,7 @@ impl SceneFile {
         let file = whole.object(&known)?;
         check_version(&file)?;
         let root_at = file.require("root")?;
-        let mut graph = GraphReader::new(&file)?;
-        if let Some(scene) = open {
-            graph.share(&scene.root);
-        }
+        let mut graph = GraphReader::new(&file, open)?;
         let root = graph.node(&root_at)?;
         // Checked before anything else walks the graph: with sharing, a graph of few nodes can have more places than
         // there is time to visit.

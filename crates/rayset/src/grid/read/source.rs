@@ -91,6 +91,39 @@ impl VolumeSource {
         [&self.header_path, &self.voxels.path]
     }
 
+    /// A volume whose voxels are read from anywhere: `size` along x, y and z, x fastest, little-endian, of one of the kinds that
+    /// grids store. `name` stands for its path in errors. Voxel centres are at integers, which `space_from_voxel` maps to the
+    /// space of the grid.
+    ///
+    /// # Errors
+    /// [`ReadError::Header`] if there are fewer than two voxels along an axis, or the transform flattens space.
+    pub fn from_reader(
+        name: &str,
+        size: [u64; 3],
+        kind: VoxelKind,
+        space_from_voxel: DAffine3,
+        voxels: Box<dyn Read + Send>,
+    ) -> Result<Self, ReadError> {
+        let stored = match kind {
+            VoxelKind::U8 => Stored::U8,
+            VoxelKind::I16 => Stored::I16,
+            VoxelKind::U16 => Stored::U16,
+            VoxelKind::F32 => Stored::F32,
+        };
+        let described = Described {
+            size,
+            stored,
+            big_endian: false,
+            scale: 1.0,
+            offset: 0.0,
+            space_from_voxel,
+            size_place: "size".into(),
+            axes_place: "transform".into(),
+        };
+        let bytes = described.check(Path::new(name))?;
+        Ok(Self::new(&described, bytes, Voxels { path: name.into(), data: voxels, rest: Some(0) }))
+    }
+
     /// The same volume, whose header is in a file of its own.
     pub(super) fn with_header(self, path: &Path) -> Self {
         Self { header_path: path.to_owned(), ..self }

@@ -7,7 +7,7 @@ use rayset::points::{self, ReadError, ReadOptions};
 use rayset::volumes::VolumeSource;
 
 use super::kinds;
-use crate::report;
+use crate::host::Host;
 
 /// Deepest nesting of folders that is followed.
 const DEEPEST: usize = 32;
@@ -16,7 +16,7 @@ const DEEPEST: usize = 32;
 /// `tiles/*.laz` for those that match. Sorted within each folder and pattern, so that the order of a directory does not
 /// matter. Hidden files and folders are left out. A folder that is one thing, as a series of DICOM or a Zarr array is, stands
 /// for itself.
-pub(crate) fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
         if input.is_dir() {
@@ -26,7 +26,7 @@ pub(crate) fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
                 bail!("{} is a folder without files", input.display());
             }
             let found = files.split_off(before);
-            files.extend(readable(input, found)?);
+            files.extend(readable(input, found, host)?);
         } else if is_pattern(input) && !input.exists() {
             matching(input, &mut files)?;
         } else {
@@ -57,7 +57,7 @@ fn matching(pattern: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
 }
 
 /// Of the files of a folder those that can be read. The others, read-me files and previews among them, are named.
-fn readable(folder: &Path, files: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
+fn readable(folder: &Path, files: Vec<PathBuf>, host: &dyn Host) -> Result<Vec<PathBuf>> {
     if let [_] = files.as_slice() {
         return Ok(files);
     }
@@ -73,7 +73,7 @@ fn readable(folder: &Path, files: Vec<PathBuf>) -> Result<Vec<PathBuf>> {
     if kept.is_empty() {
         bail!("none of the {} files in {} can be read: {why}", left_out.len(), folder.display());
     }
-    report::remark(format_args!(
+    host.remark(&format!(
         "left out {} of {} files in {}, the first being {}: name it to be told why",
         left_out.len(),
         left_out.len() + kept.len(),

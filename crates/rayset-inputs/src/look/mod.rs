@@ -15,6 +15,6 @@ mod statistics;
 mod upright;
 mod view;
 
-pub(crate) use self::choose::{Chosen, Looks, of_cloud, of_grid};
-pub(crate) use self::options::LookArgs;
-pub(crate) use self::view::CameraArgs;
+pub use self::choose::{Chosen, Looks, of_cloud, of_grid};
+pub use self::options::LookArgs;
+pub use self::view::CameraArgs;

@@ -6,14 +6,14 @@ use anyhow::{Context, bail, ensure};
 use rayset::scene::{FARTHEST, SHORTEST};
 
 /// A number of bytes: `64MiB`, `20MB`, `1048576`.
-pub(crate) fn size(text: &str) -> Result<u64, String> {
+pub fn size(text: &str) -> Result<u64, String> {
     bytesize::ByteSize::from_str(text)
         .map(|b| b.as_u64())
         .map_err(|_| format!("`{text}` is not a size; write it as 64MiB, 20MB or 1048576"))
 }
 
 /// A picture size: `512x512`.
-pub(crate) fn dimensions(text: &str) -> Result<(u32, u32), String> {
+pub fn dimensions(text: &str) -> Result<(u32, u32), String> {
     let parsed = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     let (width, height) =
         parsed.ok_or_else(|| format!("`{text}` is not a picture size; write it as 512x512"))?;
@@ -26,7 +26,7 @@ pub(crate) fn dimensions(text: &str) -> Result<(u32, u32), String> {
 }
 
 /// A number within bounds, both included.
-pub(crate) fn number_within(text: &str, least: f64, most: f64) -> Result<f64, String> {
+pub fn number_within(text: &str, least: f64, most: f64) -> Result<f64, String> {
     let number = text.trim().parse().ok().filter(|v: &f64| (least..=most).contains(v));
     let plain =
         |v: f64| if v == 0.0 || (1e-4..1e6).contains(&v.abs()) { v.to_string() } else { format!("{v:e}") };
@@ -34,12 +34,12 @@ pub(crate) fn number_within(text: &str, least: f64, most: f64) -> Result<f64, St
 }
 
 /// A length.
-pub(crate) fn length(text: &str) -> Result<f64, String> {
+pub fn length(text: &str) -> Result<f64, String> {
     number_within(text, SHORTEST, FARTHEST)
 }
 
 /// Three numbers: `1,0,-2.5`.
-pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
+pub fn vector(text: &str) -> Result<[f64; 3], String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     match numbers.as_deref() {
         Some(&[x, y, z]) if [x, y, z].iter().all(|v| v.abs() <= FARTHEST) => Ok([x, y, z]),
@@ -49,7 +49,7 @@ pub(crate) fn vector(text: &str) -> Result<[f64; 3], String> {
 }
 
 /// A vector that is not too short to have a direction.
-pub(crate) fn direction(text: &str) -> Result<[f64; 3], String> {
+pub fn direction(text: &str) -> Result<[f64; 3], String> {
     let vector = vector(text)?;
     if vector.iter().any(|v| v.abs() >= SHORTEST) {
         Ok(vector)
@@ -59,7 +59,7 @@ pub(crate) fn direction(text: &str) -> Result<[f64; 3], String> {
 }
 
 /// Two numbers: `0:10`.
-pub(crate) fn range(text: &str) -> Result<(f64, f64), String> {
+pub fn range(text: &str) -> Result<(f64, f64), String> {
     let parsed =
         text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     let in_range = |v: f64| v.abs() <= FARTHEST;
@@ -71,7 +71,7 @@ pub(crate) fn range(text: &str) -> Result<(f64, f64), String> {
 }
 
 /// A colour, `#rrggbb` or a name, as display-encoded values of 0 to 1.
-pub(crate) fn color(text: &str) -> Result<[f64; 3], String> {
+pub fn color(text: &str) -> Result<[f64; 3], String> {
     let hex = match text {
         "white" => "ffffff",
         "black" => "000000",
@@ -87,7 +87,7 @@ pub(crate) fn color(text: &str) -> Result<[f64; 3], String> {
 }
 
 /// Opacity from density: `clamp`, `extinction:K`, or a curve `0:0,1:0.5,4:1`.
-pub(crate) fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> {
+pub fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> {
     use rayset::scene::OpacityRule;
     if text == "clamp" {
         return Ok(OpacityRule::Clamp);
@@ -104,7 +104,7 @@ pub(crate) fn opacity(text: &str) -> anyhow::Result<rayset::scene::OpacityRule> 
 }
 
 /// Where a value of each point comes from: a number, the name of a column, or `auto`.
-pub(crate) fn rule(text: &str) -> anyhow::Result<rayset::build::Rule> {
+pub fn rule(text: &str) -> anyhow::Result<rayset::build::Rule> {
     use rayset::build::Rule;
     ensure!(!text.is_empty(), "expected a number, a column name or `auto`");
     if let Ok(number) = text.parse::<f64>() {
@@ -136,7 +136,7 @@ mod tests {
 
 /// Frames of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Frames {
+pub enum Frames {
     /// All frames of the scene.
     All,
     /// From the first to the last, both included.
@@ -144,10 +144,11 @@ pub(crate) enum Frames {
 }
 
 impl Frames {
-    pub(crate) fn of(
-        self,
-        path: &rayset::scene::CameraPath,
-    ) -> anyhow::Result<std::ops::RangeInclusive<u32>> {
+    /// The frames of an animation that are meant.
+    ///
+    /// # Errors
+    /// If it has no such frames.
+    pub fn of(self, path: &rayset::scene::CameraPath) -> anyhow::Result<std::ops::RangeInclusive<u32>> {
         let (from, to) = path.ends();
         match self {
             Self::All => Ok(from..=to),
@@ -163,7 +164,7 @@ impl Frames {
 }
 
 /// `all`, `7` or `0..23`.
-pub(crate) fn frames(text: &str) -> Result<Frames, String> {
+pub fn frames(text: &str) -> Result<Frames, String> {
     let wrong = || format!("{text}: expected all, a frame like 7, or FIRST..LAST like 0..23");
     if text == "all" {
         return Ok(Frames::All);

@@ -12,14 +12,15 @@ const FIRST: [&str; 4] = ["classification", "intensity", "reflectance", "tempera
 const OWN: [&str; 8] = ["radius", "weight", "red", "green", "blue", "nx", "ny", "nz"];
 
 /// Columns that are kept, and those left out because of what they cost.
-pub(crate) struct Columns {
-    pub(crate) kept: Vec<String>,
+pub struct Columns {
+    /// Names of those that are kept.
+    pub kept: Vec<String>,
     left_out: Vec<String>,
 }
 
 impl Columns {
     /// What to say of columns that are left out; `None` if none is.
-    pub(crate) fn remark(&self) -> Option<String> {
+    pub fn remark(&self) -> Option<String> {
         let left_out = &self.left_out;
         (!left_out.is_empty()).then(|| {
             format!(
@@ -31,12 +32,12 @@ impl Columns {
 }
 
 /// The columns that all sources have, those by which looks are chosen first, up to a bounded number of bytes a point.
-pub(crate) fn customary<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
+pub fn customary<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
     chosen(sources, MOST_BYTES)
 }
 
 /// The columns that all sources have.
-pub(crate) fn of_all<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
+pub fn of_all<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
     chosen(sources, usize::MAX)
 }
 

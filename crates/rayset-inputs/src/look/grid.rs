@@ -35,7 +35,7 @@ enum Content {
 }
 
 /// How voxels are to be seen.
-pub(crate) struct GridLook {
+pub(super) struct GridLook {
     content: Content,
     /// The values of a sample without the background, ascending.
     pub(super) shown: Vec<f64>,

@@ -8,38 +8,39 @@ use serde_json::json;
 use super::framing;
 use crate::values;
 
+/// From where a cloud or grid is seen; a scene says this itself.
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Camera (by default it frames the whole input; a scene file has its own)")]
-pub(crate) struct CameraArgs {
+pub struct CameraArgs {
     /// Side to look from; iso, a three-quarter view, by default
     #[arg(long, value_enum, conflicts_with_all = ["position", "direction"])]
-    pub(crate) view: Option<Side>,
+    pub view: Option<Side>,
     /// Eye
     #[arg(long, value_parser = values::vector, allow_hyphen_values = true)]
-    pub(crate) position: Option<[f64; 3]>,
+    pub position: Option<[f64; 3]>,
     /// What the eye looks at; the middle of the input by default
     #[arg(long, value_parser = values::vector, allow_hyphen_values = true, requires = "position")]
-    pub(crate) look_at: Option<[f64; 3]>,
+    pub look_at: Option<[f64; 3]>,
     /// Viewing direction: with an eye instead of --look-at, without one to frame the input from another side
     #[arg(long, value_parser = values::direction, allow_hyphen_values = true, conflicts_with = "look_at")]
-    pub(crate) direction: Option<[f64; 3]>,
+    pub direction: Option<[f64; 3]>,
     /// Up: x, y, z, -x, -y, -z or a vector; chosen from the data by default
     #[arg(long, value_parser = axis, allow_hyphen_values = true)]
-    pub(crate) up: Option<[f64; 3]>,
+    pub up: Option<[f64; 3]>,
     /// Vertical field of view in degrees, 0.001 to 179; 35 by default
     #[arg(long, value_parser = degrees)]
-    pub(crate) fovy: Option<f64>,
+    pub fovy: Option<f64>,
     /// Parallel rays
     #[arg(long)]
-    pub(crate) orthographic: bool,
+    pub orthographic: bool,
     /// Height of an orthographic picture, in units of the input
     #[arg(long, value_parser = values::length, requires = "orthographic")]
-    pub(crate) height: Option<f64>,
+    pub height: Option<f64>,
 }
 
 /// A side to look from.
 #[derive(Clone, Copy, ValueEnum, PartialEq, Eq)]
-pub(crate) enum Side {
+pub enum Side {
     Front,
     Back,
     Left,
@@ -137,7 +138,7 @@ impl Orientation {
 
 impl CameraArgs {
     /// Whether any of these was given.
-    pub(crate) fn is_given(&self) -> bool {
+    pub fn is_given(&self) -> bool {
         self.view.is_some()
             || self.position.is_some()
             || self.direction.is_some()

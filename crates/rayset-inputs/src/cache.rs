@@ -12,12 +12,13 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 
-use crate::interrupts::TemporaryFolder;
-use crate::{report, values};
+use crate::host::{Host, TemporaryFolder};
+use crate::{text, values};
 
+/// Options of the cache.
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Cache of inputs that were not built before")]
-pub(crate) struct CacheArgs {
+pub struct CacheArgs {
     /// Folder that keeps what is built of points or voxels; the user's folder for caches by default
     #[arg(long, conflicts_with = "no_cache")]
     cache: Option<PathBuf>,
@@ -39,7 +40,7 @@ pub(super) enum Place {
     /// In the cache; the file may be there already.
     Kept(PathBuf),
     /// In a folder that goes when this is dropped.
-    Temporary { _folder: TemporaryFolder, path: PathBuf },
+    Temporary { _folder: Box<dyn TemporaryFolder>, path: PathBuf },
 }
 
 impl Place {
@@ -52,10 +53,10 @@ impl Place {
 
 impl CacheArgs {
     /// The place of what is built of `inputs` with `options`, a text that says what they are.
-    pub(super) fn place(&self, inputs: &[PathBuf], options: &str) -> Result<Place> {
+    pub(super) fn place(&self, inputs: &[PathBuf], options: &str, host: &dyn Host) -> Result<Place> {
         let name = entry_name(inputs, options)?;
         if self.no_cache {
-            let folder = TemporaryFolder::new("input")?;
+            let folder = host.temporary_folder()?;
             let path = folder.path().join(name);
             return Ok(Place::Temporary { _folder: folder, path });
         }
@@ -74,7 +75,7 @@ impl CacheArgs {
 
     /// Removes the entries that were not used for longest until the others fit, before and after something is added. The
     /// newest entry stays, however large.
-    pub(super) fn prune(&self, kept: &Path) {
+    pub(super) fn prune(&self, kept: &Path, host: &dyn Host) {
         let limit = self.cache_limit.unwrap_or(DEFAULT_LIMIT);
         let Some(folder) = kept.parent() else { return };
         let mut entries = entries(folder);
@@ -90,10 +91,10 @@ impl CacheArgs {
             }
         }
         if removed > 0 {
-            report::remark(format_args!(
+            host.remark(&format!(
                 "removed {removed} older entries from the cache, {}; --cache-limit allows {}",
-                report::bytes(freed),
-                report::bytes(limit)
+                text::bytes(freed),
+                text::bytes(limit)
             ));
         }
     }

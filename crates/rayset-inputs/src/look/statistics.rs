@@ -13,7 +13,7 @@ const SAMPLE_POINTS: usize = 1 << 14;
 
 /// A sample of a cloud's points. Cheap to clone.
 #[derive(Clone)]
-pub(crate) struct Statistics {
+pub(super) struct Statistics {
     sample: Arc<Sample>,
     /// Radii are those of the sample, times this.
     radius_scale: f64,

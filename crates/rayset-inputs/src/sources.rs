@@ -6,31 +6,35 @@ use anyhow::Result;
 use rayset::points::{self, PointSource, ReadOptions};
 use rayset::volumes::VolumeSource;
 
-use crate::report;
+use crate::host::Host;
 
 /// Opens files of points as the sources of one cloud.
-pub(crate) fn open_points(files: &[PathBuf], options: &ReadOptions) -> Result<Vec<Box<dyn PointSource>>> {
+pub fn open_points(
+    files: &[PathBuf],
+    options: &ReadOptions,
+    host: &dyn Host,
+) -> Result<Vec<Box<dyn PointSource>>> {
     let mut sources = Vec::new();
     for file in files {
         let source = points::open(file, options)?;
         for warning in &source.schema().warnings {
-            report::remark(format_args!("{}: {warning}", file.display()));
+            host.remark(&format!("{}: {warning}", file.display()));
         }
         sources.push(source);
     }
-    remark_on_systems(&sources);
+    remark_on_systems(&sources, host);
     Ok(sources)
 }
 
 /// Says so if sources have different reference systems, whose coordinates do not belong together.
-fn remark_on_systems(sources: &[Box<dyn PointSource>]) {
+fn remark_on_systems(sources: &[Box<dyn PointSource>], host: &dyn Host) {
     let mut systems: Vec<&str> = sources.iter().map(|source| &*source.schema().crs).collect();
     systems.retain(|system| !system.is_empty());
     systems.sort_unstable();
     systems.dedup();
     if let [first, second, ..] = systems[..] {
         let name = |system: &str| system.chars().take(60).collect::<String>();
-        report::remark(format_args!(
+        host.remark(&format!(
             "the inputs have {} reference systems, {} and {} among them, and are put together as they are; `pdal translate` \
              with filters.reprojection brings them into one",
             systems.len(),
@@ -41,7 +45,7 @@ fn remark_on_systems(sources: &[Box<dyn PointSource>]) {
 }
 
 /// Whether one of some files is a volume.
-pub(crate) fn has_volume(files: &[PathBuf]) -> Result<bool> {
+pub fn has_volume(files: &[PathBuf]) -> Result<bool> {
     for file in files {
         if VolumeSource::is_volume(file)? {
             return Ok(true);
@@ -51,8 +55,8 @@ pub(crate) fn has_volume(files: &[PathBuf]) -> Result<bool> {
 }
 
 /// Says what the reader of a volume chose, and what it knows of the volume.
-pub(crate) fn remark_about(file: &Path, source: &VolumeSource) {
+pub fn remark_about(file: &Path, source: &VolumeSource, host: &dyn Host) {
     for sentence in &source.about {
-        report::remark(format_args!("{}: {sentence}", file.display()));
+        host.remark(&format!("{}: {sentence}", file.display()));
     }
 }

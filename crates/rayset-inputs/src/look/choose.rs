@@ -15,27 +15,27 @@ use super::statistics::{Statistics, percentile};
 use super::view::CameraArgs;
 
 /// A scene chosen for an input.
-pub(crate) struct Chosen {
+pub struct Chosen {
     /// The scene, as a scene file has it.
-    pub(crate) scene: Value,
+    pub scene: Value,
     /// What was chosen, and why.
-    pub(crate) line: String,
+    pub line: String,
     /// The name of the look.
-    pub(crate) look: &'static str,
+    pub look: &'static str,
     /// What is up, and why.
-    pub(crate) up: String,
+    pub up: String,
     /// What opacity is over at some places, estimated.
-    pub(crate) densities: Densities,
+    pub densities: Densities,
 }
 
 /// Estimates that cost a while, made when they are asked for.
-pub(crate) type Densities = Box<dyn FnOnce() -> Vec<f64>>;
+type Densities = Box<dyn FnOnce() -> Vec<f64>>;
 
 /// Rays along each side of a pixel if nothing is said: edges are smooth.
 const SAMPLES: u32 = 2;
 
 /// The scene of a cloud, for a picture of `size`.
-pub(crate) fn of_cloud(
+pub fn of_cloud(
     cloud: &Arc<Cloud>,
     look: &LookArgs,
     camera: &CameraArgs,
@@ -45,50 +45,69 @@ pub(crate) fn of_cloud(
 }
 
 /// The scene of a grid, for a picture of `size`.
-pub(crate) fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+pub fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
     of_sampled_grid(grid, &GridLook::choose(grid, camera.given_up())?, look, camera, size)
 }
 
 /// A cloud or grid whose look is chosen again and again: what was sampled is kept.
-pub(crate) enum Looks {
+pub struct Looks(Sampled);
+
+enum Sampled {
     Cloud(Arc<Cloud>, Statistics),
     Grid(Box<Grid>, Box<GridLook>),
 }
 
 impl Looks {
-    pub(crate) fn of_cloud(cloud: Arc<Cloud>) -> Result<Self> {
+    /// Of a cloud, of which a sample is read.
+    ///
+    /// # Errors
+    /// If a page cannot be read or is damaged.
+    pub fn of_cloud(cloud: Arc<Cloud>) -> Result<Self> {
         let statistics = Statistics::of(&cloud)?;
-        Ok(Self::Cloud(cloud, statistics))
+        Ok(Self(Sampled::Cloud(cloud, statistics)))
     }
 
-    /// `camera` says what is up.
-    pub(crate) fn of_grid(grid: Box<Grid>, camera: &CameraArgs) -> Result<Self> {
+    /// Of a grid; `camera` says what is up.
+    ///
+    /// # Errors
+    /// As [`of_cloud`](Self::of_cloud).
+    pub fn of_grid(grid: Box<Grid>, camera: &CameraArgs) -> Result<Self> {
         let chosen = GridLook::choose(&grid, camera.given_up())?;
-        Ok(Self::Grid(grid, Box::new(chosen)))
+        Ok(Self(Sampled::Grid(grid, Box::new(chosen))))
+    }
+
+    /// The cloud; `None` of a grid.
+    pub fn cloud(&self) -> Option<&Arc<Cloud>> {
+        match &self.0 {
+            Sampled::Cloud(cloud, _) => Some(cloud),
+            Sampled::Grid(..) => None,
+        }
     }
 
     /// The names of looks that there are for it; not all of them for every cloud.
-    pub(crate) fn names(&self) -> Vec<&'static str> {
+    pub fn names(&self) -> Vec<&'static str> {
         let all = LookName::value_variants().iter();
         let is_for_grids = |look: &LookName| *look == LookName::Volume;
-        all.filter(|look| is_for_grids(look) == matches!(self, Self::Grid(..)))
+        all.filter(|look| is_for_grids(look) == matches!(self.0, Sampled::Grid(..)))
             .map(|look| look.name())
             .collect()
     }
 
     /// The scene in a look, for a picture of `size`.
-    pub(crate) fn chosen(&self, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
-        match self {
-            Self::Cloud(cloud, statistics) => of_sampled_cloud(cloud, statistics.clone(), look, camera, size),
-            Self::Grid(grid, chosen) => of_sampled_grid(grid, chosen, look, camera, size),
+    pub fn chosen(&self, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+        match &self.0 {
+            Sampled::Cloud(cloud, statistics) => {
+                of_sampled_cloud(cloud, statistics.clone(), look, camera, size)
+            }
+            Sampled::Grid(grid, chosen) => of_sampled_grid(grid, chosen, look, camera, size),
         }
     }
 
     /// The values of a stored attribute or a coordinate in a sample; of a grid its values without the background.
-    pub(crate) fn values(&self, name: &str) -> Vec<f64> {
-        match self {
-            Self::Cloud(_, statistics) => statistics.sorted(name),
-            Self::Grid(_, chosen) => chosen.shown.clone(),
+    pub fn values(&self, name: &str) -> Vec<f64> {
+        match &self.0 {
+            Sampled::Cloud(_, statistics) => statistics.sorted(name),
+            Sampled::Grid(_, chosen) => chosen.shown.clone(),
         }
     }
 }
@@ -104,7 +123,8 @@ fn of_sampled_cloud(
         bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
     }
     let mut look = look.clone();
-    let enlarged = if look.radius_scale.is_none() { radii_to_be_seen(cloud, &statistics, &look) } else { None };
+    let enlarged =
+        if look.radius_scale.is_none() { radii_to_be_seen(cloud, &statistics, &look) } else { None };
     look.radius_scale = look.radius_scale.or(enlarged);
     let (cloud, statistics) = match look.radius_scale {
         // Densities, and the lengths that opacity refers to, are those of the radii that are shown.

@@ -11,8 +11,10 @@ use rayset::volumes::VolumeSource;
 use rayset::{Cloud, Grid, points};
 
 /// A file built by rayset.
-pub(crate) enum Built {
+pub enum Built {
+    /// Of points.
     Cloud(Arc<Cloud>),
+    /// Of voxels.
     Grid(Box<Grid>),
 }
 
@@ -30,7 +32,7 @@ const NO_SCENES: [&str; 9] = [
 ];
 
 /// Whether a file is a scene: by its name, or because it begins as JSON does.
-pub(super) fn is_scene(path: &Path) -> Result<bool> {
+pub fn is_scene(path: &Path) -> Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     if NO_SCENES.iter().any(|ending| name.ends_with(ending)) {
         return Ok(false);
@@ -39,7 +41,7 @@ pub(super) fn is_scene(path: &Path) -> Result<bool> {
 }
 
 /// Whether a file was built by rayset, or was going to be.
-pub(super) fn is_built(path: &Path) -> Result<bool> {
+pub fn is_built(path: &Path) -> Result<bool> {
     let head = head(path)?;
     let named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("rset"));
     Ok(named || [FileKind::Cloud, FileKind::Grid].iter().any(|kind| head == kind.magic()))
@@ -56,7 +58,7 @@ fn head(path: &Path) -> Result<Vec<u8>> {
 }
 
 /// Opens a cloud or a grid.
-pub(crate) fn open_built(path: &Path) -> Result<Built> {
+pub fn open_built(path: &Path) -> Result<Built> {
     let doing = || format!("cannot open {}", path.display());
     let metadata = std::fs::metadata(path).with_context(doing)?;
     if metadata.is_dir() {

@@ -11,7 +11,7 @@ use crate::values;
 /// What a cloud or grid is to look like; a scene says all of this itself.
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Look of a cloud or grid (a scene file says this itself)")]
-pub(crate) struct LookArgs {
+pub struct LookArgs {
     /// Look; chosen from the data by default, and said
     #[arg(long, value_enum)]
     pub(super) look: Option<LookName>,
@@ -71,7 +71,7 @@ pub(crate) struct LookArgs {
 
 /// A look.
 #[derive(Clone, Copy, ValueEnum, PartialEq, Eq, Debug)]
-pub(crate) enum LookName {
+pub(super) enum LookName {
     /// The field itself: density up to 1 is opacity, lit from the eye
     Density,
     /// Solid surfaces in the points' own colours, or plain
@@ -172,7 +172,7 @@ fn stop(text: &str) -> Result<f64, String> {
 
 impl LookArgs {
     /// The first option of these that was given.
-    pub(crate) fn given(&self) -> Option<&'static str> {
+    pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--look", self.look.is_some()),
             ("--kernel", self.kernel.is_some()),
@@ -197,7 +197,7 @@ impl LookArgs {
     }
 
     /// The options as one would type them.
-    pub(crate) fn words(&self) -> Vec<String> {
+    pub fn words(&self) -> Vec<String> {
         let named =
             |value: Option<clap::builder::PossibleValue>| value.map(|value| value.get_name().to_owned());
         let number = |value: Option<f64>| value.map(|value| value.to_string());

@@ -15,39 +15,43 @@ use super::columns;
 use super::files;
 use super::kinds::{self, Built};
 use super::sources::{has_volume, open_points, remark_about};
-use crate::memory::PROCESS_BYTES;
-use crate::outputs::Outputs;
-use crate::progress::{Meter, Told};
-use crate::{budget, report};
+use crate::host::{Host, Reported};
+use crate::text;
 
 /// What an input is.
-pub(crate) enum Input {
+pub enum Input {
+    /// A scene file, which is not opened yet.
     Scene(PathBuf),
+    /// Points.
     Cloud(Arc<Cloud>),
+    /// Voxels.
     Grid(Box<Grid>),
 }
 
 /// An opened input, with every file that it was read from.
-pub(crate) struct Opened {
-    pub(crate) input: Input,
-    pub(crate) files: Vec<PathBuf>,
+pub struct Opened {
+    /// What it is.
+    pub input: Input,
+    /// The files, and what was built of them.
+    pub files: Vec<PathBuf>,
     /// Removed with this, if nothing is kept.
     _place: Option<Place>,
 }
 
 /// The resources that building may use.
 #[derive(Clone, Copy)]
-pub(crate) struct Resources<'a> {
-    /// Of the whole process.
-    pub(crate) memory: u64,
-    pub(crate) threads: Option<usize>,
-    /// Is told how far building is.
-    pub(crate) told: Told<'a>,
+pub struct Resources<'a> {
+    /// Most bytes that a build allocates.
+    pub memory: u64,
+    /// As many as there are processors if `None`.
+    pub threads: Option<usize>,
+    /// Who asks.
+    pub host: &'a dyn Host,
 }
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
-pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
-    let files = files::expand(inputs)?;
+pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+    let files = files::expand(inputs, resources.host)?;
     if let [file] = files.as_slice() {
         if kinds::is_scene(file)? {
             return Ok(Opened { input: Input::Scene(file.clone()), files, _place: None });
@@ -77,32 +81,34 @@ fn built(path: &Path) -> Result<Input> {
 
 /// Builds files of points or voxels, unless that has been done before.
 fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
-    let place = cache.place(&files, "default")?;
+    let place = cache.place(&files, "default", resources.host)?;
     if let Place::Kept(path) = &place
         && path.exists()
     {
         // One that does not open was damaged: it is built again.
         if let Ok(input) = built(path) {
             cache::touch(path);
-            report::remark(format_args!("using {}, built before", path.display()));
+            resources.host.remark(&format!("using {}, built before", path.display()));
             return Ok(Opened { input, files: with(files, path), _place: None });
         }
         std::fs::remove_file(path).with_context(|| format!("cannot replace {}", path.display()))?;
     }
     let started = Instant::now();
-    Outputs::beside(&files).add(place.path(), None)?;
+    resources.host.writes(place.path(), &files)?;
     build(&files, place.path(), resources)?;
     let input = built(place.path())?;
     let seconds = started.elapsed().as_secs_f64();
     match &place {
         Place::Kept(path) => {
-            cache.prune(path);
-            report::remark(format_args!(
+            cache.prune(path, resources.host);
+            resources.host.remark(&format!(
                 "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",
                 path.display()
             ));
         }
-        Place::Temporary { .. } => report::remark(format_args!("built in {seconds:.1} s; nothing is kept")),
+        Place::Temporary { .. } => {
+            resources.host.remark(&format!("built in {seconds:.1} s; nothing is kept"));
+        }
     }
     Ok(Opened { input, files: with(files, place.path()), _place: Some(place) })
 }
@@ -113,7 +119,7 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
 }
 
 fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<()> {
-    let memory = resources.memory.saturating_sub(PROCESS_BYTES);
+    let Resources { memory, host, .. } = resources;
     if has_volume(files)? {
         let [file] = files else {
             bail!(
@@ -122,31 +128,30 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<(
             )
         };
         let source = VolumeSource::open(file)?;
-        remark_about(file, &source);
-        let meter = Meter::new("slices", false).telling(resources.told);
-        let control = BuildControl::from(&meter as &dyn Progress);
+        remark_about(file, &source, host);
         let options = GridBuildOptions::default().with_memory_bytes(memory);
-        let done = build::grid_to_file(source, output, &options, &control);
-        meter.finish();
-        done.map_err(|e| budget::name_smallest_grid_budget(e, resources.memory))?;
+        build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
         return Ok(());
     }
     let options = BuildOptions::default().with_memory_bytes(memory);
     let threads = resources.threads.unwrap_or(options.threads);
-    let sources = open_points(files, &ReadOptions::default())?;
+    let sources = open_points(files, &ReadOptions::default(), host)?;
     let columns = columns::customary(&sources);
     if let Some(remark) = columns.remark() {
-        report::remark(remark);
+        resources.host.remark(&remark);
     }
     let options = options.with_attributes(columns.kept);
-    let meter = Meter::new("points", false).telling(resources.told);
-    let control = BuildControl::from(&meter as &dyn Progress);
-    let done = build::to_file(sources, output, &options.with_threads(threads), &control);
-    meter.finish();
-    let done = done.map_err(|e| budget::name_smallest_budget(e, resources.memory))?;
+    let reported = Reported { host, unit: "points" };
+    let done = build::to_file(sources, output, &options.with_threads(threads), &control(&reported))?;
     let skipped = done.skipped.total();
     if skipped > 0 {
-        report::remark(format_args!("skipped {} invalid records", report::count(skipped)));
+        resources.host.remark(&format!("skipped {} invalid records", text::count(skipped)));
     }
     Ok(())
+}
+
+fn control<'a>(reported: &'a Reported<'_>) -> BuildControl<'a> {
+    let mut control = BuildControl::from(reported as &dyn Progress);
+    control.cancel = reported.host.cancel();
+    control
 }

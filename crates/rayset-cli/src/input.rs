@@ -1,0 +1,79 @@
+//! What commands take as their input, opened within the memory of the process, with the program's ways of telling and cleaning up.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use rayset::build::{BuildError, GridBuildError};
+use rayset_inputs::{CacheArgs, Host, Opened};
+
+use crate::interrupts::TemporaryFolder;
+use crate::memory::PROCESS_BYTES;
+use crate::outputs::Outputs;
+use crate::progress::{Meter, Told};
+use crate::{budget, report};
+
+/// The resources that building may use.
+#[derive(Clone, Copy)]
+pub(crate) struct Resources<'a> {
+    /// Of the whole process.
+    pub(crate) memory: u64,
+    pub(crate) threads: Option<usize>,
+    /// Is told how far building is.
+    pub(crate) told: Told<'a>,
+}
+
+/// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
+pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+    let Resources { memory, threads, told } = resources;
+    let program = Program { meter: Meter::new("", false).telling(told) };
+    let building = memory.saturating_sub(PROCESS_BYTES);
+    let resources = rayset_inputs::Resources { memory: building, threads, host: &program };
+    let opened = rayset_inputs::open(inputs, cache, resources);
+    program.meter.finish();
+    opened.map_err(|error| name_smallest_budget(error, memory))
+}
+
+/// Errors of a build whose budget is too small name the budget of the process.
+fn name_smallest_budget(error: anyhow::Error, memory: u64) -> anyhow::Error {
+    match error.downcast::<BuildError>().map_err(|error| error.downcast::<GridBuildError>()) {
+        Ok(error) => budget::name_smallest_budget(error, memory),
+        Err(Ok(error)) => budget::name_smallest_grid_budget(error, memory),
+        Err(Err(other)) => other,
+    }
+}
+
+/// The program as the host of inputs.
+pub(crate) struct Program<'a> {
+    meter: Meter<'a>,
+}
+
+impl Program<'_> {
+    /// One that shows no progress.
+    pub(crate) fn quiet() -> Self {
+        Self { meter: Meter::new("", true) }
+    }
+}
+
+impl Host for Program<'_> {
+    fn remark(&self, text: &str) {
+        report::remark(text);
+    }
+
+    fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64) {
+        self.meter.show_in(unit, doing, done, total);
+    }
+
+    fn temporary_folder(&self) -> Result<Box<dyn rayset_inputs::TemporaryFolder>> {
+        Ok(Box::new(TemporaryFolder::new("input")?))
+    }
+
+    fn writes(&self, output: &Path, inputs: &[PathBuf]) -> Result<()> {
+        Outputs::beside(inputs).add(output, None).map(drop)
+    }
+}
+
+impl rayset_inputs::TemporaryFolder for TemporaryFolder {
+    fn path(&self) -> &Path {
+        self.path()
+    }
+}

@@ -1,0 +1,62 @@
+//! Who asks for an input.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use rayset::CancelToken;
+use rayset::build::{Progress, Stage};
+
+/// The program or package that asks for an input: it hears what there is to say, and looks after what is not finished.
+pub trait Host: Sync {
+    /// Something that a person should know.
+    fn remark(&self, text: &str);
+
+    /// How far a build is: what is counted, what is being done, how much of it is done, and how much there is.
+    fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64);
+
+    /// What a build asks whether it is still wanted.
+    fn cancel(&self) -> CancelToken {
+        CancelToken::new()
+    }
+
+    /// A folder for what is not to be kept, which is removed when the value is dropped.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    fn temporary_folder(&self) -> Result<Box<dyn TemporaryFolder>>;
+
+    /// Is told of a file that is about to be written, of what it is made.
+    ///
+    /// # Errors
+    /// If it must not be written.
+    fn writes(&self, output: &Path, inputs: &[PathBuf]) -> Result<()>;
+}
+
+/// A folder that is removed when this is dropped.
+pub trait TemporaryFolder: Send + Sync {
+    /// Where it is.
+    fn path(&self) -> &Path;
+}
+
+/// The progress of a build, as hosts are told of it.
+pub(crate) struct Reported<'a> {
+    pub(crate) host: &'a dyn Host,
+    pub(crate) unit: &'static str,
+}
+
+impl Progress for Reported<'_> {
+    fn update(&self, stage: Stage, done: u64, total: u64) {
+        self.host.progress(self.unit, stage_name(stage), done, total);
+    }
+}
+
+/// What is done in a stage of a build, in a word.
+#[must_use]
+pub fn stage_name(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Read => "reading",
+        Stage::Spacing => "spacing",
+        Stage::Write => "writing",
+        _ => "building",
+    }
+}

@@ -1,0 +1,24 @@
+//! From what a person has to a scene: opens any input, building what has not been built into a cache, and chooses what it looks
+//! like. The program and the Python package are front ends over this.
+//!
+//! [`open()`] takes scenes, built clouds and grids, and files of points or voxels of any kind, folders and patterns among them.
+//! [`look`] makes a scene of a cloud or a grid by what is in it.
+
+mod cache;
+mod columns;
+mod files;
+mod host;
+mod kinds;
+pub mod look;
+mod open;
+mod sources;
+pub mod text;
+pub mod values;
+
+pub use self::cache::CacheArgs;
+pub use self::columns::{Columns, customary as customary_columns, of_all as all_columns};
+pub use self::files::expand;
+pub use self::host::{Host, TemporaryFolder, stage_name};
+pub use self::kinds::{Built, is_built, is_scene, open_built};
+pub use self::open::{Input, Opened, Resources, open};
+pub use self::sources::{has_volume, open_points, remark_about};
