@@ -52,6 +52,18 @@ impl Place {
 }
 
 impl CacheArgs {
+    /// A cache in `folder`, or in the user's folder for caches.
+    #[must_use]
+    pub fn in_folder(folder: Option<PathBuf>) -> Self {
+        Self { cache: folder, ..Self::default() }
+    }
+
+    /// None: what is built goes with what was opened.
+    #[must_use]
+    pub fn none() -> Self {
+        Self { no_cache: true, ..Self::default() }
+    }
+
     /// The place of what is built of `inputs` with `options`, a text that says what they are.
     pub(super) fn place(&self, inputs: &[PathBuf], options: &str, host: &dyn Host) -> Result<Place> {
         let name = entry_name(inputs, options)?;
