@@ -132,8 +132,11 @@ fn of_sampled_cloud(
         None => (cloud, statistics),
     };
     let chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
-    let mut scene =
-        around(chosen.root(cloud, &path_text(cloud.path())?), &chosen.orientation.reason_and_up(), size);
+    let mut scene = around(
+        chosen.root(cloud, &name_in_scene(cloud.path(), cloud.storage().is_some())?),
+        &chosen.orientation.reason_and_up(),
+        size,
+    );
     chosen.dress(cloud, &mut scene);
     scene["camera"] = camera.scene(&chosen.orientation, &chosen.points(), aspect(size))?;
     let header = cloud.header();
@@ -205,7 +208,11 @@ fn of_sampled_grid(
     if let Some(name) = look.look.filter(|name| *name != LookName::Volume) {
         bail!("--look {} is for points; the input has voxels, whose look is volume", name.name());
     }
-    let mut scene = around(chosen.root(&path_text(grid.path())?), &chosen.orientation.reason_and_up(), size);
+    let mut scene = around(
+        chosen.root(&name_in_scene(grid.path(), grid.storage().is_some())?),
+        &chosen.orientation.reason_and_up(),
+        size,
+    );
     chosen.dress(&mut scene);
     scene["camera"] = camera.scene(&chosen.orientation, &chosen.points, aspect(size))?;
     let input = Input {
@@ -243,9 +250,10 @@ fn aspect((width, height): (u32, u32)) -> f64 {
     f64::from(width) / f64::from(height)
 }
 
-/// The path of a file for a scene that may be rendered from anywhere.
-fn path_text(path: &Path) -> Result<String> {
-    let path = std::fs::canonicalize(path).with_context(|| format!("cannot open {}", path.display()))?;
+/// The path of a file for a scene that may be rendered from anywhere; what is in memory has its name.
+fn name_in_scene(path: &Path, in_memory: bool) -> Result<String> {
+    let whole = if in_memory { Ok(path.to_owned()) } else { std::fs::canonicalize(path) };
+    let path = whole.with_context(|| format!("cannot open {}", path.display()))?;
     let Some(text) = path.to_str() else {
         bail!("{}: a path that is not UTF-8 cannot stand in a scene; rename the file", path.display())
     };

@@ -1,0 +1,261 @@
+"""Clouds and grids of arrays."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import warnings
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from . import _arguments, _arrays, _native
+from ._errors import RaysetWarning
+from ._objects import Cloud, Grid
+from ._progress import Progress, Told
+
+#: Bytes of a slab of voxels.
+_SLAB = 8 << 20
+
+
+def build(
+    positions: Any,
+    *,
+    radius: Any = None,
+    weight: Any = None,
+    color: Any = None,
+    attributes: Mapping[str, Any] | None = None,
+    classes: Sequence[str] = (),
+    path: _arguments.PathLike | None = None,
+    memory: int | str | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+    invalid: str = "skip",
+    precision: float | str | None = None,
+    radius_scale: float = 1.0,
+    temp_dir: _arguments.PathLike | None = None,
+) -> Cloud:
+    """Builds a cloud of points.
+
+    Parameters
+    ----------
+    positions
+        N rows of three coordinates, in any real type and layout; a table (pandas, polars, pyarrow, astropy, a structured array, a
+        dictionary) with columns ``x``, ``y``, ``z`` whose other columns become radii, weights, colours and attributes by their
+        names; or an *iterator* of such arrays and tables, which is built a chunk at a time and may hold more than memory does.
+        Arrays of ``float32`` and ``float64`` are read where they lie; do not change them meanwhile.
+    radius
+        Radius of influence: a number, an array, or ``"auto"`` (the default): 0.85 times the distance of each point's eighth neighbour.
+        Quantities (astropy, unyt) are converted to the unit of the positions.
+    weight
+        A number or an array; 1 by default.
+    color
+        N rows of red, green and blue: bytes, ``uint16``, or floating-point numbers from 0 to 1, as screens show them.
+    attributes
+        Arrays by name, of whole or floating-point numbers; units of quantities are kept.
+    classes
+        Names of attributes that are labels, which are never averaged. Those of booleans are.
+    path
+        The file to build; it appears under its name when it is complete. In memory if ``None``.
+    memory
+        Most bytes that the build allocates, as ``"8GiB"``; 1 GiB by default. What does not fit goes through temporary files in
+        ``temp_dir``, or beside the output. Arrays, and a cloud in memory, are not counted.
+    progress
+        ``True`` for a bar, or a callable of what is being done, how much of it is done, and how much there is.
+    invalid
+        ``"skip"``: points whose position, radius or weight is not a usable number are left out, with a warning; those too large to be
+        stored are an error. ``"skip-all"`` leaves these out, too; ``"raise"`` makes an error of the first.
+    precision
+        How exactly positions are stored: a fraction of the radius (1/4096), or ``"exact"``.
+
+    Raises
+    ------
+    BuildError, MemoryBudgetError, ValueError, TypeError
+    """
+    if invalid not in ("skip", "skip-all", "raise"):
+        raise ValueError(f"invalid={invalid!r}: expected \"skip\", \"skip-all\" or \"raise\"")
+    if isinstance(classes, str):
+        raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
+    rule, radii = _rule(radius, "radius")
+    constant, weights = _rule(weight, "weight")
+    options = {
+        "path": None if path is None else str(_arguments.path(path, "path")),
+        "radius": rule,
+        "weight": constant,
+        "radius_scale": _arguments.number(radius_scale, "radius_scale", 1e-18),
+        "invalid": invalid,
+        "precision": _precision(precision),
+        "memory": _arguments.memory_bytes(memory),
+        "threads": _arguments.thread_count(threads),
+        "temp_dir": None if temp_dir is None else str(_arguments.path(temp_dir, "temp_dir")),
+    }
+    names = tuple(classes)
+    with Told(progress) as told:
+        if isinstance(positions, Iterator):
+            if radii is not None or weights is not None or color is not None or attributes:
+                raise TypeError("chunks bring their own columns: yield {\"positions\": ..., \"radius\": ..., \"T\": ...} instead of arrays")
+            built, skipped = _from_chunks(positions, names, options, told)
+        else:
+            points = _points(positions, radii, weights, color, attributes, names)
+            options["attributes"] = [one.name for one in points.columns if one.name not in _arrays.OWN]
+            columns = [(one.named(), one.values) for one in points.columns]
+            built, skipped = _native.build_arrays(points.positions, columns, options, told)
+    _warn_of(skipped)
+    return Cloud(built)
+
+
+def _points(
+    where: Any, radius: Any, weight: Any, color: Any, attributes: Mapping[str, Any] | None, classes: tuple[str, ...]
+) -> _arrays.Points:
+    is_plain = isinstance(where, np.ndarray) and not where.dtype.names
+    table = None if is_plain or isinstance(where, (list, tuple)) else _arrays.table(where)
+    if table is None:
+        return _arrays.gather(where, radius, weight, color, attributes, classes)
+    own = {"radius": radius, "weight": weight, "color": color}
+    table |= {name: value for name, value in own.items() if value is not None}
+    table |= attributes or {}
+    points = _arrays.from_table(table, classes)
+    if points is None:
+        raise TypeError(f"positions: expected an array, a table or an iterator, and got {type(where).__name__}")
+    return points
+
+
+def _from_chunks(
+    chunks: Iterator[Any], classes: tuple[str, ...], options: dict[str, Any], told: Any
+) -> tuple[_native.CloudFile, tuple[int, int, int]]:
+    for number, chunk in enumerate(chunks, start=1):
+        first = _arrays.of_chunk(chunk, classes, number)
+        if len(first.positions):
+            break
+    else:
+        raise ValueError("the iterator of chunks yields no points; an iterator can be used only once")
+    options["attributes"] = [one.name for one in first.columns if one.name not in _arrays.OWN]
+    names = [one.named() for one in first.columns]
+    example = (first.positions[:0], [one.values[:0] for one in first.columns])
+    return _native.build_chunks(example, names, _arrays.chunks(first, chunks, classes), options, told)
+
+
+def _rule(value: Any, name: str) -> tuple[Any, Any]:
+    """A rule for all points, or an array of a value for each."""
+    if value is None:
+        return None, None
+    if isinstance(value, str):
+        if name == "radius":
+            return value, None
+        raise TypeError(f"{name}={value!r}: expected a number or an array")
+    if np.ndim(value) == 0 and _arrays.unit_of(value) is None:
+        return _arguments.number(value, name, 1e-18 if name == "radius" else -1e18), None
+    if np.ndim(value) == 0:
+        raise TypeError(f"{name}={value!r}: a quantity has to be an array, one for each point, or a plain number")
+    return None, value
+
+
+def _precision(value: float | str | None) -> float | None:
+    if value is None:
+        return 1 / 4096
+    if value == "exact":
+        return None
+    if isinstance(value, str):
+        raise ValueError(f"precision={value!r}: expected a fraction of the radius, as in 0.001, or \"exact\"")
+    return _arguments.number(value, "precision", 1e-12, 1.0)
+
+
+def _warn_of(skipped: Sequence[int]) -> None:
+    reasons = ("no usable position", "no positive radius", "no finite weight")
+    found = [f"{count} have {reason}" for count, reason in zip(skipped, reasons) if count]
+    if found:
+        warnings.warn(f"skipped {sum(skipped)} points: {', '.join(found)}", RaysetWarning, stacklevel=3)
+
+
+def build_grid(
+    voxels: Any,
+    *,
+    spacing: float | Sequence[float] = 1.0,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    matrix: Any = None,
+    path: _arguments.PathLike | None = None,
+    memory: int | str | None = None,
+    progress: Progress = False,
+) -> Grid:
+    """Builds a grid of voxels.
+
+    Parameters
+    ----------
+    voxels
+        An array of three axes, indexed ``[z, y, x]``, of any real type: whole numbers of up to 16 bits are kept, others become
+        ``float32``, and what is not finite 0. Arrays that are read by slicing (zarr, h5py, dask, xarray) are read a slab at a time.
+    spacing, origin
+        Distances between voxels, and the centre of the first, along x, y and z.
+    matrix
+        In place of both: three rows of four, from indices of voxels (x, y, z) to the space of the grid.
+    path
+        The file to build; by default a temporary one, which goes with the grid.
+    memory
+        Most bytes that the build allocates; 256 MiB by default.
+    """
+    shape = tuple(getattr(voxels, "shape", np.shape(voxels)))
+    if len(shape) != 3:
+        raise ValueError(f"voxels: expected an array of three axes, [z, y, x], and got the shape {shape}")
+    kind = np.dtype(getattr(voxels, "dtype", np.float64))
+    if kind.kind not in "buif":
+        raise TypeError(f"voxels: an array of {kind} where numbers were expected")
+    stored = {"b": ("u8", np.uint8)}.get(kind.kind) or {
+        ("u", 1): ("u8", np.uint8),
+        ("i", 1): ("i16", np.int16),
+        ("i", 2): ("i16", np.int16),
+        ("u", 2): ("u16", np.uint16),
+    }.get((kind.kind, kind.itemsize), ("f32", np.float32))
+    if not hasattr(voxels, "__getitem__") or isinstance(voxels, (list, tuple)):
+        voxels = np.asarray(voxels)
+    size, rows = [shape[2], shape[1], shape[0]], _matrix(spacing, origin, matrix)
+    budget = _arguments.memory_bytes(memory)
+    # Goes with the grid, or with what is raised.
+    kept = TemporaryFile() if path is None else None
+    where = str(_arguments.path(path, "path")) if kept is None else kept.name
+    with Told(progress) as told:
+        made = _native.build_grid(_slabs(voxels, shape, stored[1]), size, stored[0], rows, where, budget, told)
+    return Grid(made, kept)
+
+
+class TemporaryFile:
+    """The name of a file that is removed when nobody has this any more."""
+
+    def __init__(self, suffix: str = ".rset") -> None:
+        handle, self.name = tempfile.mkstemp(prefix="rayset-", suffix=suffix)
+        os.close(handle)
+        weakref.finalize(self, _remove, self.name, os.getpid())
+
+
+def _remove(name: str, process: int) -> None:
+    # A forked process has the same name, and does not own the file.
+    if os.getpid() == process:
+        with contextlib.suppress(OSError):
+            os.remove(name)
+
+
+def _slabs(voxels: Any, shape: tuple[int, ...], kind: Any) -> Iterator[bytes]:
+    """The bytes of slabs of voxels, x fastest, little-endian."""
+    rows = max(1, _SLAB // max(1, shape[1] * shape[2] * 8))
+    little = np.dtype(kind).newbyteorder("<")
+    for at in range(0, shape[0], rows):
+        slab = np.asarray(voxels[at : at + rows])
+        if little.kind == "f":
+            with np.errstate(over="ignore"):
+                slab = np.nan_to_num(slab.astype(np.float32, copy=False), nan=0.0, posinf=0.0, neginf=0.0)
+        yield np.ascontiguousarray(slab, dtype=little).tobytes()
+
+
+def _matrix(spacing: Any, origin: Any, matrix: Any) -> list[list[float]]:
+    if matrix is not None:
+        rows = np.asarray(matrix, dtype=float)
+        if rows.shape == (4, 4):
+            rows = rows[:3]
+        if rows.shape != (3, 4):
+            raise ValueError(f"matrix: expected three rows of four numbers, and got the shape {rows.shape}")
+        return [[float(v) for v in row] for row in rows]
+    steps = [_arguments.number(spacing, "spacing")] * 3 if np.ndim(spacing) == 0 else _arguments.vector(spacing, "spacing")
+    start = _arguments.vector(origin, "origin")
+    return [[steps[k] if j == k else 0.0 for j in range(3)] + [start[k]] for k in range(3)]

@@ -1,0 +1,185 @@
+"""From an object and what is said of its look to a scene."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from . import _arguments
+from ._objects import Cloud, Grid, Object
+from ._parts import Camera, Light
+
+#: What can be said of a look, as the program's options are called. Those with ``True`` are said or not.
+LOOK_OPTIONS: dict[str, str] = {
+    "look": "look",
+    "kernel": "kernel",
+    "normalised": "normalised",
+    "radius_scale": "radius-scale",
+    "opacity": "opacity",
+    "unit_distance": "unit-distance",
+    "color": "color",
+    "colormap": "colormap",
+    "color_by": "color-by",
+    "value_range": "value-range",
+    "log": "log",
+    "shading": "shading",
+    "ambient_occlusion": "ambient-occlusion",
+    "step": "step",
+    "step_fraction": "step-fraction",
+    "phase": "phase",
+    "stop": "stop",
+}
+_FLAGS = ("normalised", "log")
+_VIEWS = ("iso", "front", "back", "left", "right", "top", "bottom")
+#: What a look says of a cloud or a grid itself.
+_OF_LEAF = ("transferFunction", "material", "kernel", "normalised", "radiusScale")
+
+
+def words(options: Mapping[str, Any]) -> list[str]:
+    """What was said of a look, as one would type it."""
+    said = []
+    for name, value in options.items():
+        if value is None or value is False:
+            continue
+        if name not in LOOK_OPTIONS:
+            raise TypeError(f"unknown argument {name!r}; a look has {', '.join(LOOK_OPTIONS)}")
+        option = f"--{LOOK_OPTIONS[name]}"
+        said.append(option if name in _FLAGS else f"{option}={_text(name, value)}")
+    return said
+
+
+def _text(name: str, value: Any) -> str:
+    if name == "value_range" and not isinstance(value, str):
+        low, high = value
+        return f"{low}:{high}"
+    if name == "opacity" and not isinstance(value, str):
+        if isinstance(value, (int, float)):
+            return f"extinction:{value}"
+        return ",".join(f"{x}:{y}" for x, y in value)
+    return str(value)
+
+
+def camera_words(view: Any, direction: Any, up: Any, fovy: Any, orthographic: bool) -> list[str]:
+    """What was said of a camera, as one would type it."""
+    said = []
+    if view is not None:
+        said.append(f"--view={_arguments.choice(view, 'view', _VIEWS)}")
+    if direction is not None:
+        said.append(f"--direction={','.join(map(repr, _arguments.direction(direction, 'direction')))}")
+    if up is not None:
+        said.append(f"--up={up if isinstance(up, str) else ','.join(map(repr, _arguments.direction(up, 'up')))}")
+    if fovy is not None:
+        said.append(f"--fovy={_arguments.number(fovy, 'fovy', 1e-3, 179.0)!r}")
+    if orthographic:
+        said.append("--orthographic")
+    return said
+
+
+def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthographic: bool, size: Any) -> Camera:
+    """See :meth:`Camera.fit`."""
+    if not isinstance(target, Object):
+        raise TypeError(f"Camera.fit: expected a cloud, a grid or an object made of them, and got {type(target).__name__}")
+    data = _framed(target)
+    if data is None:
+        raise ValueError("Camera.fit: there are no points or voxels to frame; say position and look_at")
+    chosen, _, _, _ = data._file.look(camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
+    return Camera.from_json(json.loads(chosen)["camera"])
+
+
+def _framed(target: Object) -> Cloud | Grid | None:
+    """The cloud or grid that is framed: the first, which is what others are taken from."""
+    return next(iter(target._data.values()), None)
+
+
+class Composed:
+    """A scene as a dictionary, what it refers to, and what was said of it."""
+
+    def __init__(self, scene: dict[str, Any], data: Mapping[str, Cloud | Grid], line: str = "") -> None:
+        self.scene = scene
+        self.data = dict(data)
+        self.line = line
+
+
+def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, size: tuple[int, int], camera_said: list[str]) -> Composed:
+    """The scene of an object: clouds and grids that have no transfer function get a look, and the first one's lights, background and
+    settings are those of the whole."""
+    said = words(options)
+    leaves = {name: held for name, held in target._data.items()}
+    chosen: dict[str, dict[str, Any]] = {}
+    line = ""
+    for name, held in leaves.items():
+        text, said_of_it, _, _ = held._file.look([*(said if chosen == {} or isinstance(held, Cloud) else []), *camera_said], size)
+        chosen[name] = json.loads(text)
+        line = line or said_of_it
+    if not chosen:
+        if said:
+            raise ValueError(f"{said[0].lstrip('-')}: looks are for clouds and grids, and this has none")
+        scene: dict[str, Any] = {"rayset": 1, "image": {"size": list(size), "samples": 2}, "root": target.to_json()}
+    else:
+        first = next(iter(chosen.values()))
+        scene = {key: value for key, value in first.items() if key != "root"}
+        scene["root"] = _dressed(target._node, chosen)
+        if not _is_framed_by_first(target):
+            scene["camera"] = {key: first["camera"][key] for key in ("type", "up", "fovy") if key in first["camera"]}
+            scene["camera"]["direction"] = _direction(first["camera"])
+    if camera is not None:
+        scene["camera"] = camera.to_json()
+    return Composed(scene, target._data, line)
+
+
+def _is_framed_by_first(target: Object) -> bool:
+    """Whether all that is seen is of the first cloud or grid where that is: no other is, and nothing is added or moved."""
+    if len(target._data) != 1:
+        return False
+
+    def stays(node: Mapping[str, Any]) -> bool:
+        if "transform" in node:
+            return False
+        kind = node.get("type")
+        if kind in ("cloud", "grid"):
+            return True
+        children = node.get("children", [])
+        if kind == "difference":
+            return stays(children[0])
+        return kind == "intersection" and any(stays(child) for child in children)
+
+    return stays(target._node)
+
+
+def _direction(camera: Mapping[str, Any]) -> list[float]:
+    if "direction" in camera:
+        return list(camera["direction"])
+    return [b - a for a, b in zip(camera["position"], camera["lookAt"])]
+
+
+def _dressed(node: Mapping[str, Any], chosen: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """A node whose clouds and grids have looks."""
+    made = dict(copy.deepcopy(dict(node)))
+    if "children" in made:
+        made["children"] = [_dressed(child, chosen) for child in node["children"]]
+    own = chosen.get(made.get("file", ""))
+    if own is not None and "transferFunction" not in made:
+        root = own["root"]
+        for key in _OF_LEAF:
+            if key in root and key not in made:
+                made[key] = root[key]
+        made.setdefault("comment", root.get("comment", ""))
+    return made
+
+
+def lights_json(lights: Any) -> Any:
+    """Lights as scenes have them."""
+    if lights == "none" or lights is None:
+        return lights
+    if isinstance(lights, Light):
+        lights = [lights]
+    if isinstance(lights, str) or not isinstance(lights, Iterable):
+        raise TypeError(f"lights={lights!r}: expected a list of lights, or \"none\"")
+    found = []
+    for light in lights:
+        if not isinstance(light, (Light, Mapping)):
+            raise TypeError(f"lights: expected lights, and got {light!r}")
+        found.append(light.to_json() if isinstance(light, Light) else dict(light))
+    return found

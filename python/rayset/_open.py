@@ -1,0 +1,84 @@
+"""Files of any kind."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from . import _arguments, _native
+from ._build import TemporaryFile
+from ._objects import Cloud, Grid
+from ._progress import Progress, Told
+from ._scene import Scene
+
+_log = logging.getLogger("rayset")
+#: What a build of a raw file may allocate if nobody says otherwise.
+_MEMORY = 1 << 30
+
+
+def open(
+    source: Any,
+    *,
+    cache: bool | _arguments.PathLike = True,
+    memory: int | str | None = None,
+    threads: int | None = None,
+    progress: Progress = False,
+    temp_dir: _arguments.PathLike | None = None,
+) -> Any:
+    """Opens a cloud, a grid or a scene; or files of points or voxels of any kind that the program reads, which are built first.
+
+    Parameters
+    ----------
+    source
+        A path, a pattern (``"tiles/*.laz"``), a folder, a list of files of points that are one cloud, or the bytes of a file.
+    cache
+        Where what is built is kept: ``True`` for the user's folder for caches, a folder, or ``False`` for a temporary file.
+    memory, threads, temp_dir
+        What a build may use; 1 GiB by default.
+
+    Returns
+    -------
+    Cloud, Grid or Scene
+    """
+    if isinstance(source, (bytes, bytearray, memoryview)):
+        return _of_bytes(bytes(source), memory, threads, progress, temp_dir)
+    files = [source] if isinstance(source, (str, os.PathLike)) else source
+    if not isinstance(files, Sequence):
+        raise TypeError(f"open: expected a path, a list of paths or bytes, and got {type(source).__name__}")
+    if not files:
+        raise ValueError("open: the list of files is empty")
+    paths = [str(_arguments.path(one, "source")) for one in files]
+    keeps = cache is not False
+    folder = None if isinstance(cache, bool) else str(_arguments.path(cache, "cache"))
+    budget = _arguments.memory_bytes(memory) or _MEMORY
+    folder_of_others = None if temp_dir is None else str(_arguments.path(temp_dir, "temp_dir"))
+    with Told(progress) as told:
+        found, remarks = _native.open_files(paths, folder, keeps, folder_of_others, budget, _arguments.thread_count(threads), told)
+    for remark in remarks:
+        _log.info("%s", remark)
+    if isinstance(found, _native.CloudFile):
+        return Cloud(found, None if keeps or _is_built(paths, found) else found)
+    if isinstance(found, _native.GridFile):
+        return Grid(found, None if keeps or _is_built(paths, found) else found)
+    return Scene.load(found)
+
+
+def _is_built(paths: list[str], found: Any) -> bool:
+    """Whether the file is one that was given, and not one that goes with the object."""
+    return paths == [str(found.path)]
+
+
+def _of_bytes(data: bytes, memory: Any, threads: Any, progress: Progress, temp_dir: Any) -> Any:
+    found = _native.open_bytes(data)
+    if isinstance(found, _native.CloudFile):
+        return Cloud(found)
+    if isinstance(found, _native.GridFile):
+        return Grid(found)
+    # Readers take files: this one is gone when the cloud or grid is built.
+    raw = TemporaryFile(".raw")
+    Path(raw.name).write_bytes(data)
+    return open(raw.name, cache=False, memory=memory, threads=threads, progress=progress, temp_dir=temp_dir)
+

@@ -1,0 +1,146 @@
+//! Clouds of arrays and of chunks, in memory or in a file.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use numpy::PyUntypedArray;
+use pyo3::prelude::*;
+use rayset::build::{self, BuildControl, BuildOptions, BuildReport, InvalidPolicy, Precision, Rule};
+use rayset::points::PointSource;
+use rayset::{CancelToken, Cloud};
+
+use crate::arrays::{ArraySource, HeldColumn, HeldPositions, Named};
+use crate::chunks::{Chunk, ChunkSource, Raised};
+use crate::errors::{self, Kind};
+use crate::files::CloudFile;
+use crate::wait::{self, Progress, lock};
+
+/// The options of a build, checked and named by the package.
+#[derive(FromPyObject)]
+pub(crate) struct Options {
+    #[pyo3(item)]
+    path: Option<PathBuf>,
+    /// A number, `auto`, or `None` for a column of that name, or `auto` without one.
+    #[pyo3(item)]
+    radius: Option<RuleArgument>,
+    #[pyo3(item)]
+    weight: Option<f64>,
+    #[pyo3(item)]
+    radius_scale: f64,
+    #[pyo3(item)]
+    attributes: Vec<String>,
+    #[pyo3(item)]
+    invalid: String,
+    /// A fraction of the radius; `None` for exact.
+    #[pyo3(item)]
+    precision: Option<f64>,
+    #[pyo3(item)]
+    memory: Option<u64>,
+    #[pyo3(item)]
+    threads: Option<usize>,
+    #[pyo3(item)]
+    temp_dir: Option<PathBuf>,
+}
+
+#[derive(FromPyObject)]
+enum RuleArgument {
+    Number(f64),
+    Word(String),
+}
+
+impl Options {
+    fn of_library(&self) -> BuildOptions {
+        let defaults = BuildOptions::default();
+        let (memory, threads) = (defaults.memory_bytes, defaults.threads);
+        let radius = self.radius.as_ref().map(|rule| match rule {
+            RuleArgument::Number(radius) => Rule::Number(*radius),
+            RuleArgument::Word(word) if word == "auto" => Rule::Auto,
+            RuleArgument::Word(name) => Rule::Attribute(name.clone()),
+        });
+        defaults
+            .with_radius(radius)
+            .with_weight(self.weight.map(Rule::Number))
+            .with_radius_scale(self.radius_scale)
+            .with_attributes(self.attributes.clone())
+            .with_invalid(match self.invalid.as_str() {
+                "skip-all" => InvalidPolicy::SkipAll,
+                "raise" => InvalidPolicy::Reject,
+                _ => InvalidPolicy::Skip,
+            })
+            .with_precision(self.precision.map_or(Precision::Exact, Precision::Relative))
+            .with_memory_bytes(self.memory.unwrap_or(memory))
+            .with_threads(self.threads.unwrap_or(threads))
+            .with_temp_dir(self.temp_dir.clone())
+    }
+}
+
+/// Builds a cloud of arrays. Returns it with the numbers of records that were skipped for their positions, radii and weights.
+#[pyfunction]
+pub(crate) fn build_arrays(
+    positions: &Bound<'_, PyUntypedArray>,
+    columns: Vec<(Named, Bound<'_, PyUntypedArray>)>,
+    options: Options,
+    told: Option<&Bound<'_, PyAny>>,
+) -> PyResult<(CloudFile, [u64; 3])> {
+    let py = positions.py();
+    let held = HeldPositions::new(positions)?;
+    let held_columns = columns
+        .into_iter()
+        .map(|(named, array)| Ok((HeldColumn::new(&named.name, &array)?, named)))
+        .collect::<PyResult<Vec<_>>>()?;
+    let views = held_columns.iter().map(|(held, named)| (named.clone(), held.view())).collect();
+    let source = ArraySource::new(held.view(), views)?;
+    run(py, Box::new(source), &options, told, &Raised::default())
+}
+
+/// Builds a cloud of an iterator of chunks, as [`build_arrays`].
+#[pyfunction]
+pub(crate) fn build_chunks(
+    py: Python<'_>,
+    first: Chunk,
+    names: Vec<Named>,
+    chunks: Py<PyAny>,
+    options: Options,
+    told: Option<&Bound<'_, PyAny>>,
+) -> PyResult<(CloudFile, [u64; 3])> {
+    let raised = Raised::default();
+    let source = ChunkSource::new(py, &first, names, chunks, raised.clone())?;
+    drop(first);
+    run(py, Box::new(source), &options, told, &raised)
+}
+
+fn run(
+    py: Python<'_>,
+    source: Box<dyn PointSource + '_>,
+    options: &Options,
+    told: Option<&Bound<'_, PyAny>>,
+    raised: &Raised,
+) -> PyResult<(CloudFile, [u64; 3])> {
+    let (cancel, progress) = (CancelToken::new(), Progress::default());
+    let of_library = options.of_library();
+    let work = || {
+        let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
+        match &options.path {
+            Some(path) => {
+                build::to_file(vec![source], path, &of_library, &control).map(|report| (None, report))
+            }
+            None => build::in_memory(vec![source], &of_library, &control)
+                .map(|(cloud, report)| (Some(cloud), report)),
+        }
+    };
+    let outcome = wait::run(py, &cancel, &progress, told, work);
+    if let Some(error) = lock(raised).take() {
+        return Err(error);
+    }
+    let (cloud, report): (Option<Cloud>, BuildReport) =
+        outcome?.map_err(|error| errors::of_build(py, error))?;
+    let cloud = match (cloud, &options.path) {
+        (Some(cloud), _) => CloudFile::in_memory(&cloud).map_err(|error| errors::of_open(py, &error))?,
+        (None, Some(path)) => {
+            CloudFile::on_disk(Arc::new(Cloud::open(path).map_err(|error| errors::of_open(py, &error))?))
+        }
+        (None, None) => return Err(errors::error(py, Kind::Build, "nothing was built")),
+    };
+    let skipped = report.skipped;
+    Ok((cloud, [skipped.position, skipped.radius, skipped.weight]))
+}

@@ -1,0 +1,34 @@
+//! The module `rayset._native`: the engine, as the package's own Python uses it. What people call is in `rayset/*.py`; arguments
+//! come here checked and in one form.
+
+mod arrays;
+mod build;
+mod chunks;
+mod errors;
+mod files;
+mod image;
+mod looks;
+mod render;
+mod voxels;
+mod wait;
+
+use pyo3::prelude::*;
+
+/// Classes and functions of the engine.
+#[pymodule]
+fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<files::CloudFile>()?;
+    module.add_class::<files::GridFile>()?;
+    module.add_class::<image::Picture>()?;
+    module.add_class::<render::Session>()?;
+    module.add_class::<render::Passes>()?;
+    module.add_function(wrap_pyfunction!(build::build_arrays, module)?)?;
+    module.add_function(wrap_pyfunction!(build::build_chunks, module)?)?;
+    module.add_function(wrap_pyfunction!(voxels::build_grid, module)?)?;
+    module.add_function(wrap_pyfunction!(files::open_files, module)?)?;
+    module.add_function(wrap_pyfunction!(files::open_bytes, module)?)?;
+    module.add_function(wrap_pyfunction!(looks::colormap, module)?)?;
+    module.add_function(wrap_pyfunction!(looks::colormaps, module)?)?;
+    module.add_function(wrap_pyfunction!(looks::size_of, module)?)
+}
