@@ -29,9 +29,10 @@ def memory_bytes(value: int | str | None) -> int | None:
             raise ValueError(f"memory={value!r} is not a size; write it as \"64MiB\", \"20MB\" or 1048576") from None
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):
         raise TypeError(f"memory={value!r}: expected a number of bytes, or a text such as \"8GiB\"")
-    if value <= 0:
+    found = int(value)
+    if found <= 0:
         raise ValueError(f"memory={value!r}: expected more than 0 bytes")
-    return int(value)
+    return found
 
 
 def thread_count(value: int | None) -> int | None:
@@ -40,9 +41,10 @@ def thread_count(value: int | None) -> int | None:
         return None
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):
         raise TypeError(f"threads={value!r}: expected a whole number")
-    if not 1 <= value <= 1024:
+    found = int(value)
+    if not 1 <= found <= 1024:
         raise ValueError(f"threads={value!r}: expected 1 to 1024")
-    return int(value)
+    return found
 
 
 def number(value: Any, name: str, least: float = -1e18, most: float = 1e18) -> float:
@@ -62,9 +64,10 @@ def whole(value: Any, name: str, least: int, most: int) -> int:
     """A whole number within bounds."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):
         raise TypeError(f"{name}={value!r}: expected a whole number")
-    if not least <= value <= most:
+    found = int(value)
+    if not least <= found <= most:
         raise ValueError(f"{name}={value!r}: expected {least} to {most}")
-    return int(value)
+    return found
 
 
 def vector(value: Any, name: str) -> list[float]:

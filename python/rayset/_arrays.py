@@ -53,8 +53,13 @@ def plain(value: Any, name: str, unit: Any = None) -> NDArray[Any]:
         except Exception as error:
             raise ValueError(f"{name} is in {own}, which is not a length in {unit}: {error}") from error
     if isinstance(value, np.ma.MaskedArray):
-        value = value.astype(float).filled(np.nan)
-    array = np.asarray(value)
+        value = np.ma.filled(value.astype(float), np.nan)
+    if isinstance(value, (str, bytes)) or hasattr(value, "__fspath__"):
+        raise TypeError(f"{name}={value!r}: expected an array; rayset.open reads files")
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ValueError(f"{name}: the rows have different lengths, and are no array") from None
     if array.dtype == bool:
         array = array.view(np.uint8)
     elif array.dtype.kind == "f" and array.dtype.itemsize == 2:
@@ -80,9 +85,9 @@ def positions(value: Any, unit: Any = None) -> NDArray[Any]:
         elif array.ndim == 2 and array.shape[1] > 3:
             advice = "; positions[:, :3] are the first three columns, and others are radius=, color= or attributes="
         raise ValueError(f"positions: expected N rows of three numbers, and got the shape {array.shape}{advice}")
-    if array.dtype.kind != "f":
-        array = array.astype(np.float64)
-    return array
+    if not len(array):
+        raise ValueError("positions: there are no points")
+    return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
 def column(value: Any, name: str, count: int, unit: Any = None) -> NDArray[Any]:
@@ -234,6 +239,8 @@ def chunks(first: Points, rest: Iterator[Any], classes: tuple[str, ...]) -> Iter
 def of_chunk(chunk: Any, classes: tuple[str, ...], number: int) -> Points:
     """The points of one chunk."""
     try:
+        if hasattr(chunk, "__len__") and not len(chunk):
+            return Points(np.zeros((0, 3)), [])
         points = None if isinstance(chunk, np.ndarray) and not chunk.dtype.names else from_table(chunk, classes)
         return points if points is not None else gather(chunk, None, None, None, None, ())
     except (TypeError, ValueError) as error:

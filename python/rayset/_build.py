@@ -36,6 +36,7 @@ def build(
     invalid: str = "skip",
     precision: float | str | None = None,
     radius_scale: float = 1.0,
+    length_scale: float = 1.0,
     temp_dir: _arguments.PathLike | None = None,
 ) -> Cloud:
     """Builds a cloud of points.
@@ -68,6 +69,8 @@ def build(
     invalid
         ``"skip"``: points whose position, radius or weight is not a usable number are left out, with a warning; those too large to be
         stored are an error. ``"skip-all"`` leaves these out, too; ``"raise"`` makes an error of the first.
+    radius_scale, length_scale
+        Factors of all radii; of all coordinates and radii.
     precision
         How exactly positions are stored: a fraction of the radius (1/4096), or ``"exact"``.
 
@@ -86,6 +89,7 @@ def build(
         "radius": rule,
         "weight": constant,
         "radius_scale": _arguments.number(radius_scale, "radius_scale", 1e-18),
+        "length_scale": _arguments.number(length_scale, "length_scale", 1e-300, 1e300),
         "invalid": invalid,
         "precision": _precision(precision),
         "memory": _arguments.memory_bytes(memory),
@@ -202,12 +206,9 @@ def build_grid(
     kind = np.dtype(getattr(voxels, "dtype", np.float64))
     if kind.kind not in "buif":
         raise TypeError(f"voxels: an array of {kind} where numbers were expected")
-    stored = {"b": ("u8", np.uint8)}.get(kind.kind) or {
-        ("u", 1): ("u8", np.uint8),
-        ("i", 1): ("i16", np.int16),
-        ("i", 2): ("i16", np.int16),
-        ("u", 2): ("u16", np.uint16),
-    }.get((kind.kind, kind.itemsize), ("f32", np.float32))
+    # Whole numbers of up to 16 bits are kept.
+    names = {"b1": "u8", "u1": "u8", "i1": "i16", "i2": "i16", "u2": "u16"}
+    stored = names.get(f"{kind.kind}{kind.itemsize}", "f32")
     if not hasattr(voxels, "__getitem__") or isinstance(voxels, (list, tuple)):
         voxels = np.asarray(voxels)
     size, rows = [shape[2], shape[1], shape[0]], _matrix(spacing, origin, matrix)
@@ -216,7 +217,7 @@ def build_grid(
     kept = TemporaryFile() if path is None else None
     where = str(_arguments.path(path, "path")) if kept is None else kept.name
     with Told(progress) as told:
-        made = _native.build_grid(_slabs(voxels, shape, stored[1]), size, stored[0], rows, where, budget, told)
+        made = _native.build_grid(_slabs(voxels, shape, stored), size, stored, rows, where, budget, told)
     return Grid(made, kept)
 
 
@@ -236,10 +237,10 @@ def _remove(name: str, process: int) -> None:
             os.remove(name)
 
 
-def _slabs(voxels: Any, shape: tuple[int, ...], kind: Any) -> Iterator[bytes]:
+def _slabs(voxels: Any, shape: tuple[int, ...], stored: str) -> Iterator[bytes]:
     """The bytes of slabs of voxels, x fastest, little-endian."""
     rows = max(1, _SLAB // max(1, shape[1] * shape[2] * 8))
-    little = np.dtype(kind).newbyteorder("<")
+    little = np.dtype({"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4"}[stored])
     for at in range(0, shape[0], rows):
         slab = np.asarray(voxels[at : at + rows])
         if little.kind == "f":

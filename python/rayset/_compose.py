@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from . import _arguments
+from ._errors import SceneError
 from ._objects import Cloud, Grid, Object
 from ._parts import Camera, Light
 
@@ -77,6 +79,16 @@ def camera_words(view: Any, direction: Any, up: Any, fovy: Any, orthographic: bo
     return said
 
 
+def look_of(held: Cloud | Grid, said: list[str], size: tuple[int, int]) -> tuple[dict[str, Any], str]:
+    """The scene that a cloud or grid is rendered as, and what is said of it. Errors name arguments, not options."""
+    try:
+        text, line, _, _ = held._file.look(said, size)
+    except SceneError as error:
+        words = re.sub(r"'?--([a-z-]+)(?: <[A-Z_]+>)?'?", lambda found: found[1].replace("-", "_"), str(error))
+        raise SceneError(words.replace(", for which `help` lists the others", "")) from None
+    return json.loads(text), line
+
+
 def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthographic: bool, size: Any) -> Camera:
     """See :meth:`Camera.fit`."""
     if not isinstance(target, Object):
@@ -84,8 +96,8 @@ def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthograp
     data = _framed(target)
     if data is None:
         raise ValueError("Camera.fit: there are no points or voxels to frame; say position and look_at")
-    chosen, _, _, _ = data._file.look(camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
-    return Camera.from_json(json.loads(chosen)["camera"])
+    chosen, _ = look_of(data, camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
+    return Camera.from_json(chosen["camera"])
 
 
 def _framed(target: Object) -> Cloud | Grid | None:
@@ -110,8 +122,9 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
     chosen: dict[str, dict[str, Any]] = {}
     line = ""
     for name, held in leaves.items():
-        text, said_of_it, _, _ = held._file.look([*(said if chosen == {} or isinstance(held, Cloud) else []), *camera_said], size)
-        chosen[name] = json.loads(text)
+        # What is said of a look is for the first; a grid beside a cloud has none of it.
+        own = said if not chosen or isinstance(held, Cloud) else []
+        chosen[name], said_of_it = look_of(held, [*own, *camera_said], size)
         line = line or said_of_it
     if not chosen:
         if said:

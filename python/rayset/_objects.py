@@ -120,11 +120,12 @@ class Object:
         return self._like(id=str(name))
 
 
-def _combined(operator: str, first: Object, second: object) -> Object:
+def _combined(operator: str, first: Object, second: Object) -> Object:
     if not isinstance(second, Object):
-        return NotImplemented
-    children = []
+        signs = {"union": "|", "intersection": "&", "difference": "-", "blend": "+"}
+        raise TypeError(f"{first!r} {signs[operator]} {second!r}: expected a cloud, a grid or a solid on both sides")
     # Chains of one operator are one operator: a | b | c has three children, and nests no deeper than two.
+    children: list[dict[str, Any]] = []
     plain = first._node.get("type") == operator and set(first._node) <= {"type", "children"}
     children += first._node["children"] if plain else [first._node]
     children.append(second._node)

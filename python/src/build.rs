@@ -28,6 +28,8 @@ pub(crate) struct Options {
     #[pyo3(item)]
     radius_scale: f64,
     #[pyo3(item)]
+    length_scale: f64,
+    #[pyo3(item)]
     attributes: Vec<String>,
     #[pyo3(item)]
     invalid: String,
@@ -61,6 +63,7 @@ impl Options {
             .with_radius(radius)
             .with_weight(self.weight.map(Rule::Number))
             .with_radius_scale(self.radius_scale)
+            .with_length_scale(self.length_scale)
             .with_attributes(self.attributes.clone())
             .with_invalid(match self.invalid.as_str() {
                 "skip-all" => InvalidPolicy::SkipAll,

@@ -2,6 +2,7 @@
 
 use clap::Parser;
 use pyo3::prelude::*;
+use rayset::file::ScanError;
 use rayset::scene::Colormap;
 use rayset_inputs::look::{CameraArgs, Chosen, LookArgs};
 use rayset_inputs::values;
@@ -38,7 +39,11 @@ pub(crate) fn texts(chosen: Chosen) -> anyhow::Result<ChosenLook> {
 }
 
 pub(crate) fn chosen(py: Python<'_>, chosen: anyhow::Result<ChosenLook>) -> PyResult<ChosenLook> {
-    chosen.map_err(|error| errors::error(py, Kind::Scene, format!("{error:#}")))
+    chosen.map_err(|error| {
+        // What is wrong may be the file that is looked at.
+        let kind = if error.is::<ScanError>() { Kind::Input } else { Kind::Scene };
+        errors::error(py, kind, format!("{error:#}"))
+    })
 }
 
 /// The colours of a map at `count` places, as screens show them, 0 to 1.
