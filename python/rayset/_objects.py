@@ -26,12 +26,15 @@ class Object:
     """Something that can be seen, moved, and combined by ``|`` (union), ``&`` (intersection), ``-`` (difference) and ``+`` (blend)."""
 
     _node: dict[str, Any]
-    #: What the node refers to, by the names of its files.
-    _data: dict[str, Cloud | Grid]
 
     def __init__(self, node: Mapping[str, Any], data: Mapping[str, Cloud | Grid] | None = None) -> None:
         self._node = dict(node)
-        self._data = dict(data or {})
+        self._held = dict(data or {})
+
+    @property
+    def _data(self) -> dict[str, Cloud | Grid]:
+        """What the node refers to, by the names of its files."""
+        return self._held
 
     def to_json(self) -> dict[str, Any]:
         """The node, as a scene has it."""
@@ -153,8 +156,13 @@ class _Data(Object):
         #: Lives as long as this does.
         self._keep = keep
         name = str(file.path)
-        super().__init__({"type": kind, "file": name}, {name: self})  # type: ignore[dict-item]
+        super().__init__({"type": kind, "file": name})
         self._header: dict[str, Any] = file.header()
+
+    @property
+    def _data(self) -> dict[str, Cloud | Grid]:
+        # Not kept: in a circle of references, memory would be given back late.
+        return {self._node["file"]: self}  # type: ignore[dict-item]
 
     @property
     def path(self) -> str | None:

@@ -1,0 +1,186 @@
+"""Arrays of any layout, and chunks of them, become the same cloud."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import points
+
+import rayset as rs
+
+COUNT = 3000
+
+
+def _identity(positions: object, **options: object) -> str:
+    return rs.build(positions, radius=0.2, **options).identity  # type: ignore[arg-type]
+
+
+LAYOUTS = {
+    "Fortran order": np.asfortranarray,
+    "every second row": lambda p: np.repeat(p, 2, axis=0)[::2],
+    "backwards twice": lambda p: p[::-1].copy()[::-1],
+    "columns of a wider array": lambda p: np.column_stack([p[:, :1] * 9, p, p])[:, 1:4],
+    "columns the other way round": lambda p: p[:, ::-1].copy()[:, ::-1],
+    "big-endian": lambda p: p.astype(">f8"),
+    "a list": lambda p: p.tolist(),
+    "a masked array": lambda p: np.ma.masked_array(p, mask=False),
+    "a field that is not aligned": lambda p: _packed(p),
+}
+
+
+def _packed(p: np.ndarray) -> np.ndarray:
+    record = np.zeros(len(p), dtype=[("flag", "u1"), ("p", "<f8", 3)])
+    record["p"] = p
+    return record["p"]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_layout_of_an_array_does_not_matter(layout: str) -> None:
+    p = points(COUNT)
+    assert _identity(LAYOUTS[layout](p)) == _identity(p)
+
+
+def test_arrays_that_may_not_be_written_are_read() -> None:
+    p = points(COUNT)
+    expected = _identity(p)
+    p.flags.writeable = False
+    assert _identity(p) == expected
+
+
+def test_arrays_in_the_layouts_of_the_engine_are_not_copied() -> None:
+    import tracemalloc
+
+    p = points(400_000).astype("f4")
+    for array in (p, np.asfortranarray(p), p[::2], p[::-1]):
+        gc.collect()
+        tracemalloc.start()
+        rs.build(array, radius=0.01, path=None, memory="64MiB")
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        # NumPy tells tracemalloc of what it allocates; a copy would be 2 to 5 MB.
+        assert peak < 1_000_000, peak
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000, COUNT])
+def test_chunks_of_any_size_are_the_cloud_of_the_whole_array(size: int) -> None:
+    p, t = points(COUNT), np.arange(COUNT, dtype="i8")
+    p, t = (p[:50], t[:50]) if size == 1 else (p, t)
+    chunks = ({"positions": p[k : k + size], "T": t[k : k + size]} for k in range(0, len(p), size))
+    assert _identity(chunks) == _identity(p, attributes={"T": t})
+
+
+def test_chunks_may_be_empty_and_arrays_alone() -> None:
+    p = points(COUNT)
+    assert _identity(iter([p[:0], p[:100], p[:0], p[100:]])) == _identity(p)
+
+
+def test_a_file_and_memory_have_the_same_cloud(tmp_path: Path) -> None:
+    p = points(COUNT)
+    on_disk = rs.build(p, radius=0.2, path=tmp_path / "a.rset")
+    in_memory = rs.build(p, radius=0.2)
+    assert on_disk.identity == in_memory.identity
+    assert on_disk.path == str(tmp_path / "a.rset") and in_memory.path is None
+    in_memory.save(tmp_path / "b.rset")
+    assert (tmp_path / "b.rset").read_bytes() == (tmp_path / "a.rset").read_bytes()
+    assert rs.open((tmp_path / "b.rset").read_bytes()).identity == on_disk.identity
+
+
+@pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8"])
+def test_columns_keep_their_type_and_their_values(kind: str) -> None:
+    values = np.arange(100).astype(kind)
+    cloud = rs.build(points(100), radius=1, attributes={"v": values}, precision="exact")
+    column = cloud.attributes["v"]
+    assert column.type == {"u": "u", "i": "i", "f": "f"}[kind[0]] + str(8 * int(kind[1]))
+    _, columns = cloud.sample(100)
+    assert sorted(columns["v"]) == sorted(values)
+
+
+def test_large_integers_and_times_are_exact() -> None:
+    ids = np.arange(50, dtype="u8") + 2**60
+    times = 1.3e9 + np.arange(50) * 1e-6
+    cloud = rs.build(points(50), radius=1, attributes={"id": ids, "time": times})
+    assert cloud.attributes["time"].range == (times[0], times[-1])
+
+
+def test_exact_positions_come_back_bit_for_bit() -> None:
+    p = points(500) * 1e6 + 4e6
+    cloud = rs.build(p, radius=100.0, precision="exact")
+    back, _ = cloud.sample(500)
+    assert np.array_equal(np.sort(back, axis=0), np.sort(p, axis=0))
+
+
+def test_points_that_are_not_numbers_are_left_out_with_a_warning() -> None:
+    p = points(100)
+    p[3, 1], p[7] = np.nan, np.inf
+    radius = np.ones(100)
+    radius[11] = 0.0
+    with pytest.warns(rs.RaysetWarning, match="skipped 3 points: 2 have no usable position, 1 have no positive radius"):
+        cloud = rs.build(p, radius=radius)
+    assert (len(cloud), cloud.skipped) == (97, 3)
+
+
+def test_masked_points_are_left_out() -> None:
+    p = np.ma.masked_array(points(100), mask=False)
+    p.mask[5] = True
+    with pytest.warns(rs.RaysetWarning, match="skipped 1 points"):
+        assert len(rs.build(p, radius=1)) == 99
+
+
+def test_colours_are_those_that_were_given() -> None:
+    bytes_ = np.random.default_rng(2).integers(0, 256, (64, 3), dtype="u1")
+    of_bytes = rs.build(points(64), radius=1, color=bytes_)
+    of_floats = rs.build(points(64), radius=1, color=bytes_ / 255.0)
+    of_words = rs.build(points(64), radius=1, color=bytes_.astype("u2") * 257)
+    with_alpha = rs.build(points(64), radius=1, color=np.column_stack([bytes_, bytes_[:, 0]]))
+    for cloud in (of_bytes, of_floats, of_words, with_alpha):
+        _, columns = cloud.sample(64)
+        found = np.column_stack([columns[name] for name in ("red", "green", "blue")])
+        assert np.array_equal(np.sort(found, axis=0), np.sort(bytes_, axis=0))
+
+
+def test_booleans_are_classes() -> None:
+    cloud = rs.build(points(50), radius=1, attributes={"inside": np.arange(50) % 2 == 0})
+    assert cloud.attributes["inside"].is_class
+
+
+def test_a_structured_array_is_a_table() -> None:
+    record = np.zeros(60, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4"), ("T", "f8"), ("name", "U3")])
+    record["x"], record["y"], record["z"] = points(60).T
+    record["T"] = np.arange(60)
+    cloud = rs.build(record, radius=1)
+    assert list(cloud.attributes) == ["T"]
+
+
+def test_progress_is_told_from_the_thread_that_builds() -> None:
+    import threading
+
+    told: list[tuple[str, int, int, bool]] = []
+    here = threading.get_ident()
+    rs.build(points(300_000), progress=lambda what, done, total: told.append((what, done, total, threading.get_ident() == here)))
+    assert told and all(from_here for *_, from_here in told)
+    assert {what for what, *_ in told} <= {"reading", "spacing", "building", "writing"}
+
+
+@pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i2", "i4", "f4", "f8", "?"])
+def test_voxels_come_back_as_they_were(kind: str) -> None:
+    values = (np.arange(5 * 6 * 7) % 2 if kind == "?" else np.arange(5 * 6 * 7) % 100).reshape(5, 6, 7).astype(kind)
+    grid = rs.build_grid(values, spacing=(1, 2, 3), origin=(10, 20, 30))
+    assert grid.shape == (5, 6, 7)
+    assert np.array_equal(grid.to_numpy(), values.astype("f4"))
+    assert grid.bounds == ((10.0, 20.0, 30.0), (16.0, 30.0, 42.0))
+    fortran = rs.build_grid(np.asfortranarray(values), spacing=(1, 2, 3), origin=(10, 20, 30))
+    assert fortran.identity == grid.identity
+
+
+def test_a_grid_in_a_temporary_file_takes_it_along() -> None:
+    grid = rs.build_grid(np.random.default_rng(1).random((8, 8, 8)))
+    assert grid.path is not None
+    path = Path(grid.path)
+    image = rs.render(grid, size=16)
+    assert path.exists()
+    del grid, image
+    gc.collect()
+    assert not path.exists()
