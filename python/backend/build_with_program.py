@@ -11,13 +11,7 @@ import subprocess
 from pathlib import Path
 
 import maturin
-from maturin import (  # noqa: F401
-    get_requires_for_build_editable,
-    get_requires_for_build_sdist,
-    get_requires_for_build_wheel,
-    prepare_metadata_for_build_editable,
-    prepare_metadata_for_build_wheel,
-)
+from maturin import get_requires_for_build_editable, get_requires_for_build_wheel  # noqa: F401
 
 HERE = Path(__file__).resolve().parent.parent
 PROFILE = os.environ.get("RAYSET_PROFILE", "checkout")
@@ -46,6 +40,14 @@ def _put_program() -> None:
 
 def _profile() -> None:
     os.environ["MATURIN_PEP517_ARGS"] = f"{os.environ.get('MATURIN_PEP517_ARGS', '')} --profile {PROFILE}".strip()
+
+
+def prepare_metadata_for_build_wheel(metadata_directory, config_settings=None):
+    (HERE / "wheel-data" / "scripts").mkdir(parents=True, exist_ok=True)
+    return maturin.prepare_metadata_for_build_wheel(metadata_directory, config_settings)
+
+
+prepare_metadata_for_build_editable = prepare_metadata_for_build_wheel
 
 
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):

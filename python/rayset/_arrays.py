@@ -35,6 +35,7 @@ class Points:
 
     positions: NDArray[Any]
     columns: list[Column]
+    unit: str = ""
 
 
 def unit_of(value: Any) -> Any:
@@ -42,6 +43,11 @@ def unit_of(value: Any) -> Any:
     if not hasattr(value, "to_value"):
         return None
     return getattr(value, "unit", None) or getattr(value, "units", None)
+
+
+def unit_name(unit: Any) -> str:
+    """A unit as text; of pure numbers, whose unit unyt spells out, none."""
+    return "" if unit is None or str(unit) == "dimensionless" else str(unit)
 
 
 def plain(value: Any, name: str, unit: Any = None) -> NDArray[Any]:
@@ -52,8 +58,8 @@ def plain(value: Any, name: str, unit: Any = None) -> NDArray[Any]:
             value = value.to_value(unit) if unit is not None else getattr(value, "value", value)
         except Exception as error:
             raise ValueError(f"{name} is in {own}, which is not a length in {unit}: {error}") from error
-    if isinstance(value, np.ma.MaskedArray):
-        value = np.ma.filled(value.astype(float), np.nan)
+    if hasattr(value, "filled") and hasattr(value, "mask"):  # of NumPy or astropy: what is masked is not a number
+        value = value.astype(float).filled(np.nan) if np.any(value.mask) else value.filled(0)
     if isinstance(value, (str, bytes)) or hasattr(value, "__fspath__"):
         raise TypeError(f"{name}={value!r}: expected an array; rayset.open reads files")
     try:
@@ -73,9 +79,9 @@ def plain(value: Any, name: str, unit: Any = None) -> NDArray[Any]:
     return array if array.flags.aligned else array.copy()
 
 
-def positions(value: Any, unit: Any = None) -> NDArray[Any]:
+def positions(value: Any) -> NDArray[Any]:
     """Rows of three coordinates, in single or double precision."""
-    array = plain(value, "positions", unit)
+    array = plain(value, "positions")
     if array.ndim != 2 or array.shape[1] != 3:
         advice = ""
         if array.ndim == 2 and array.shape[0] == 3:
@@ -85,8 +91,6 @@ def positions(value: Any, unit: Any = None) -> NDArray[Any]:
         elif array.ndim == 2 and array.shape[1] > 3:
             advice = "; positions[:, :3] are the first three columns, and others are radius=, color= or attributes="
         raise ValueError(f"positions: expected N rows of three numbers, and got the shape {array.shape}{advice}")
-    if not len(array):
-        raise ValueError("positions: there are no points")
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
@@ -133,12 +137,17 @@ def gather(
     color: Any,
     attributes: Mapping[str, Any] | None,
     classes: tuple[str, ...],
+    is_chunk: bool = False,
 ) -> Points:
     """Positions and columns of arrays; radius and weight are among them if they are arrays."""
     unit = unit_of(where)
     places = positions(where)
     count = len(places)
+    if not count and not is_chunk:
+        raise ValueError("positions: there are no points")
     columns: list[Column] = []
+    if unit is None and unit_name(unit_of(radius)):
+        raise ValueError(f"radius is in {unit_of(radius)}, and the positions have no unit; give them theirs, or the radius as plain numbers")
     for name, values in (("radius", radius), ("weight", weight)):
         if values is not None:
             own = column(values, name, count, unit if name == "radius" else None)
@@ -155,8 +164,7 @@ def gather(
             raise ValueError(f"attributes: {name!r} is given by {own_name}=")
         numbers = column(values, name, count)
         is_class = name in classes or np.asarray(values).dtype == bool
-        own_unit = unit_of(values)
-        columns.append(Column(name, numbers, "" if own_unit is None else str(own_unit), is_class))
+        columns.append(Column(name, numbers, unit_name(unit_of(values)), is_class))
     for name in classes:
         if name not in (attributes or {}):
             raise ValueError(f"classes: there is no attribute {name!r}; there are {', '.join(attributes or {}) or 'none'}")
@@ -165,7 +173,7 @@ def gather(
             raise ValueError(f"classes: {one.name!r} has floating-point numbers; labels are whole numbers")
         if one.values.dtype not in _READ:
             raise TypeError(f"{one.name}: an array of {one.values.dtype} cannot be stored")
-    return Points(places, columns)
+    return Points(places, columns, unit_name(unit))
 
 
 def table(value: Any) -> dict[str, Any] | None:
@@ -180,13 +188,16 @@ def table(value: Any) -> dict[str, Any] | None:
     if hasattr(value, "to_pydict") and hasattr(value, "schema"):  # a record batch of pyarrow
         return {name: value.column(k).to_numpy(zero_copy_only=False) for k, name in enumerate(value.schema.names)}
     if hasattr(value, "colnames"):  # astropy
-        return {name: value[name] for name in value.colnames}
+        # Columns of a plain Table have units, too, but are no quantities.
+        return {name: value[name] if getattr(value[name], "unit", None) is None else value[name].quantity for name in value.colnames}
+    if hasattr(value, "collect_schema") and hasattr(value, "collect"):  # a lazy frame of polars, or the like
+        value = value.collect()
     if hasattr(value, "columns") and hasattr(value, "__getitem__"):  # pandas, polars
         return {str(name): value[name].to_numpy() for name in value.columns}
     return None
 
 
-def from_table(value: Any, classes: tuple[str, ...] = ()) -> Points | None:
+def from_table(value: Any, classes: tuple[str, ...] = (), is_chunk: bool = False) -> Points | None:
     """Points of a table with columns x, y and z, or positions; ``None`` if it is no table."""
     found = table(value)
     if found is None:
@@ -198,8 +209,8 @@ def from_table(value: Any, classes: tuple[str, ...] = ()) -> Points | None:
         axes = [found.pop(names[axis]) for axis in "xyz"]
         unit = unit_of(axes[0])
         where = np.column_stack([plain(axis, "xyz"[k], unit) for k, axis in enumerate(axes)])
-        if unit is not None and hasattr(axes[0], "unit"):
-            where = where * axes[0].unit
+        if unit is not None:
+            where = where * unit
     else:
         raise ValueError(f"a table needs columns x, y and z, or positions; it has {', '.join(map(str, found)) or 'none'}")
     radius, weight, color = (found.pop(name, None) for name in ("radius", "weight", "color"))
@@ -207,7 +218,7 @@ def from_table(value: Any, classes: tuple[str, ...] = ()) -> Points | None:
         color = np.column_stack([plain(found.pop(name), name) for name in ("red", "green", "blue")])
     more = found.pop("attributes", None)
     rest = {name: values for name, values in found.items() if _is_numeric(values)}
-    return gather(where, radius, weight, color, {**rest, **(more or {})}, tuple(name for name in classes if name in rest))
+    return gather(where, radius, weight, color, {**rest, **(more or {})}, classes, is_chunk)
 
 
 def _is_numeric(values: Any) -> bool:
@@ -222,17 +233,22 @@ def chunks(first: Points, rest: Iterator[Any], classes: tuple[str, ...]) -> Iter
         points = of_chunk(chunk, classes, number)
         if not len(points.positions):
             continue
-        found = {one.name: one.values for one in points.columns}
+        found = {one.name: one for one in points.columns}
+        units = [("positions", points.unit, first.unit)]
         values = []
         for one in first.columns:
             if one.name not in found:
                 raise ValueError(f"chunk {number} has no {one.name!r}, which the first has; it has {', '.join(found) or 'only positions'}")
-            own = found[one.name]
+            own = found[one.name].values
+            units.append((one.name, found[one.name].unit, one.unit))
             if own.dtype != one.values.dtype:
                 if not np.can_cast(own.dtype, one.values.dtype, "safe"):
                     raise ValueError(f"chunk {number}: {one.name!r} is of {own.dtype}, which does not fit into {one.values.dtype}, that of the first")
                 own = own.astype(one.values.dtype)
             values.append(own)
+        for name, unit, expected in units:
+            if unit != expected:
+                raise ValueError(f"chunk {number}: {name!r} is in {unit or 'no unit'}, in the first chunk in {expected or 'no unit'}; convert it")
         yield points.positions, values
 
 
@@ -241,7 +257,7 @@ def of_chunk(chunk: Any, classes: tuple[str, ...], number: int) -> Points:
     try:
         if hasattr(chunk, "__len__") and not len(chunk):
             return Points(np.zeros((0, 3)), [])
-        points = None if isinstance(chunk, np.ndarray) and not chunk.dtype.names else from_table(chunk, classes)
-        return points if points is not None else gather(chunk, None, None, None, None, ())
+        points = None if isinstance(chunk, np.ndarray) and not chunk.dtype.names else from_table(chunk, classes, True)
+        return points if points is not None else gather(chunk, None, None, None, None, (), True)
     except (TypeError, ValueError) as error:
         raise type(error)(f"chunk {number}: {error}") from error

@@ -143,22 +143,44 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
 
 
 def _is_framed_by_first(target: Object) -> bool:
-    """Whether all that is seen is of the first cloud or grid where that is: no other is, and nothing is added or moved."""
+    """Whether all that is seen is where the only cloud or grid is: it is not moved, and what is added to it lies within its bounds."""
     if len(target._data) != 1:
         return False
+    (held,) = target._data.values()
+    low, high = held.bounds
+    margin = 0.02 * max(b - a for a, b in zip(low, high))
 
     def stays(node: Mapping[str, Any]) -> bool:
-        if "transform" in node:
-            return False
         kind = node.get("type")
         if kind in ("cloud", "grid"):
-            return True
-        children = node.get("children", [])
+            return "transform" not in node
+        children = node.get("children")
+        if children is None:
+            box = _bounds_of_solid(node)
+            return box is not None and all(low[k] - margin <= box[0][k] and box[1][k] <= high[k] + margin for k in range(3))
+        if "transform" in node:
+            return False
         if kind == "difference":
             return stays(children[0])
-        return kind == "intersection" and any(stays(child) for child in children)
+        return any(map(stays, children)) if kind == "intersection" else all(map(stays, children))
 
     return stays(target._node)
+
+
+def _bounds_of_solid(node: Mapping[str, Any]) -> tuple[list[float], list[float]] | None:
+    """The box around a solid that was only moved; `None` of others."""
+    half = {
+        "sphere": lambda: [node["radius"]] * 3,
+        "box": lambda: [0.5 * v for v in node["size"]],
+        "ellipsoid": lambda: list(node["radii"]),
+        "noise": lambda: list(node["radii"]),
+    }.get(str(node.get("type")))
+    moves = node.get("transform", [])
+    if half is None or not all(isinstance(move, Mapping) and set(move) == {"translate"} for move in moves):
+        return None
+    place = [sum(move["translate"][k] for move in moves) for k in range(3)]
+    size = half()
+    return [place[k] - size[k] for k in range(3)], [place[k] + size[k] for k in range(3)]
 
 
 def _direction(camera: Mapping[str, Any]) -> list[float]:
