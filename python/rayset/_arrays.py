@@ -188,8 +188,11 @@ def table(value: Any) -> dict[str, Any] | None:
     if hasattr(value, "to_pydict") and hasattr(value, "schema"):  # a record batch of pyarrow
         return {name: value.column(k).to_numpy(zero_copy_only=False) for k, name in enumerate(value.schema.names)}
     if hasattr(value, "colnames"):  # astropy
+        from astropy.table import QTable
+
         # Columns of a plain Table have units, too, but are no quantities.
-        return {name: value[name] if getattr(value[name], "unit", None) is None else value[name].quantity for name in value.colnames}
+        value = QTable(value, copy=False)
+        return {name: value[name] for name in value.colnames}
     if hasattr(value, "collect_schema") and hasattr(value, "collect"):  # a lazy frame of polars, or the like
         value = value.collect()
     if hasattr(value, "columns") and hasattr(value, "__getitem__"):  # pandas, polars

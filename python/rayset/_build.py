@@ -46,7 +46,8 @@ def build(
     positions
         N rows of three coordinates, in any real type and layout; a table (pandas, polars, pyarrow, astropy, a structured array, a
         dictionary) with columns ``x``, ``y``, ``z`` whose other columns become radii, weights, colours and attributes by their
-        names; or an *iterator* of such arrays and tables, which is built a chunk at a time and may hold more than memory does.
+        names; or an *iterator* of such arrays and tables, which is built a chunk at a time and may hold more than memory does. It is
+        asked from another thread.
         Arrays of ``float32`` and ``float64`` are read where they lie; do not change them meanwhile.
     radius
         Radius of influence: a number, an array, or ``"auto"`` (the default): 0.85 times the distance of each point's eighth neighbour.

@@ -6,6 +6,7 @@ Every object is a node of a scene as ``docs/scene.md`` has them. Objects never c
 from __future__ import annotations
 
 import copy
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -146,6 +147,18 @@ class Attribute:
     range: tuple[float, float]
 
 
+#: What is in memory, by the names that scenes have for it, as long as somebody has it.
+_in_memory: weakref.WeakValueDictionary[str, _Data] = weakref.WeakValueDictionary()
+
+
+def held_in_memory(name: str) -> _Data:
+    """A cloud or grid in memory by its name in a scene."""
+    held = _in_memory.get(name)
+    if held is None:
+        raise ValueError(f"{name!r} is the name of a cloud or grid in memory that is no more; keep it while its scenes are used, or save them")
+    return held
+
+
 class _Data(Object):
     """What clouds and grids have in common."""
 
@@ -157,6 +170,8 @@ class _Data(Object):
         self._keep = keep
         name = str(file.path)
         super().__init__({"type": kind, "file": name})
+        if file.is_in_memory:
+            _in_memory[name] = self
         self._header: dict[str, Any] = file.header()
 
     @property

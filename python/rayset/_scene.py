@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from . import _arguments, _compose
-from ._objects import Cloud, Grid, Object
+from ._objects import Cloud, Grid, Object, held_in_memory
 from ._parts import Camera
 
 
@@ -77,7 +77,8 @@ class Scene:
             raise TypeError(f"Scene.from_json: expected a dictionary or its text, and got {type(scene).__name__}")
         made = cls.__new__(cls)
         made._json = copy.deepcopy(dict(scene))
-        made._data = {}
+        names = {str(node["file"]) for node in _nodes(made._json) if str(node.get("file", "")).startswith("memory:")}
+        made._data = {name: held_in_memory(name) for name in names}
         made._folder = Path.cwd() if folder is None else _arguments.path(folder, "folder")
         made.line = ""
         return made

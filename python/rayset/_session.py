@@ -70,4 +70,11 @@ def shared(memory: int | None, threads: int | None) -> Session:
         return _shared[1]
 
 
-os.register_at_fork(after_in_child=lambda: globals().update(_lock=threading.Lock())) if hasattr(os, "register_at_fork") else None
+def _renew() -> None:
+    """A lock that another thread held at the fork would stay locked."""
+    global _lock
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew)

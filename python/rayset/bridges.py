@@ -19,16 +19,13 @@ from ._image import Image
 from ._objects import Cloud, Grid
 
 #: Radius of compact support in smoothing lengths of SWIFT, by kernel (Dehnen and Aly 2012, table 1).
-_SWIFT_SUPPORT = {
-    "Cubic spline": 1.825742, "Quartic spline": 2.018932, "Quintic spline": 2.195775,
-    "Wendland C2": 1.936492, "Wendland C4": 2.207940, "Wendland C6": 2.449490,
-}
+_SWIFT_SUPPORT = {"Cubic spline": 1.825742, "Quartic spline": 2.018932, "Quintic spline": 2.195775,
+                  "Wendland C2": 1.936492, "Wendland C4": 2.207940, "Wendland C6": 2.449490}
 
 
 def from_pyvista(mesh: Any, **options: Any) -> Cloud | Grid:
     """A cloud of the points of a mesh of pyvista or VTK (``PolyData``, ``UnstructuredGrid``, …) with its point data, or a grid of an
     ``ImageData``: of its active scalars, or those that ``scalars=`` names. `options` go to :func:`build` or :func:`build_grid`.
-
     Vectors become columns ``name_x``, ``name_y``, ``name_z``; ``RGB``, ``RGBA``, ``color`` and ``colors`` are colours; ``radius`` and
     ``weight`` are those. Voxels are the points of an ``ImageData``, or the middles of its cells, whichever has the scalars."""
     import pyvista
@@ -36,8 +33,7 @@ def from_pyvista(mesh: Any, **options: Any) -> Cloud | Grid:
     mesh = pyvista.wrap(mesh)
     if isinstance(mesh, pyvista.ImageData):
         return _grid_of_image_data(mesh, options)
-    if isinstance(mesh, pyvista.MultiBlock):
-        mesh = mesh.combine()
+    mesh = mesh.combine() if isinstance(mesh, pyvista.MultiBlock) else mesh
     columns: dict[str, Any] = {}
     for name in mesh.point_data:
         values = np.asarray(mesh.point_data[name])
@@ -45,7 +41,7 @@ def from_pyvista(mesh: Any, **options: Any) -> Cloud | Grid:
             columns["color"] = values
         elif values.dtype.kind in "buif":
             columns |= _components(name, values)
-    return _build({"positions": np.asarray(mesh.points)}, columns, options)
+    return build({"positions": np.asarray(mesh.points), **columns}, **options)
 
 
 def _components(name: str, values: NDArray[Any]) -> dict[str, Any]:
@@ -53,12 +49,6 @@ def _components(name: str, values: NDArray[Any]) -> dict[str, Any]:
     if values.ndim == 1 or values.shape[1] == 1:
         return {name: values.reshape(len(values))}
     return {f"{name}_{axis}": values[:, k] for k, axis in enumerate("xyz")} if values.shape[1:] == (3,) else {}
-
-
-def _build(positions: Any, columns: Mapping[str, Any], options: dict[str, Any]) -> Cloud:
-    """A cloud of a table; what the caller says himself comes before what was found."""
-    options["attributes"] = dict(options.get("attributes") or {})
-    return build({**positions, **columns}, **options)
 
 
 def _grid_of_image_data(mesh: Any, options: dict[str, Any]) -> Grid:
@@ -139,7 +129,7 @@ def from_open3d(cloud: Any, **options: Any) -> Cloud:
         found = {"normals": np.asarray(cloud.normals)} if cloud.has_normals() else {}
     for name, values in found.items():
         columns |= _components("normal" if name == "normals" else name, values)
-    return _build({"positions": positions}, columns, options)
+    return build({"positions": positions, **columns}, **options)
 
 
 def to_open3d(cloud: Cloud, most: int = 1_000_000) -> Any:
@@ -171,7 +161,7 @@ def from_laspy(las: Any, attributes: Sequence[str] | None = None, **options: Any
     """A cloud of the points of a ``LasData``, with its colours and `attributes`, by default classification (as classes) and intensity."""
     columns = _las_columns(las, attributes, None)
     options.setdefault("classes", [name for name in ("classification",) if name in columns])
-    return _build({}, columns, options)
+    return build(columns, **options)
 
 
 def _las_columns(points: Any, attributes: Sequence[str] | None, color_bits: int | None) -> dict[str, Any]:
@@ -182,18 +172,17 @@ def _las_columns(points: Any, attributes: Sequence[str] | None, color_bits: int 
         # Many writers store bytes, where 16 bits are specified.
         bits = color_bits or (8 if color.max(initial=0) <= 255 else 16)
         found["color"] = color.astype(np.uint8) if bits == 8 else color
-    chosen = _chosen(attributes, ("classification", "intensity"), names)
-    return found | {name: np.array(points[name]) for name in chosen}
+    return found | {name: np.array(points[name]) for name in _chosen(attributes, ("classification", "intensity"), names)}
 
 
 def _chosen(wanted: Sequence[str] | None, usual: Sequence[str], known: Collection[str]) -> list[str]:
     """The columns that were asked for; without a word, the usual ones that are there."""
     if wanted is None:
         return [name for name in usual if name in known]
-    for name in [wanted] if isinstance(wanted, str) else wanted:
+    for name in wanted:
         if name not in known:
             raise ValueError(f"attributes: there is no {name!r}; there are {', '.join(sorted(known))}")
-    return [wanted] if isinstance(wanted, str) else list(wanted)
+    return list(wanted)
 
 
 def from_yt(source: Any, attributes: Sequence[str] | None = None, particles: str = "PartType0", **options: Any) -> Cloud:
@@ -207,30 +196,30 @@ def from_yt(source: Any, attributes: Sequence[str] | None = None, particles: str
     positions = ad[particles, "particle_position"].to("code_length")
     radius = ad[particles, "smoothing_length"].to("code_length") if "smoothing_length" in known else None
     mass = ad[particles, "particle_mass"].to("code_mass") if "particle_mass" in known else None
-    support = _swift_support(ad.ds.parameters.get("hydro")) if ad.ds.dataset_type == "swift" else 1.0
+    support = options.pop("kernel_support", None) or (_swift_support(ad.ds.parameters["hydro"]) if ad.ds.dataset_type == "swift" else 1.0)
     columns = {name: ad[particles, name] for name in _chosen(attributes, ("density",), known)}
-    return _build({"positions": positions}, columns | _field(positions, radius, support, mass, options), options)
+    return build({"positions": positions, **columns, **_field(positions, radius, support, mass, options)}, **options)
 
 
 def from_swiftsimio(gas: Any, attributes: Sequence[str] | None = None, **options: Any) -> Cloud:
     """A cloud of the particles of one type of a snapshot of swiftsimio (``data.gas``), as :func:`open` makes it: positions as they
     are (comoving), radii of support, weights with which the field is the density of mass, and `attributes` (densities and
-    temperatures by default) with their units."""
+    temperatures by default) with their units. ``kernel_support`` is the radius of support in smoothing lengths of kernels unknown here."""
     names = _chosen(attributes, ("densities", "temperatures"), set(gas.group_metadata.field_names))
     radius, mass = getattr(gas, "smoothing_lengths", None), getattr(gas, "masses", None)
     support = options.pop("kernel_support", None) or _swift_support(gas.metadata.hydro_scheme)
-    columns = {name: getattr(gas, name) for name in names}
-    return _build({"positions": gas.coordinates}, columns | _field(gas.coordinates, radius, support, mass, options), options)
+    columns = {name: getattr(gas, name) for name in names} | _field(gas.coordinates, radius, support, mass, options)
+    return build({"positions": gas.coordinates, **columns}, **options)
 
 
-def _swift_support(hydro: Mapping[str, Any] | None) -> float:
+def _swift_support(hydro: Mapping[str, Any]) -> float:
     """SWIFT's smoothing length is twice the standard deviation of the kernel, and not its radius of support."""
-    name = (hydro or {}).get("Kernel function", "Cubic spline")
+    name = hydro.get("Kernel function", "Cubic spline")
     name = name.decode() if isinstance(name, bytes) else str(name)
     for known, support in _SWIFT_SUPPORT.items():
         if name.startswith(known):
             return support
-    raise ValueError(f"the kernel {name!r} of SWIFT is unknown, and so are radii; say radius=")
+    raise ValueError(f"the kernel {name!r} of SWIFT is unknown, and so is the radius of its support; say kernel_support=")
 
 
 def _field(positions: Any, smoothing: Any, support: float, mass: Any, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -238,10 +227,8 @@ def _field(positions: Any, smoothing: Any, support: float, mass: Any, options: M
     if smoothing is None or options.get("radius") is not None:
         return {}
     radius = support * _arrays.plain(smoothing, "radius", _arrays.unit_of(positions)).astype(np.float64)
-    made = {"radius": radius}
-    if mass is not None:
-        made["weight"] = _arrays.plain(mass, "weight") / (math.pi / 8 * radius**3)
-    return made
+    weight = {} if mass is None else {"weight": _arrays.plain(mass, "weight") / (math.pi / 8 * radius**3)}
+    return {"radius": radius, **weight}
 
 
 def from_xarray(array: Any, **options: Any) -> Grid:
@@ -253,7 +240,7 @@ def from_xarray(array: Any, **options: Any) -> Grid:
         array = array.transpose("z", "y", "x")
     spacing, origin = [], []
     for name in reversed(array.dims):
-        found = np.asarray(array[name]) if name in array.coords else np.arange(array.sizes[name])
+        found = np.asarray(array[name])
         if found.dtype.kind not in "uif":
             raise ValueError(f"the coordinates along {name!r} are of {found.dtype}, and no places; array.drop_vars({name!r}) counts instead")
         values = found.astype(float)
@@ -283,18 +270,15 @@ def to_xarray(grid: Grid) -> Any:
 
 def from_fits(path: _arguments.PathLike, hdu: int | str | None = None, **options: Any) -> Cloud | Grid:
     """A grid of an image cube in FITS, or a cloud of a table with columns x, y and z, by astropy: the first in the file, or `hdu`.
-
     Axes of one unit place voxels where the header says (``CRVAL``, ``CRPIX``, ``CDELT``); degrees beside a velocity have no common
     length, and become voxels that are as deep as wide. ``spacing``, ``origin`` or ``matrix`` say otherwise."""
     from astropy.io import fits
     from astropy.table import Table
 
-    def is_table(one: Any) -> bool:
-        # Compressed images are stored in tables.
+    def is_table(one: Any) -> bool:  # Compressed images are stored in tables.
         return isinstance(one, (fits.BinTableHDU, fits.TableHDU)) and not isinstance(one, fits.CompImageHDU)
 
-    def axes(one: Any) -> list[int]:
-        """Numbers of the axes of FITS, the last of the array first, of those that have more than one pixel."""
+    def axes(one: Any) -> list[int]:  # Numbers of those that have more than one pixel; of an array, the last is the first.
         return [k for k, size in enumerate(reversed(one.shape), start=1) if size > 1]
 
     with fits.open(str(_arguments.path(path, "path"))) as file:
@@ -324,18 +308,15 @@ def _fits_matrix(header: Any, axes: Sequence[int]) -> NDArray[np.float64]:
 
 def imshow(image: Image, ax: Any = None, *, label: str | None = None, colorbar: bool = True, **options: Any) -> Any:
     """Shows a picture in axes of matplotlib, and the colour bar of what its map shows. Returns the artist.
-
     Of an orthographic camera the axes are in units of the scene: along x, y or z if the camera's are, and else about the middle
     of the picture."""
     import matplotlib.pyplot as plt
 
-    axes = ax if ax is not None else plt.gca()
-    extent, names = _extent(image)
+    axes, (extent, names) = ax if ax is not None else plt.gca(), _extent(image)
     shown = axes.imshow(np.asarray(image), **{"extent": extent, "origin": "upper", **options})
     if extent is None:
         axes.set_axis_off()
-    elif names is not None:
-        axes.set(xlabel=axes.get_xlabel() or names[0], ylabel=axes.get_ylabel() or names[1])
+    axes.set(xlabel=axes.get_xlabel() or names[0], ylabel=axes.get_ylabel() or names[1])
     bar = _color_map(image) if colorbar else None
     if bar is not None:
         from matplotlib.cm import ScalarMappable
@@ -352,26 +333,25 @@ def imshow(image: Image, ax: Any = None, *, label: str | None = None, colorbar: 
     return shown
 
 
-def _extent(image: Image) -> tuple[tuple[float, float, float, float] | None, tuple[str, str] | None]:
+def _extent(image: Image) -> tuple[tuple[float, float, float, float] | None, tuple[str, str]]:
     """Left, right, bottom and top, and which axes of space these are along; ``None`` of a perspective, which has none, and of a part."""
     scene = image.scene.to_json() if image.scene is not None else {}
     camera = scene.get("camera", {})
     whole = tuple(scene.get("image", {}).get("size", image.size))
     if camera.get("type") != "orthographic" or not {"height", "position"} <= camera.keys() or whole != image.size:
-        return None, None
+        return None, ("", "")
     eye = np.array(camera["position"], dtype=float)
     forward = np.array(camera["direction"] if "direction" in camera else np.array(camera["lookAt"]) - eye, dtype=float)
     right = np.cross(forward, camera.get("up", (0.0, 1.0, 0.0)))
-    half = 0.5 * camera["height"]
-    ends, names = [], []
-    for way, reach in ((right, half * image.size[0] / image.size[1]), (np.cross(right, forward), half)):
-        way = way / np.linalg.norm(way)
-        axis = int(np.argmax(np.abs(way)))
-        if abs(way[axis]) < 1 - 1e-12:
-            return (-half * image.size[0] / image.size[1], half * image.size[0] / image.size[1], -half, half), None
-        ends += [eye[axis] - math.copysign(reach, way[axis]), eye[axis] + math.copysign(reach, way[axis])]
-        names.append("xyz"[axis])
-    return (ends[0], ends[1], ends[2], ends[3]), (names[0], names[1])
+    ways = [way / np.linalg.norm(way) for way in (right, np.cross(right, forward))]
+    high = 0.5 * camera["height"]
+    wide = high * image.size[0] / image.size[1]
+    across, along = (int(np.argmax(np.abs(way))) for way in ways)
+    x, y = ways[0][across], ways[1][along]
+    if min(abs(x), abs(y)) < 1 - 1e-12:
+        return (-wide, wide, -high, high), ("", "")
+    (x0, y0), x, y = (eye[across], eye[along]), math.copysign(wide, x), math.copysign(high, y)
+    return (x0 - x, x0 + x, y0 - y, y0 + y), ("xyz"[across], "xyz"[along])
 
 
 def _color_map(image: Image) -> tuple[str, list[tuple[float, Any]], tuple[float, float]] | None:
@@ -379,22 +359,25 @@ def _color_map(image: Image) -> tuple[str, list[tuple[float, Any]], tuple[float,
     from ._scene import _nodes
 
     scene = image.scene
-    for node in _nodes(scene.to_json().get("root", {}) if scene is not None else {}):
-        for transfer in [*reversed(node.get("transfers", [])), node.get("transferFunction", {})]:
-            stops = _stops(transfer.get("color"))
-            if stops is None:
-                continue
-            held = scene._data.get(node.get("file"))
-            attributes = held.attributes if isinstance(held, Cloud) else {}
-            name = transfer.get("input", "value" if node.get("type") == "grid" else "density")
-            limits = transfer.get("valueRange")
-            if limits is None:
-                limits = attributes[name].range if name in attributes else held.range if isinstance(held, Grid) else None
-            if limits is None or not limits[0] < limits[1]:
-                continue
-            unit = attributes[name].unit if name in attributes else ""
-            return f"{name} [{unit}]" if unit else name, stops, (limits[0], limits[1])
+    for node in _nodes(scene.to_json()["root"] if scene is not None else {}):
+        own = node.get("transferFunction", {})
+        for transfer in [*reversed(node.get("transfers", [])), own]:
+            if (stops := _stops(transfer.get("color"))) is not None:
+                name = transfer.get("input", "opacity" if transfer is not own else "value" if node["type"] == "grid" else "density")
+                (low, high), unit = _range_and_unit(scene, node.get("file"), name)
+                limits = transfer.get("valueRange", (low, high if high > low else low + 1))
+                return f"{name} [{unit}]" if unit else name, stops, limits
     return None
+
+
+def _range_and_unit(scene: Any, file: str | None, name: str) -> tuple[tuple[float, float], str]:
+    """Over which values a map goes if it does not say so, and their unit."""
+    for held in [scene._data[file]] if file in scene._data else scene._data.values():
+        if isinstance(held, Cloud) and name in held.attributes:
+            return held.attributes[name].range, held.attributes[name].unit
+        if isinstance(held, Grid) and name == "value":
+            return held.range, ""
+    return (0.0, 1.0), ""
 
 
 def _stops(color: Any) -> list[tuple[float, Any]] | None:
@@ -406,8 +389,7 @@ def _stops(color: Any) -> list[tuple[float, Any]] | None:
         return [(k / (len(colors) - 1), one) for k, one in enumerate(colors)]
     if not isinstance(color, list) or not color or not isinstance(color[0], list):
         return None
-    stops = [(min(max(float(at), 0.0), 1.0), shown if isinstance(shown, str) else _screen(shown)) for at, shown in color]
-    stops.sort(key=lambda stop: stop[0])
+    stops = [(float(at), shown if isinstance(shown, str) else _screen(shown)) for at, shown in color]
     return [*([(0.0, stops[0][1])] if stops[0][0] > 0 else []), *stops, *([(1.0, stops[-1][1])] if stops[-1][0] < 1 else [])]
 
 

@@ -107,6 +107,16 @@ def test_a_scene_is_the_dictionary_that_it_came_from() -> None:
     assert np.array_equal(np.asarray(rs.render(again)), np.asarray(rs.render(scene)))
 
 
+def test_a_scene_of_what_is_in_memory_comes_back_as_long_as_that_is_there() -> None:
+    own = rs.build(points(300), radius=0.5)
+    document = rs.Scene(own, size=24).to_json()
+    expected = np.asarray(rs.render(own, size=24))
+    assert np.array_equal(np.asarray(rs.render(rs.Scene.from_json(document))), expected)
+    del own
+    with pytest.raises(ValueError, match="in memory that is no more"):
+        rs.Scene.from_json(document)
+
+
 def test_operators_are_those_of_scenes() -> None:
     a, b, c = (rs.Sphere((k, 0, 0), 1) for k in range(3))
     assert [(a | b).to_json()["type"], (a & b).to_json()["type"], (a - b).to_json()["type"], (a + b).to_json()["type"]] == [
