@@ -148,10 +148,10 @@ class Attribute:
 
 
 #: What is in memory, by the names that scenes have for it, as long as somebody has it.
-_in_memory: weakref.WeakValueDictionary[str, _Data] = weakref.WeakValueDictionary()
+_in_memory: weakref.WeakValueDictionary[str, Cloud | Grid] = weakref.WeakValueDictionary()
 
 
-def held_in_memory(name: str) -> _Data:
+def held_in_memory(name: str) -> Cloud | Grid:
     """A cloud or grid in memory by its name in a scene."""
     held = _in_memory.get(name)
     if held is None:
@@ -171,7 +171,7 @@ class _Data(Object):
         name = str(file.path)
         super().__init__({"type": kind, "file": name})
         if file.is_in_memory:
-            _in_memory[name] = self
+            _in_memory[name] = self  # type: ignore[assignment]
         self._header: dict[str, Any] = file.header()
 
     @property
