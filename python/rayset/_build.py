@@ -83,8 +83,8 @@ def build(
         raise ValueError(f"invalid={invalid!r}: expected \"skip\", \"skip-all\" or \"raise\"")
     if isinstance(classes, str):
         raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
-    rule, radii = _rule(radius, "radius")
-    constant, weights = _rule(weight, "weight")
+    rule, radii = _rule(radius, "radius", _arrays.unit_of(positions))
+    constant, weights = _rule(weight, "weight", None)
     options = {
         "path": None if path is None else str(_arguments.path(path, "path")),
         "radius": rule,
@@ -143,7 +143,7 @@ def _from_chunks(
     return _native.build_chunks(example, names, _arrays.chunks(first, chunks, classes), options, told)
 
 
-def _rule(value: Any, name: str) -> tuple[Any, Any]:
+def _rule(value: Any, name: str, unit: Any) -> tuple[Any, Any]:
     """A rule for all points, or an array of a value for each."""
     if value is None:
         return None, None
@@ -151,10 +151,12 @@ def _rule(value: Any, name: str) -> tuple[Any, Any]:
         if name == "radius":
             return value, None
         raise TypeError(f"{name}={value!r}: expected a number or an array")
+    if np.ndim(value) == 0 and _arrays.unit_of(value) is not None and unit is not None:
+        value = float(_arrays.plain(value, name, unit))
     if np.ndim(value) == 0 and _arrays.unit_of(value) is None:
         return _arguments.number(value, name, 1e-18 if name == "radius" else -1e18), None
     if np.ndim(value) == 0:
-        raise TypeError(f"{name}={value!r}: a quantity has to be an array, one for each point, or a plain number")
+        raise TypeError(f"{name}={value!r}: a quantity beside positions without a unit; give a plain number, or positions with a unit")
     return None, value
 
 

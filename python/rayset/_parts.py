@@ -79,7 +79,11 @@ class TransferFunction:
 def _stops(color: Any) -> Any:
     """Three numbers of linear light, or stops of a map."""
     found = list(color)
-    return _arguments.vector(found, "color") if all(np.ndim(v) == 0 and not isinstance(v, str) for v in found) else [list(v) for v in found]
+    return _arguments.vector(found, "color") if all(isinstance(v, (int, float, np.number)) for v in found) else [[at, _shown(own)] for at, own in found]
+
+
+def _shown(color: Any) -> Any:
+    return color if isinstance(color, str) else _arguments.vector(color, "color")
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,12 @@ def test_a_structured_array_is_a_table() -> None:
     assert list(cloud.attributes) == ["T"]
 
 
+def test_stops_of_a_map_may_be_in_linear_light() -> None:
+    cloud = rs.build(points(200), radius=0.5)
+    styled = cloud.styled(opacity="clamp", color=[(0, (0.0, 0.0, 0.0)), (1, "#ff8000")], input="density", value_range=(0, 1))
+    assert rs.render(styled, size=16).opacity.max() > 0.5
+
+
 def test_progress_is_told_from_the_thread_that_builds() -> None:
     import threading
 
