@@ -14,6 +14,7 @@ use super::cache::{self, CacheArgs, Place};
 use super::columns;
 use super::files;
 use super::kinds::{self, Built};
+use super::magnitude;
 use super::sources::{has_volume, open_points, remark_about};
 use crate::host::{Host, Reported};
 use crate::text;
@@ -127,11 +128,7 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<(
                 files.len()
             )
         };
-        let source = VolumeSource::open(file)?;
-        remark_about(file, &source, host);
-        let options = GridBuildOptions::default().with_memory_bytes(memory);
-        build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
-        return Ok(());
+        return build_volume(file, output, resources);
     }
     let options = BuildOptions::default().with_memory_bytes(memory);
     let threads = resources.threads.unwrap_or(options.threads);
@@ -148,6 +145,26 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<(
         resources.host.remark(&format!("skipped {} invalid records", text::count(skipped)));
     }
     Ok(())
+}
+
+/// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.
+fn build_volume(file: &Path, output: &Path, Resources { memory, host, .. }: Resources<'_>) -> Result<()> {
+    let options = GridBuildOptions::default().with_memory_bytes(memory);
+    let build = |source| {
+        build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
+        anyhow::Ok(())
+    };
+    let source = VolumeSource::open(file)?;
+    remark_about(file, &source, host);
+    build(source)?;
+    let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(()) };
+    let mut source = VolumeSource::open(file)?;
+    let sentence = format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
+    host.remark(&format!("{}: {sentence}", file.display()));
+    let factor = 10_f64.powi(exponent);
+    (source.scale, source.offset) = (source.scale * factor, source.offset * factor);
+    source.about.push(sentence);
+    build(source)
 }
 
 fn control<'a>(reported: &'a Reported<'_>) -> BuildControl<'a> {

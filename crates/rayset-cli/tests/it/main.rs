@@ -25,6 +25,7 @@ mod splats_and_meshes;
 mod tracer;
 mod value_ranges;
 mod volume_builds;
+mod volume_looks;
 mod words;
 
 #[allow(dead_code, reason = "the library's tests use the rest")]
