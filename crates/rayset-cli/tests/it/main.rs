@@ -17,6 +17,7 @@ mod looks;
 mod manual;
 mod memory;
 mod outputs;
+mod owned;
 mod pictures;
 mod program;
 mod settings;
