@@ -91,12 +91,12 @@ impl GridLook {
             _ => at(0.05),
         };
         move |v: f64| {
-            let is_faint = match background {
-                Background::Above(_) => v > faint,
-                Background::Below(_) => v < faint,
-                Background::Within(_) => false,
+            let is_seen = match background {
+                Background::Above(_) => v <= faint,
+                Background::Below(_) => v >= faint,
+                Background::Within(_) => !background.has(v),
             };
-            !is_empty && !is_faint && !background.has(v)
+            !is_empty && is_seen
         }
     }
 
