@@ -58,11 +58,11 @@ pub(crate) struct BuildArgs {
     /// Leave colours out
     #[arg(long)]
     no_color: bool,
-    /// Names of the columns of text files, as in x,y,z,-,intensity
-    #[arg(long, value_delimiter = ',')]
+    /// Names of the columns of text files and of arrays, as in x,y,z,-,intensity; - leaves one out
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     columns: Option<Vec<String>>,
-    /// Points to sample on the faces of a mesh. By default the vertices of PLY are the points, and OBJ, OFF and STL get ten
-    /// points a triangle, 1 to 20 million
+    /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of PLY with 20 000 vertices or
+    /// more, or with measurements of each, the vertices are the points
     #[arg(long)]
     mesh_points: Option<u64>,
     /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7.

@@ -15,7 +15,7 @@ use clap::Args;
 use crate::host::{Host, TemporaryFolder};
 use crate::{text, values};
 
-/// Options of the cache.
+/// Options of what is built of inputs, and of where it is kept.
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Cache of inputs that were not built before")]
 pub struct CacheArgs {
@@ -28,6 +28,9 @@ pub struct CacheArgs {
     /// Most bytes that the cache keeps; 20GiB by default
     #[arg(long, value_parser = values::size)]
     cache_limit: Option<u64>,
+    /// Names of the columns of text files and of arrays, as in x,y,z,-,intensity; - leaves one out
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, help_heading = "Columns of tables")]
+    columns: Option<Vec<String>>,
 }
 
 /// Bytes that the cache keeps if nothing else is said.
@@ -62,6 +65,11 @@ impl CacheArgs {
     #[must_use]
     pub fn none() -> Self {
         Self { no_cache: true, ..Self::default() }
+    }
+
+    /// Names of columns, if any were given.
+    pub(super) fn columns(&self) -> Option<&[String]> {
+        self.columns.as_deref()
     }
 
     /// The place of what is built of `inputs` with `options`, a text that says what they are.

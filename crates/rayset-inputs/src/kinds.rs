@@ -31,13 +31,47 @@ const NO_SCENES: [&str; 9] = [
     ".ipynb",
 ];
 
-/// Whether a file is a scene: by its name, or because it begins as JSON does.
+/// Bytes of JSON that are looked at for the key that scenes have.
+const MOST_JSON: u64 = 1 << 20;
+
+/// Whether a file is a scene: by its name, or because it begins as JSON does, unless it is JSON of someone else.
 pub fn is_scene(path: &Path) -> Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     if NO_SCENES.iter().any(|ending| name.ends_with(ending)) {
         return Ok(false);
     }
-    Ok(name.ends_with(".json") || head(path)?.starts_with(b"{"))
+    Ok((name.ends_with(".json") || head(path)?.starts_with(b"{")) && !is_other_json(path)?)
+}
+
+/// Whether a file is whole JSON of someone else: a list, or an object without the key `rayset` whose first key no scene has.
+fn is_other_json(path: &Path) -> Result<bool> {
+    /// Keys of scenes.
+    const KEYS: [&str; 11] = [
+        "$schema",
+        "rayset",
+        "comment",
+        "image",
+        "camera",
+        "background",
+        "lights",
+        "rendering",
+        "animation",
+        "define",
+        "root",
+    ];
+    let doing = || format!("cannot open {}", path.display());
+    let mut text = Vec::new();
+    if std::fs::metadata(path).with_context(doing)?.is_file() {
+        File::open(path).with_context(doing)?.take(MOST_JSON).read_to_end(&mut text).with_context(doing)?;
+    }
+    let text = String::from_utf8_lossy(&text);
+    let text = text.trim_start_matches('\u{feff}').trim_start();
+    if text.starts_with('[') {
+        return Ok(true);
+    }
+    let first_key = text.strip_prefix('{').and_then(|rest| rest.trim_start().strip_prefix('"'));
+    let first_key = first_key.and_then(|rest| rest.split('"').next());
+    Ok(first_key.is_some_and(|key| !KEYS.contains(&key)) && !text.contains("\"rayset\""))
 }
 
 /// Whether a file was built by rayset, or was going to be.

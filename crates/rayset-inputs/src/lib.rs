@@ -10,6 +10,7 @@ mod files;
 mod host;
 mod kinds;
 pub mod look;
+mod magnitude;
 mod open;
 mod sources;
 pub mod text;

@@ -14,6 +14,7 @@ use super::cache::{self, CacheArgs, Place};
 use super::columns;
 use super::files;
 use super::kinds::{self, Built};
+use super::magnitude;
 use super::sources::{has_volume, open_points, remark_about};
 use crate::host::{Host, Reported};
 use crate::text;
@@ -53,6 +54,12 @@ pub struct Resources<'a> {
 pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
     if let [file] = files.as_slice() {
+        if cache.columns().is_some() && (kinds::is_scene(file)? || kinds::is_built(file)?) {
+            bail!(
+                "--columns names the columns of text and of arrays, and {} is a scene or has been built: build it with them",
+                file.display()
+            );
+        }
         if kinds::is_scene(file)? {
             return Ok(Opened { input: Input::Scene(file.clone()), files, _place: None });
         }
@@ -81,7 +88,9 @@ fn built(path: &Path) -> Result<Input> {
 
 /// Builds files of points or voxels, unless that has been done before.
 fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
-    let place = cache.place(&files, "default", resources.host)?;
+    let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
+    let options = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
+    let place = cache.place(&files, &options, resources.host)?;
     if let Place::Kept(path) = &place
         && path.exists()
     {
@@ -95,7 +104,7 @@ fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> R
     }
     let started = Instant::now();
     resources.host.writes(place.path(), &files)?;
-    build(&files, place.path(), resources)?;
+    build(&files, &read, place.path(), resources)?;
     let input = built(place.path())?;
     let seconds = started.elapsed().as_secs_f64();
     match &place {
@@ -118,24 +127,17 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<()> {
+fn build(files: &[PathBuf], read: &ReadOptions, output: &Path, resources: Resources<'_>) -> Result<()> {
     let Resources { memory, host, .. } = resources;
     if has_volume(files)? {
         let [file] = files else {
-            bail!(
-                "these are {} files, volumes among them, and a grid is built from one volume at a time; name one of them",
-                files.len()
-            )
+            bail!("these are {} files, volumes among them, {}", files.len(), what_to_do_with_volumes(files))
         };
-        let source = VolumeSource::open(file)?;
-        remark_about(file, &source, host);
-        let options = GridBuildOptions::default().with_memory_bytes(memory);
-        build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
-        return Ok(());
+        return build_volume(file, output, resources);
     }
     let options = BuildOptions::default().with_memory_bytes(memory);
     let threads = resources.threads.unwrap_or(options.threads);
-    let sources = open_points(files, &ReadOptions::default(), host)?;
+    let sources = open_points(files, read, host)?;
     let columns = columns::customary(&sources);
     if let Some(remark) = columns.remark() {
         resources.host.remark(&remark);
@@ -144,10 +146,54 @@ fn build(files: &[PathBuf], output: &Path, resources: Resources<'_>) -> Result<(
     let reported = Reported { host, unit: "points" };
     let done = build::to_file(sources, output, &options.with_threads(threads), &control(&reported))?;
     let skipped = done.skipped.total();
+    if done.points == 0 && skipped == 0 {
+        let [first, others @ ..] = files else { bail!("no input files") };
+        let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
+        bail!(
+            "{}{more}: no points: the header says that there are none, so there is nothing to see",
+            first.display()
+        );
+    }
     if skipped > 0 {
         resources.host.remark(&format!("skipped {} invalid records", text::count(skipped)));
     }
     Ok(())
+}
+
+/// What makes one volume of several files.
+fn what_to_do_with_volumes(files: &[PathBuf]) -> String {
+    let ends = |file: &PathBuf| {
+        file.extension().is_some_and(|e| e.to_ascii_lowercase().to_string_lossy().starts_with("tif"))
+    };
+    if !files.iter().all(ends) {
+        return "and a grid is built from one volume at a time; name one of them".into();
+    }
+    let folder =
+        files.first().and_then(|file| file.parent()).map_or_else(String::new, |f| f.display().to_string());
+    format!(
+        "slices in TIFF, which is not read; from Python, `numpy.save(\"volume.npy\", \
+         tifffile.imread(\"{folder}/*.tif\"))` makes one volume of them that opens"
+    )
+}
+
+/// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.
+fn build_volume(file: &Path, output: &Path, Resources { memory, host, .. }: Resources<'_>) -> Result<()> {
+    let options = GridBuildOptions::default().with_memory_bytes(memory);
+    let build = |source| {
+        build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
+        anyhow::Ok(())
+    };
+    let source = VolumeSource::open(file)?;
+    remark_about(file, &source, host);
+    build(source)?;
+    let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(()) };
+    let mut source = VolumeSource::open(file)?;
+    let sentence = format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
+    host.remark(&format!("{}: {sentence}", file.display()));
+    let factor = 10_f64.powi(exponent);
+    (source.scale, source.offset) = (source.scale * factor, source.offset * factor);
+    source.about.push(sentence);
+    build(source)
 }
 
 fn control<'a>(reported: &'a Reported<'_>) -> BuildControl<'a> {

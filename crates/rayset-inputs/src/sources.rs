@@ -20,6 +20,12 @@ pub fn open_points(
         for warning in &source.schema().warnings {
             host.remark(&format!("{}: {warning}", file.display()));
         }
+        if options.mesh_points.is_some_and(|points| source.count_hint() != Some(points)) {
+            let name = file.display();
+            host.remark(&format!(
+                "{name}: --mesh-points is for the faces of PLY, OBJ, OFF and STL; its points are read"
+            ));
+        }
         sources.push(source);
     }
     remark_on_systems(&sources, host);

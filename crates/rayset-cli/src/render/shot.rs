@@ -54,7 +54,7 @@ impl Shot {
             Input::Cloud(cloud) => {
                 let chosen = look::of_cloud(cloud, &args.look, &args.camera, size)?;
                 let (file, text) = parsed(cloud.path(), &chosen)?;
-                warnings::of_small_radii(cloud.header(), &file.camera, file.settings);
+                warnings::of_small_radii(cloud.header(), chosen.middle, &file.camera, file.settings);
                 (file, Some(text), Some(chosen.look))
             }
             Input::Grid(grid) => {

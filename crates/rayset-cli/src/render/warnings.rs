@@ -1,13 +1,20 @@
 //! What is likely to disappoint, said before it is rendered, with the option that helps.
 
 use rayset::file::Header;
+use rayset::geometry::DVec3;
 use rayset::scene::{Camera, Projection, RenderSettings};
 
 use crate::report;
 
-/// Points smaller than a pixel are missed by most rays.
-pub(super) fn of_small_radii(header: &Header, camera: &Camera, settings: RenderSettings) {
-    let distance = (header.bounds.center() - camera.position).length();
+/// Points smaller than a pixel are missed by most rays. `framed` is about the middle of those in the picture: the middle of the
+/// bounds may be far away.
+pub(super) fn of_small_radii(
+    header: &Header,
+    framed: Option<DVec3>,
+    camera: &Camera,
+    settings: RenderSettings,
+) {
+    let distance = (framed.unwrap_or(header.bounds.center()) - camera.position).length();
     let pixel = match camera.projection {
         Projection::Perspective { fovy } => 2.0 * distance * (fovy * 0.5).tan() / f64::from(settings.height),
         Projection::Orthographic { height } => height / f64::from(settings.height),

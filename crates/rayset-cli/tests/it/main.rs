@@ -17,6 +17,7 @@ mod looks;
 mod manual;
 mod memory;
 mod outputs;
+mod owned;
 mod pictures;
 mod program;
 mod settings;
@@ -25,6 +26,7 @@ mod splats_and_meshes;
 mod tracer;
 mod value_ranges;
 mod volume_builds;
+mod volume_looks;
 mod words;
 
 #[allow(dead_code, reason = "the library's tests use the rest")]

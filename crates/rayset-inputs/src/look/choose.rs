@@ -5,10 +5,12 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use rayset::geometry::DVec3;
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
+use super::framing::one_place;
 use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
 use super::statistics::{Statistics, percentile};
@@ -20,6 +22,8 @@ pub struct Chosen {
     pub scene: Value,
     /// What was chosen, and why.
     pub line: String,
+    /// About the middle of the points that are framed; `None` of voxels.
+    pub middle: Option<DVec3>,
     /// The name of the look.
     pub look: &'static str,
     /// What is up, and why.
@@ -138,7 +142,8 @@ fn of_sampled_cloud(
         size,
     );
     chosen.dress(cloud, &mut scene);
-    scene["camera"] = camera.scene(&chosen.orientation, &chosen.points(), aspect(size))?;
+    let (points, away) = one_place(chosen.points());
+    scene["camera"] = camera.scene(&chosen.orientation, &points, aspect(size))?;
     let header = cloud.header();
     let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
     let stored = if stored.is_empty() {
@@ -160,9 +165,14 @@ fn of_sampled_cloud(
     let enlarged = enlarged.map_or_else(String::new, |scale| {
         format!("; few points far apart: --radius-scale {scale}, so that they are seen")
     });
+    let apart = away.map_or_else(String::new, |away| {
+        format!("; the points lie in places {away:.3e} apart, of which the one with the most is framed")
+    });
+    let middle = points.iter().fold(DVec3::ZERO, |sum, (p, _)| sum + *p) / points.len().max(1) as f64;
     Ok(Chosen {
         scene,
-        line: chosen.line() + &enlarged,
+        line: chosen.line() + &enlarged + &apart,
+        middle: (!points.is_empty()).then_some(middle),
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
         densities: Box::new(move || chosen.opacity_densities()),
@@ -225,6 +235,7 @@ fn of_sampled_grid(
     Ok(Chosen {
         scene,
         line: chosen.line(),
+        middle: None,
         look: LookName::Volume.name(),
         up: chosen.orientation.reason_and_up(),
         densities: {

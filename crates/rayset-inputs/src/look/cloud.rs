@@ -34,6 +34,9 @@ const NORMALISED_RADII: [f64; 2] = [1e-5, 1e5];
 /// Points in more than this part of the inner cells of their box are no surface, however they crowd; those of rooms are in few.
 const BOX: f64 = 0.7;
 
+/// Fewer points of gas that are seen than these say nothing of where it is.
+const LEAST_SEEN: usize = 200;
+
 /// What a surface is coloured by.
 #[derive(Clone, PartialEq)]
 enum Paint {
@@ -97,7 +100,21 @@ impl CloudLook {
 
     /// The points that the camera frames, each with its radius.
     pub(super) fn points(&self) -> Vec<(DVec3, f64)> {
-        self.statistics.positions().zip(self.statistics.values("radius")).collect()
+        let all: Vec<(DVec3, f64)> =
+            self.statistics.positions().zip(self.statistics.values("radius")).collect();
+        let seen = if self.name == LookName::Gas { self.seen_of_gas() } else { Vec::new() };
+        if seen.len() < LEAST_SEEN { all } else { seen.into_iter().map(|i| all[i]).collect() }
+    }
+
+    /// The points of gas that are dense enough to be seen, by their numbers in the sample; what is thinner is black.
+    fn seen_of_gas(&self) -> Vec<usize> {
+        let densities = self.densities_of_points();
+        let mut sorted: Vec<f64> = densities.iter().map(|&(_, density)| density).collect();
+        sorted.sort_by(f64::total_cmp);
+        let (low, high) = (percentile(&sorted, 0.02), percentile(&sorted, 0.98));
+        // The place on the map whose opacity is a tenth of the largest.
+        let faint = low * (high / low.max(1e-300)).powf(0.4);
+        densities.iter().filter(|&&(_, density)| density >= faint).map(|&(i, _)| i).collect()
     }
 
     /// The coordinate along the vertical.
@@ -174,6 +191,14 @@ impl CloudLook {
 
     /// The density of mass at points, or of numbers where points have no weights, ascending: estimates.
     fn densities(&self) -> Vec<f64> {
+        let mut densities: Vec<f64> =
+            self.densities_of_points().into_iter().map(|(_, density)| density).collect();
+        densities.sort_by(f64::total_cmp);
+        densities
+    }
+
+    /// The densities at points, with the numbers of these in the sample.
+    fn densities_of_points(&self) -> Vec<(usize, f64)> {
         const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
         let around = self.statistics.number_densities();
@@ -183,16 +208,16 @@ impl CloudLook {
         reached.sort_by(f64::total_cmp);
         let reached = percentile(&reached, 0.5);
         let alike = range(&self.statistics.sorted("radius"), 0.01);
-        let mut densities: Vec<f64> = if !self.is_normalised {
+        let mut densities: Vec<(usize, f64)> = if !self.is_normalised {
             // Each counts by its kernel, whose mean over its ball is about a fifth; at its middle it is 1.
-            weights.iter().map(|weight| (0.2 * reached).max(1.0) * weight).collect()
+            weights.iter().map(|weight| (0.2 * reached).max(1.0) * weight).enumerate().collect()
         } else if alike.1 < 1.2 * alike.0 {
-            around.iter().map(|&(i, density)| density * weights[i]).collect()
+            around.iter().map(|&(i, density)| (i, density * weights[i])).collect()
         } else {
-            weights.iter().zip(&radii).map(|(w, r)| w * reached.max(5.0) / (BALL * r.powi(3))).collect()
+            let of = |(w, r): (&f64, &f64)| w * reached.max(5.0) / (BALL * r.powi(3));
+            weights.iter().zip(&radii).map(of).enumerate().collect()
         };
-        densities.retain(|density| density.is_finite() && *density > 0.0);
-        densities.sort_by(f64::total_cmp);
+        densities.retain(|(_, density)| density.is_finite() && *density > 0.0);
         densities
     }
 

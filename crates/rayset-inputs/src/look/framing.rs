@@ -66,6 +66,35 @@ pub(super) fn frame(
     Frame { position, half_height: tangent }
 }
 
+/// What is left of points if those in other places, far away, are left out, and how far the largest of these is away, if it is
+/// more than a few strays.
+pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Option<f64>) {
+    /// Places are told apart if what is between them is this many times as long as the larger one.
+    const EMPTY: f64 = 10.0;
+    /// Parts of the points that are worth a word.
+    const PART: f64 = 0.005;
+    let (all, mut away) = (points.len() as f64, None);
+    for round in 0..12 {
+        let axis = round % 3;
+        if points.len() < FEW {
+            break;
+        }
+        points.sort_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
+        let gaps = points.windows(2).enumerate().map(|(i, pair)| (i + 1, pair[1].0[axis] - pair[0].0[axis]));
+        let Some((at, gap)) = gaps.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+        let keeps_first = 2 * at >= points.len();
+        let kept = if keeps_first { 0..at } else { at..points.len() };
+        let length = points[kept.end - 1].0[axis] - points[kept.start].0[axis];
+        if gap > EMPTY * length.max(1e-300) && gap.is_finite() {
+            if (points.len() - kept.len()) as f64 > PART * all {
+                away = Some(away.unwrap_or(0.0_f64).max(gap));
+            }
+            points = points[kept].to_vec();
+        }
+    }
+    (points, away)
+}
+
 /// Where most of some intervals lie on an axis.
 #[derive(Clone, Copy)]
 struct Spread {
@@ -102,5 +131,9 @@ fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
     let at = |sorted: &[f64], part: f64| sorted[(part * (sorted.len() - 1) as f64) as usize];
     let (from, to) = (at(&lows, 0.1), at(&highs, 0.9));
     let (middle, most) = (0.5 * (from + to), 0.5 * CORE * (to - from));
-    Spread { low: lowest.max(middle - most), high: highest.min(middle + most) }
+    // The outermost that are within, and not the bounds themselves, between which there may be nothing.
+    let inner = |v: f64| (middle - most..=middle + most).contains(&v);
+    let least = lows.iter().copied().find(|&v| inner(v)).unwrap_or(from);
+    let largest = highs.iter().copied().rfind(|&v| inner(v)).unwrap_or(to);
+    Spread { low: lowest.max(least), high: highest.min(largest) }
 }

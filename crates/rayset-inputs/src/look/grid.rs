@@ -1,12 +1,14 @@
 //! The look of voxels.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use rayset::Grid;
 use rayset::geometry::DVec3;
 use serde_json::{Value, json};
 
+use super::ranges::over_logarithm;
 use super::statistics::percentile;
 use super::view::Orientation;
+use super::voxels::{Background, Content, number};
 
 /// Values of a sample.
 const SAMPLE_VALUES: usize = 1 << 15;
@@ -14,34 +16,19 @@ const SAMPLE_VALUES: usize = 1 << 15;
 const MARKS: f64 = 1e17;
 /// Largest number of a scene.
 const LARGEST: f64 = 1e18;
-/// What the reader of OpenVDB says of a level set begins like this.
-const LEVEL_SET: &str = "a level set";
+/// Values of which the largest are smaller than this are too close together for scenes, whose numbers differ by 1e-18.
+const TINY: f64 = 1e-12;
 /// Surfaces without colours.
 const PLAIN: &str = "#dbccb2";
 /// Behind voxels.
 const NIGHT: &str = "#0b0d10";
-
-/// What voxels hold.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum Content {
-    /// X-ray absorption in Hounsfield units: air is -1000, water 0.
-    Hounsfield,
-    /// Distances to a surface, negative inside, in units of the file.
-    LevelSet,
-    /// Anything else of a body.
-    Body,
-    /// A field of a simulation or a measurement.
-    Field,
-}
 
 /// How voxels are to be seen.
 pub(super) struct GridLook {
     content: Content,
     /// The values of a sample without the background, ascending.
     pub(super) shown: Vec<f64>,
-    /// What is at or below this, or at or above it if the background is high, is background.
-    threshold: f64,
-    background_is_low: bool,
+    background: Background,
     /// Whether there are marks of places without a value.
     has_marks: bool,
     pub(super) orientation: Orientation,
@@ -60,75 +47,57 @@ impl GridLook {
         let all: Vec<f64> = (0..sample.len()).map(|i| sample.columns[0].get(i)).collect();
         let mut values: Vec<f64> = all.iter().copied().filter(|&v| is_value(v)).collect();
         values.sort_by(f64::total_cmp);
-        let (least, largest) = (percentile(&values, 0.0), percentile(&values, 1.0));
-        let content = if header.sources.iter().any(|about| about.starts_with(LEVEL_SET)) {
-            Content::LevelSet
-        } else if (-9000.0..=-900.0).contains(&least) && (600.0..70_000.0).contains(&largest) {
-            Content::Hounsfield
-        } else {
-            Content::Field
-        };
-        let mode = mode(&values);
-        let background_is_low =
-            content != Content::LevelSet && mode <= percentile(&values, 0.5).max(0.5 * (least + largest));
-        let threshold = match content {
-            Content::Hounsfield => -300.0,
-            Content::LevelSet => 0.0,
-            Content::Body | Content::Field => threshold(&values, mode),
-        };
-        let shown: Vec<f64> = values
-            .iter()
-            .copied()
-            .filter(|&v| if background_is_low { v > threshold } else { v < threshold })
-            .collect();
-        let last = header.last_voxel();
-        let corner = |i: usize| {
-            DVec3::from_array(std::array::from_fn(|axis| if i >> axis & 1 == 1 { last[axis] } else { 0.0 }))
-        };
-        let corners = [0, 7].map(|i| header.space_from_voxel.transform_point3(corner(i)));
-        let diagonal = corners[0].distance(corners[1]);
-        // What is nearly transparent is not framed.
-        let faint = match content {
-            Content::LevelSet => threshold,
-            _ => percentile(&shown, if background_is_low { 0.05 } else { 0.95 }),
-        };
-        let stands_out = |v: f64| if background_is_low { v >= faint } else { v <= faint };
-        let matrix = header.space_from_voxel.matrix3;
-        let voxel = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::length).into_iter();
-        let voxel = voxel.fold(f64::INFINITY, f64::min);
-        // The surface lies between the voxels inside and those outside.
-        let margin = if content == Content::LevelSet { voxel } else { 0.0 };
-        let points: Vec<(DVec3, f64)> = sample
-            .position
-            .iter()
-            .zip(&all)
-            .filter(|(_, v)| !shown.is_empty() && is_value(**v) && stands_out(**v))
-            .map(|(p, _)| (DVec3::from_array(*p), margin))
-            .collect();
-        let points = if points.len() >= 8 {
-            points
-        } else {
-            (0..8).map(|i| (header.space_from_voxel.transform_point3(corner(i)), 0.0)).collect()
-        };
+        check_range(grid, &values)?;
+        let content = Content::of(&values, &header.sources, header.facing.is_some());
+        let background = Background::of(content, &values);
+        let shown: Vec<f64> = values.iter().copied().filter(|&v| !background.has(v)).collect();
         let orientation = match (up, header.up) {
             (Some(up), _) => Orientation::with_up(up, "as asked for"),
             (None, Some(up)) => Orientation::with_up(up, "said by the file").toward_front(header.facing),
             (None, None) => Orientation::with_up(DVec3::Z, "the custom of volumes"),
         };
-        let is_body = content == Content::Field && header.facing.is_some();
-        let content = if is_body { Content::Body } else { content };
-        let has_marks = all.iter().any(|v| v.abs() >= MARKS);
-        Ok(Self {
+        let corners = corners(grid);
+        let matrix = header.space_from_voxel.matrix3;
+        let voxel = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::length).into_iter();
+        let mut look = Self {
             content,
             shown,
-            threshold,
-            background_is_low,
-            has_marks,
+            background,
+            has_marks: all.iter().any(|v| v.abs() >= MARKS),
             orientation,
-            points,
-            diagonal,
-            voxel,
-        })
+            points: Vec::new(),
+            diagonal: corners[0].distance(corners[7]),
+            voxel: voxel.fold(f64::INFINITY, f64::min),
+        };
+        // The surface lies between the voxels inside and those outside.
+        let margin = if content == Content::LevelSet { look.voxel } else { 0.0 };
+        let stands_out = look.stands_out();
+        let places = sample.position.iter().zip(&all).filter(|(_, v)| is_value(**v) && stands_out(**v));
+        look.points = places.map(|(p, _)| (DVec3::from_array(*p), margin)).collect();
+        if look.points.len() < 8 || content == Content::Constant {
+            look.points = corners.map(|corner| (corner, 0.0)).into();
+        }
+        Ok(look)
+    }
+
+    /// Whether a value is framed: what is nearly transparent is not.
+    fn stands_out(&self) -> impl Fn(f64) -> bool + use<> {
+        let at = |part: f64| percentile(&self.shown, part);
+        let (background, content, is_empty) = (self.background, self.content, self.shown.is_empty());
+        let faint = match (content, background) {
+            (Content::LevelSet, _) => 0.0,
+            (Content::Density, _) => at(0.5),
+            (_, Background::Above(_)) => at(0.95),
+            _ => at(0.05),
+        };
+        move |v: f64| {
+            let is_seen = match background {
+                Background::Above(_) => v <= faint,
+                Background::Below(_) => v >= faint,
+                Background::Within(_) => !background.has(v),
+            };
+            !is_empty && is_seen
+        }
     }
 
     /// The object of the scene.
@@ -137,6 +106,9 @@ impl GridLook {
             Content::Hounsfield => self.hounsfield(),
             Content::LevelSet => self.level_set(),
             Content::Body | Content::Field => self.ramp(),
+            Content::Density => self.logarithmic(),
+            Content::Signed => self.diverging(),
+            Content::Constant => self.constant(),
         };
         json!({
             "type": "grid",
@@ -178,31 +150,73 @@ impl GridLook {
 
     /// From the background to the rarest values: thin, then solid.
     fn ramp(&self) -> (Value, Value, (f64, f64)) {
-        let at = |fraction: f64| {
-            let fraction = if self.background_is_low { fraction } else { 1.0 - fraction };
-            percentile(&self.shown, fraction)
+        let (edge, is_low) = match self.background {
+            Background::Above(edge) => (edge, false),
+            Background::Below(edge) | Background::Within(edge) => (edge, true),
         };
-        let (start, half, most, end) = (self.threshold, at(0.5), at(0.9), at(0.995));
-        let mut stops = vec![(start, 0.0), (half, 0.02), (most, 0.12), (end, 0.6)];
-        if !self.background_is_low {
+        let at = |part: f64| percentile(&self.shown, if is_low { part } else { 1.0 - part });
+        let mut stops = vec![(edge, 0.0), (at(0.5), 0.02), (at(0.9), 0.12), (at(0.995), 0.6)];
+        if !is_low {
             stops.reverse();
         }
         stops.dedup_by(|b, a| b.0 <= a.0);
         let (low, high) = (stops[0].0, stops[stops.len() - 1].0);
         let high = if high > low { high } else { low + low.abs().max(1.0) * 1e-3 };
-        if self.has_marks {
-            stops.insert(0, (-LARGEST, 0.0));
-            stops.push((LARGEST, 0.0));
-        }
-        let map = match (self.content, self.background_is_low) {
+        let map = match (self.content, is_low) {
             (Content::Body, _) => {
                 json!([[0, "#6b3a2e"], [0.35, "#b98a76"], [0.7, "#ead9cb"], [1, "#ffffff"]])
             }
             (_, true) => json!("inferno"),
             (_, false) => json!("inferno_r"),
         };
-        let opacity = stops.iter().map(|&(v, o)| json!([v, o])).collect::<Vec<_>>();
-        (opacity.into(), map, (low, high))
+        (self.curve(stops), map, (low, high))
+    }
+
+    /// Colours and opacity by the logarithm, as of gas: the rarest values are solid, and most of what is shown is thin.
+    fn logarithmic(&self) -> (Value, Value, (f64, f64)) {
+        /// Points of the curve, evenly spaced in the logarithm.
+        const KNOTS: usize = 64;
+        let (low, high) = self.density_range();
+        let stops = (0..=KNOTS).map(|i| i as f64 / KNOTS as f64);
+        let stops = stops.map(|t| (low * (high / low).powf(t), 0.002 * t + 0.5 * t.powi(4))).collect();
+        let map = over_logarithm(&json!("inferno"), (low, high)).unwrap_or_else(|_| json!("inferno"));
+        (self.curve(stops), map, (low, high))
+    }
+
+    /// The ends of a map over the logarithm.
+    fn density_range(&self) -> (f64, f64) {
+        let (low, high) = (percentile(&self.shown, 0.0), percentile(&self.shown, 0.999));
+        (low, high.max(1.1 * low))
+    }
+
+    /// Values about 0 are left out; those far from it are solid, on either side in a colour of their own.
+    fn diverging(&self) -> (Value, Value, (f64, f64)) {
+        let mut sizes: Vec<f64> = self.shown.iter().map(|v| v.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let at = |part: f64| percentile(&sizes, part);
+        let edge = if let Background::Within(edge) = self.background { edge } else { 0.0 };
+        let mut stops = vec![(edge, 0.0), (at(0.5), 0.03), (at(0.9), 0.3), (at(0.99), 0.8)];
+        stops.dedup_by(|b, a| b.0 <= a.0);
+        let far = stops[stops.len() - 1].0;
+        let below = stops.iter().rev().map(|&(v, opacity)| (-v, opacity));
+        let all = below.chain(stops.iter().copied()).collect();
+        (self.curve(all), json!("coolwarm"), (-far, far))
+    }
+
+    /// A solid box.
+    fn constant(&self) -> (Value, Value, (f64, f64)) {
+        let value = percentile(&self.shown, 0.0);
+        let apart = value.abs().max(1.0) * 1e-3;
+        (json!([[value, 0.95]]), json!(PLAIN), (value - apart, value + apart))
+    }
+
+    /// An opacity curve that leaves out marks of places without a value.
+    fn curve(&self, mut stops: Vec<(f64, f64)>) -> Value {
+        if self.has_marks {
+            stops.insert(0, (-LARGEST, 0.0));
+            stops.push((LARGEST, 0.0));
+        }
+        stops.iter().map(|&(v, o)| json!([v, o])).collect::<Vec<_>>().into()
     }
 
     /// Lights, background and rendering settings.
@@ -228,10 +242,14 @@ impl GridLook {
         let what = match self.content {
             Content::Hounsfield => "computed tomography in Hounsfield units".to_owned(),
             Content::LevelSet => "a level set, the surface where values are 0".to_owned(),
-            Content::Body | Content::Field => {
-                let side = if self.background_is_low { "above" } else { "below" };
-                format!("values {side} {:.4}", self.threshold)
+            Content::Constant => {
+                format!("every voxel is {}", number(percentile(&self.shown, 0.0)))
             }
+            Content::Density => {
+                let (low, high) = self.density_range();
+                format!("the logarithm of values from {} to {}", number(low), number(high))
+            }
+            Content::Signed | Content::Body | Content::Field => self.background.to_string(),
         };
         format!(
             "look: volume ({what}), {}; --opacity, --colormap, --value-range, --view and --up say otherwise",
@@ -240,34 +258,28 @@ impl GridLook {
     }
 }
 
-/// The middle of the most frequent of 256 ranges of values.
-fn mode(sorted: &[f64]) -> f64 {
-    let (low, high) = (percentile(sorted, 0.001), percentile(sorted, 0.999));
-    if !(high > low) {
-        return low;
-    }
-    let mut counts = [0_u32; 256];
-    for v in sorted {
-        let place = ((v - low) / (high - low) * 256.0).clamp(0.0, 255.0);
-        counts[place as usize] += 1;
-    }
-    let most = (0..256).max_by_key(|&i| counts[i]).unwrap_or(0);
-    low + (most as f64 + 0.5) / 256.0 * (high - low)
+/// The corners of the box around the voxels, in the space of the file.
+fn corners(grid: &Grid) -> [DVec3; 8] {
+    let (header, last) = (grid.header(), grid.header().last_voxel());
+    std::array::from_fn(|i| {
+        let corner = std::array::from_fn(|axis| if i >> axis & 1 == 1 { last[axis] } else { 0.0 });
+        header.space_from_voxel.transform_point3(DVec3::from_array(corner))
+    })
 }
 
-/// The value that parts the background from the rest: Otsu's (1979), which makes both parts as uniform as possible, moved
-/// toward the background, so that faint tissue shows.
-fn threshold(sorted: &[f64], mode: f64) -> f64 {
-    let (n, total): (f64, f64) = (sorted.len() as f64, sorted.iter().sum());
-    let (mut below, mut best) = (0.0, (0.0, mode));
-    for (i, v) in sorted.iter().enumerate().take(sorted.len().saturating_sub(1)) {
-        below += v;
-        let (weight, rest) = ((i + 1) as f64, n - (i + 1) as f64);
-        let difference = below / weight - (total - below) / rest;
-        let between = weight * rest * difference * difference;
-        if between > best.0 && sorted[i + 1] > *v {
-            best = (between, *v);
-        }
-    }
-    mode + 0.6 * (best.1 - mode)
+/// Whether scenes can hold the values: what [`crate::open`] builds is scaled, other grids may not be.
+fn check_range(grid: &Grid, values: &[f64]) -> Result<()> {
+    let largest = values.iter().fold(0.0_f64, |largest, v| largest.max(v.abs()));
+    let what = if values.is_empty() {
+        "every voxel is beyond ±1e17, which marks places without a value".to_owned()
+    } else if largest > 0.0 && largest < TINY {
+        format!("no voxel is larger than {largest:.1e}")
+    } else {
+        return Ok(());
+    };
+    bail!(
+        "{}: {what}, and scenes hold values from 1e-12 to 1e17; render the file that the grid was built from, whose values \
+         are then multiplied by a power of ten, or write it in other units",
+        grid.path().display()
+    )
 }

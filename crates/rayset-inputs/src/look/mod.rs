@@ -14,6 +14,7 @@ mod ranges;
 mod statistics;
 mod upright;
 mod view;
+mod voxels;
 
 pub use self::choose::{Chosen, Looks, of_cloud, of_grid};
 pub use self::options::LookArgs;

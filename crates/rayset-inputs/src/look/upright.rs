@@ -13,6 +13,10 @@ const OBJECT: f64 = 1.0;
 const UNIT: f64 = 1.01;
 /// Rooms and buildings are as large as this, in metres.
 const SITE: std::ops::Range<f64> = 2.0..60.0;
+/// Rooms are as high as this, in metres.
+const ROOM: std::ops::Range<f64> = 2.0..6.0;
+/// People stand as high as this, in metres.
+const PERSON: std::ops::Range<f64> = 1.2..2.4;
 /// Coordinates from here on are those of a map.
 const MAP: f64 = 1e4;
 
@@ -66,6 +70,13 @@ impl Extents {
         self.sides[axis] > 1.3 * self.others(axis).fold(0.0, f64::max)
     }
 
+    /// The axis along which a person would stand, by these extents.
+    fn person(&self) -> Option<usize> {
+        let is_person = PERSON.contains(&self.sides[self.long]) && self.is_long(self.long);
+        let is_slab = self.sides[self.thin] < 0.12 * self.sides[self.long];
+        (is_person && !is_slab && self.long > 0).then_some(self.long)
+    }
+
     /// Whether points are a thing by their size, and not a site.
     fn is_object(&self) -> bool {
         let reach = (0..3).map(|axis| self.middle[axis].abs() + 0.5 * self.sides[axis]).fold(0.0, f64::max);
@@ -104,6 +115,29 @@ fn is_scan(header: &Header) -> bool {
     header.has_color || header.attributes.iter().any(|attribute| of_scan(&attribute.name))
 }
 
+/// Whether a cloud has columns that LiDARs write.
+fn is_of_lidar(header: &Header) -> bool {
+    let names = ["intensity", "reflectivity", "ring", "timestamp", "time", "tag", "laser", "offset_time"];
+    header.attributes.iter().any(|attribute| names.contains(&&*attribute.name.to_ascii_lowercase()))
+}
+
+/// Whether points are a site by the size, shape and columns that it has in its kind of file.
+fn is_site(header: &Header, extents: &Extents) -> bool {
+    let Extents { sides, thin, long, .. } = *extents;
+    let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
+    let is_building = SITE.contains(&sides[long]) && !extents.is_long(1);
+    if said("PCD") {
+        return is_building && !extents.is_thin(1, 0.5) || is_of_lidar(header);
+    }
+    if is_building && is_scan(header) && thin == 2 {
+        return true;
+    }
+    // Of a building as wide as it is high, the extents say nothing; things in colours are not as large.
+    let is_metric = said("PLY") && is_building && is_scan(header) && !extents.is_thin(1, 0.6);
+    let is_room = said("PLY") && is_building && extents.is_thin(2, 0.6) && ROOM.contains(&sides[2]);
+    is_metric || is_room
+}
+
 fn axis(axis: usize) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|i| f64::from(u8::from(i == axis))))
 }
@@ -127,33 +161,40 @@ pub(super) fn orientation(cloud: &Cloud, statistics: &Statistics, given: Option<
 fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orientation {
     let Extents { sides, thin, long, .. } = *extents;
     let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
+    let is_printed = said("STL");
     let scanned = ["LAS", "E57", "PTX", "PTS"].iter().any(|kind| said(kind)) && sides[long] >= OBJECT;
     // Of people and statues, which are thin from front to back, files have y up.
     let of_things = said("PLY") || said("OBJ");
     // PCD are seen by sensors, and STL lie on the beds of printers.
-    let is_flat = extents.is_thin(thin, if said("PCD") || said("STL") { 0.5 } else { 0.25 });
-    let is_site = SITE.contains(&sides[long]) && is_scan(header) && thin == 2 && !extents.is_long(1);
+    let is_flat = extents.is_thin(thin, if said("PCD") || is_printed { 0.5 } else { 0.25 });
+    let is_site = (of_things || said("PCD")) && is_site(header, extents);
     if !header.crs.is_empty() {
         Orientation::with_up(DVec3::Z, "the coordinate reference system")
     } else if scanned {
         Orientation::with_up(DVec3::Z, "the kind of file")
     } else if extents.is_on_map() {
         Orientation::with_up(DVec3::Z, "coordinates of a map")
-    } else if !said("STL") && is_camera_frame(statistics, said("PCD")) {
+    } else if !is_printed && is_camera_frame(statistics, said("PCD")) {
         Orientation::with_up(DVec3::NEG_Y, "a camera's own axes").toward_front(Some(DVec3::Z))
     } else if let Some(up) = against_the_fall(statistics) {
         Orientation::with_up(up, "particles that fall")
     } else if said("COLMAP") && !(is_flat && thin == 2) {
         Orientation::with_up(DVec3::NEG_Y, "the cameras of COLMAP")
+    } else if let Some(long) = extents.person().filter(|_| !is_printed) {
+        Orientation::with_up(axis(long), "the longest extent, of a person's size")
     } else if is_flat && (!of_things || thin == 2 && sides[long] >= OBJECT) {
         Orientation::with_up(axis(thin), "the thinnest extent")
-    } else if of_things && is_site {
+    } else if is_site && thin == 2 {
         Orientation::with_up(DVec3::Z, "the thinnest extent of a site")
+    } else if is_site && !extents.is_object() {
+        Orientation::with_up(DVec3::Z, "the size of a site")
     } else if extents.is_long(long) && long > 0 {
         Orientation::with_up(axis(long), "the longest extent")
+    } else if is_printed {
+        Orientation::with_up(DVec3::Z, "the bed of a printer")
     } else if extents.is_object() {
         Orientation::with_up(DVec3::Y, "the size of an object, not of a site")
-    } else if of_things || said("STL") || said("PCD") {
+    } else if of_things || said("PCD") {
         Orientation::with_up(DVec3::Y, "the custom of such files")
     } else {
         Orientation::with_up(DVec3::Z, "the custom of such files")

@@ -34,8 +34,9 @@ use crate::setters::setters;
 pub struct ReadOptions {
     /// Names of all columns of text files and of plain arrays of NumPy, overriding their header; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
-    /// Points to sample on the faces of a mesh, evenly by area. If `None`, the vertices of a PLY file are its points, and on
-    /// OBJ, OFF and STL files ten points are sampled for each triangle, at least a million and at most 20 million.
+    /// Points to sample on the faces of a mesh, evenly by area. If `None`, ten points are sampled for each triangle, at least a
+    /// million and at most 20 million; of a PLY file with 20 000 vertices or more, or with measurements of each, its vertices
+    /// are the points.
     pub mesh_points: Option<u64>,
     /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
     /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
@@ -149,6 +150,22 @@ const FORMATS: &[Format] = &[
     },
 ];
 
+/// Meshes in PLY with fewer vertices than this are shapes, whose faces are what they are; those with more are of scans, whose
+/// vertices are the points that were measured.
+const SHAPE_VERTICES: u64 = 20_000;
+
+/// Whether a property of a vertex is part of a shape and its colours; others are measurements, which faces do not have.
+fn is_of_shape(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let colour = name.strip_prefix("diffuse_").unwrap_or(&name);
+    matches!(colour, "red" | "green" | "blue" | "alpha")
+        || matches!(
+            &*name,
+            "x" | "y" | "z" | "nx" | "ny" | "nz" | "r" | "g" | "b" | "a" | "s" | "t" | "u" | "v"
+        )
+        || matches!(&*name, "texture_u" | "texture_v" | "texnumber")
+}
+
 /// Opens the vertices of a PLY file, which may be Gaussians, or its faces.
 fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
     // A pipe is read only once.
@@ -162,8 +179,22 @@ fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
         if GaussianPlySource::has_layout(&names) {
             return Ok(Box::new(GaussianPlySource::open(path)?));
         }
+        let faces =
+            header.elements.iter().find(|element| element.name == "face").map_or(0, |face| face.count);
         if options.mesh_points.is_some() && header.elements.iter().any(|element| element.name == "face") {
             return Ok(Box::new(MeshSource::survey(path, MeshFormat::Ply, options.mesh_points)?));
+        }
+        if let Some(vertex) = vertex.filter(|_| faces > 0) {
+            // Faces without an area, or that cannot be read, leave the vertices.
+            let is_shape = vertex.count < SHAPE_VERTICES && names.iter().all(|name| is_of_shape(name));
+            if let Some(mesh) = is_shape.then(|| MeshSource::of_faces(path, MeshFormat::Ply)).flatten() {
+                return Ok(Box::new(mesh));
+            }
+            let vertices = PlySource::open(path)?;
+            return Ok(Box::new(vertices.with_warning(format!(
+                "the {} vertices are read, not the {faces} faces; `rayset build --mesh-points N` has points on the faces",
+                vertex.count
+            ))));
         }
     }
     Ok(Box::new(PlySource::open(path)?))
@@ -249,6 +280,9 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
         let advice = refusals::advice(path, &head, &known.join(", "));
         ReadError::UnknownFormat { path: path.to_owned(), advice }
     };
+    if head.is_empty() && path.is_file() {
+        return Err(unknown());
+    }
     let Some(packing) = Packing::of(&head) else {
         if let Some(format) = begins(&head) {
             return (format.open)(path, options);
@@ -270,7 +304,12 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
     let content = unpacked_head(path)?;
     let inner = name.strip_suffix(packing.ending()).unwrap_or(&name);
     let within = begins(&content).or_else(|| named(inner).filter(|_| inner.len() < name.len()));
-    let format = begins(&head).or(within).or_else(|| named(&name)).ok_or_else(unknown)?;
+    let Some(format) = begins(&head).or(within).or_else(|| named(&name)) else {
+        // Any text may be a table, under any name.
+        let is_text = !content.contains(&0) && !refusals::is_recognized(Path::new(inner), &content);
+        let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
+        return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
+    };
     let is_within = within.is_some_and(|within| std::ptr::eq(within, format));
     let reads = |formats: &[&str]| formats.contains(&format.extensions[0]);
     if is_within && !reads(LOOKED_THROUGH) && !reads(COMPRESSED) {

@@ -29,6 +29,7 @@ mod ply_write;
 mod ptx;
 mod quiet;
 mod refusals;
+mod refused_kinds;
 mod roles;
 mod siblings;
 mod slices;

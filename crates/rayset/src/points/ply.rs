@@ -90,6 +90,12 @@ impl PlySource {
         Ok(source)
     }
 
+    /// The same file, with a sentence about what of it is not read.
+    pub(super) fn with_warning(mut self, sentence: String) -> Self {
+        self.schema.warnings.push(sentence);
+        self
+    }
+
     /// Reads binary records without lists.
     fn fill_fixed(&mut self, batch: &mut PointBatch, count: usize, stride: usize) -> Result<(), ReadError> {
         let big = self.body.encoding() == Encoding::BigEndian;

@@ -6,10 +6,24 @@
 use super::ColumnInfo;
 
 const AXES: [&[&str]; 3] = [
-    &["x", "easting", "points:0", "points_0", "east", "rechtswert", "e", "longitude", "lon", "lng", "long"],
-    &["y", "northing", "points:1", "points_1", "north", "hochwert", "n", "latitude", "lat"],
+    &[
+        "x",
+        "position x",
+        "easting",
+        "points:0",
+        "points_0",
+        "east",
+        "rechtswert",
+        "e",
+        "longitude",
+        "lon",
+        "lng",
+        "long",
+    ],
+    &["y", "position y", "northing", "points:1", "points_1", "north", "hochwert", "n", "latitude", "lat"],
     &[
         "z",
+        "position z",
         "elevation",
         "height",
         "points:2",
@@ -29,7 +43,15 @@ const AXES: [&[&str]; 3] = [
 
 const COLORS: [&str; 3] = ["red", "green", "blue"];
 /// Aliases of the three colours, which are used only if all three are present.
-const COLOR_ALIASES: [[&str; 3]; 2] = [["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"]];
+const COLOR_ALIASES: [[&str; 3]; 6] = [
+    ["diffuse_red", "diffuse_green", "diffuse_blue"],
+    ["r", "g", "b"],
+    // Of ParaView.
+    ["rgb:0", "rgb:1", "rgb:2"],
+    ["rgb_0", "rgb_1", "rgb_2"],
+    ["colors:0", "colors:1", "colors:2"],
+    ["colors_0", "colors_1", "colors_2"],
+];
 
 /// The index of the first of `names` that equals `wanted`, exactly or otherwise ignoring case.
 fn place(names: &[&str], wanted: &str) -> Option<usize> {

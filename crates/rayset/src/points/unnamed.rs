@@ -3,7 +3,8 @@
 //! A leading column that counts rows, or has times, comes before the positions. Behind these, three numbers of length one are
 //! a normal; three bytes, words or numbers up to 1 a colour; a number before a colour an intensity; a small whole number
 //! behind colours or normals a label. Four columns are x y z intensity, six without any of these x y z red green blue, seven
-//! x y z intensity red green blue.
+//! x y z intensity red green blue. Columns that count returns, from 1 to 7, are no colour; what comes before two of them is an
+//! intensity.
 
 /// Rows that are looked at.
 pub(super) const ROWS: usize = 256;
@@ -12,6 +13,9 @@ pub(super) const ROWS: usize = 256;
 const TIMES: std::ops::Range<f64> = 1e8..1e19;
 /// Labels are at most this.
 const MOST_LABEL: f64 = 64.0;
+
+/// A pulse of a LiDAR has at most this many returns, of which files have the number of each and that of all.
+const MOST_RETURNS: f64 = 7.0;
 
 /// The first rows of a table.
 struct Sample<'a>(&'a [Vec<f64>]);
@@ -57,7 +61,21 @@ impl Sample<'_> {
             && squares().all(|square| square == 0.0 || (square - 1.0).abs() < 0.05)
     }
 
+    /// Whether a column counts returns of a pulse, or the like.
+    fn counts(&self, column: usize) -> bool {
+        self.all(column, |v| v.fract() == 0.0 && (1.0..=MOST_RETURNS).contains(&v))
+    }
+
+    /// Whether two of three columns count returns, and the third is something else, or all do.
+    fn is_of_returns(&self, first: usize) -> bool {
+        let counting = (first..first + 3).filter(|&column| self.counts(column)).count();
+        counting == 3 || counting == 2 && (first..first + 3).any(|column| self.most(column) > MOST_RETURNS)
+    }
+
     fn is_color(&self, first: usize) -> bool {
+        if self.is_of_returns(first) {
+            return false;
+        }
         let each = |is: &dyn Fn(usize) -> bool| (first..first + 3).all(is);
         let whole = |column| self.all(column, |v| v.fract() == 0.0 && (0.0..=65535.0).contains(&v));
         let unit = |column| self.all(column, |v| (0.0..=1.0).contains(&v));
@@ -106,6 +124,12 @@ pub(super) fn names(width: usize, rows: &[Vec<f64>]) -> Vec<String> {
             names.extend(["red", "green", "blue"].map(String::from));
             has_color = true;
         } else if !has_color && !has_normal && (left == 1 && at == first || left == 4 && (behind || unknown))
+        {
+            names.push("intensity".to_owned());
+        } else if at == first
+            && left > 2
+            && !sample.counts(at)
+            && [1, 2].iter().all(|i| sample.counts(at + i))
         {
             names.push("intensity".to_owned());
         } else if left == 1 && (has_color || has_normal) && sample.is_label(at) {
@@ -167,6 +191,22 @@ mod tests {
         assert_eq!(of(|i| [position(i), vec![0.3, i]].concat()), "x y z column4 column5");
         assert_eq!(of(position), "x y z");
         assert_eq!(of(|i| [position(i), vec![any(i)]].concat()), "x y z intensity");
+    }
+
+    #[test]
+    fn numbers_of_returns_are_no_colours() {
+        let with = |more: &dyn Fn(f64) -> Vec<f64>| {
+            of(|i| [vec![any(i), any(i + 20.0), any(i + 40.0)], more(i)].concat())
+        };
+        let (number, of_all) = (|i: f64| 1.0 + i % 2.0, |i: f64| 1.0 + i % 3.0);
+        assert_eq!(with(&|i| vec![20.0 * i, number(i), of_all(i)]), "x y z intensity column5 column6");
+        assert_eq!(
+            with(&|i| vec![20.0 * i, number(i), of_all(i), 2.0]),
+            "x y z intensity column5 column6 column7"
+        );
+        assert_eq!(with(&|i| vec![30.0 + i, 1.0, 1.0]), "x y z intensity column5 column6");
+        // A picture of few colours.
+        assert_eq!(with(&|i| vec![255.0 * (i % 2.0), 0.0, 3.0]), "x y z red green blue");
     }
 
     #[test]

@@ -104,12 +104,65 @@ fn colours_of_vertices_are_interpolated() {
     assert!(source.schema().columns.is_empty());
 }
 
+/// A PLY of a lattice of vertices, two triangles between four; `more` are a property of vertices and its value.
+fn lattice(side: u32, more: Option<(&str, &str)>) -> String {
+    let (name, value) =
+        more.map_or((String::new(), ""), |(name, value)| (format!("property {name}\n"), value));
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n{name}element face \
+         {}\nproperty list uchar int vertex_indices\nend_header\n",
+        side * side,
+        (side - 1) * (side - 1)
+    );
+    for i in 0..side * side {
+        text += &format!("{} {} 0 {value}\n", i % side, i / side);
+    }
+    for i in (0..side - 1).flat_map(|y| (0..side - 1).map(move |x| y * side + x)) {
+        text += &format!("4 {i} {} {} {}\n", i + 1, i + side + 1, i + side);
+    }
+    text
+}
+
 #[test]
-fn without_a_number_ply_gives_vertices_and_others_ten_points_a_triangle_within_bounds() {
+fn a_ply_of_a_shape_is_its_faces_and_one_of_a_scan_or_of_measurements_its_vertices() {
+    let folder = folder();
+    let open = |text: String| {
+        let source =
+            points::open(&write(folder.path(), "m.ply", text), &ReadOptions::default()).expect("it opens");
+        (source.count_hint(), source.schema().warnings.join(" "))
+    };
+    let (count, said) = open(lattice(3, None));
+    assert_eq!(count, Some(1_000_000));
+    assert!(said.contains("sampled on the 8 triangles"), "{said}");
+    assert_eq!(open(lattice(3, Some(("float nx", "0")))).0, Some(1_000_000));
+    for text in [lattice(150, None), lattice(3, Some(("float temperature", "7")))] {
+        let (count, said) = open(text);
+        assert!(count < Some(30_000) && said.contains("vertices are read, not the"), "{count:?} {said}");
+        assert!(said.contains("--mesh-points"), "{said}");
+    }
+    // Faces without an area leave the vertices.
+    let flat = lattice(3, None).replace("4 ", "0 ").replace("\n0 1 2 5 4", "\n3 1 1 1");
+    assert!(points::open(&write(folder.path(), "f.ply", flat), &ReadOptions::default()).is_ok());
+}
+
+#[test]
+fn colours_of_vertices_in_off_are_read() {
+    let folder = folder();
+    for (word, normal) in [("COFF", ""), ("CNOFF", "0 0 1 ")] {
+        let vertex = |x: u32, y: u32| format!("{x} {y} 0 {normal}200 80 40 255\n");
+        let text = format!("{word}\n3 1 0\n{}{}{}3 0 1 2\n", vertex(0, 0), vertex(1, 0), vertex(0, 1));
+        let batch = sample(&write(folder.path(), "m.off", text), 5).expect("a mesh");
+        assert_eq!(batch.columns.len(), 3, "{word}");
+        assert!(
+            (batch.columns[0].get(2) - 200.0).abs() < 1e-3 && (batch.columns[2].get(2) - 40.0).abs() < 1e-3
+        );
+    }
+}
+
+#[test]
+fn without_a_number_there_are_ten_points_a_triangle_within_bounds() {
     let none = ReadOptions::default();
-    let source = points::open(&fixture("ball.ply"), &none).expect("it opens");
-    assert_eq!((source.count_hint(), source.schema().warnings.len()), (Some(42), 0));
-    for name in ["ball.obj", "ball.stl", "ball-ascii.stl"] {
+    for name in ["ball.ply", "ball.obj", "ball.stl", "ball-ascii.stl"] {
         let source = points::open(&fixture(name), &none).expect("it opens");
         assert_eq!(source.count_hint(), Some(1_000_000), "{name}");
         let warnings = &source.schema().warnings;

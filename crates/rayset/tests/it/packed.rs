@@ -71,6 +71,15 @@ fn compressed_files_are_read_as_what_they_hold_whatever_they_are_called() {
 }
 
 #[test]
+fn a_table_in_gzip_opens_whatever_its_name() {
+    let folder = folder();
+    let path = folder.path().join("cloud");
+    std::fs::write(&path, gzipped(b"1 2 3\n4 5 6\n")).expect("a write");
+    let source = rayset::points::open(&path, &rayset::points::ReadOptions::default()).expect("it opens");
+    assert_eq!(source.schema().columns.len(), 0);
+}
+
+#[test]
 fn frames_of_zstd_one_after_another_and_frames_to_be_skipped_are_one_file() {
     let frame = zstd_fixture("scans.ptx");
     let skipped = [&0x184d_2a53_u32.to_le_bytes()[..], &3_u32.to_le_bytes(), b"abc"].concat();

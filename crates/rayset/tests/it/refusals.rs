@@ -74,6 +74,17 @@ fn kinds_that_others_bring_are_refused_with_what_converts_them() {
         ("a.pvm", b"PVM3\n", "Amira, Inrimage", "--raw"),
         ("plt/Header", b"HyperCLaw-V1.1\n", "AMR code", "yt.load"),
         ("readme.md", b"# Words\n", "a document", "PLY, LAS or CSV"),
+        ("lfs.ply", b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", "Git LFS", "git lfs pull"),
+        ("empty.las", b"", "this file is empty", "regular file"),
+        ("scans.tar", b"\0", "an archive (tar)", "tar xf"),
+        ("scans.tar.gz", b"\x1f\x8b\x08\0", "an archive (tar)", "tar xf"),
+        ("program", b"\x7fELF\x02\x01", "a program", "PLY, LAS or CSV"),
+        ("line.sgy", b"\0", "SEG-Y", "segyio"),
+        ("survey.xlsx", b"PK\x03\x04", "a spreadsheet", "as CSV"),
+        ("trees.json", b"{\"type\": \"FeatureCollection\", \"features\": []}", "a map of vectors", "ogr2ogr"),
+        ("model.json", b"{\"type\": \"CityJSON\"}", "CityJSON", "cjio"),
+        ("list.json", b"[[1, 2, 3], [4, 5, 6]]", "JSON, and no scene", "numpy.savez"),
+        ("points.json", b"{\"points\": [[1, 2, 3]]}", "JSON, and no scene", "numpy.savez"),
     ] {
         let path = folder.path().join(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");

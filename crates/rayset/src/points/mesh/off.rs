@@ -1,4 +1,4 @@
-//! Meshes in OFF files, as of ModelNet and Geomview, in text. Normals and colours are not read.
+//! Meshes in OFF files, as of ModelNet and Geomview, in text; colours of vertices, no normals.
 
 use std::path::Path;
 
@@ -20,8 +20,10 @@ pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, Rea
         return Err(text.fail("not an OFF file: it does not begin with `OFF`"));
     }
     // Files of ModelNet have the counts behind the word, even without a blank.
-    let word = text.line.iter().take_while(|byte| byte.is_ascii_alphabetic()).count();
-    text.line.drain(..word);
+    let word: Vec<u8> = text.line.iter().copied().take_while(u8::is_ascii_alphabetic).collect();
+    text.line.drain(..word.len());
+    // Behind the position, and behind the normal if there is one.
+    let color = word.starts_with(b"C").then_some(if word.starts_with(b"CN") { 6 } else { 3 });
     if text.line.trim_ascii().is_empty() && !text.next()? {
         return Err(text.fail("the file ends before the numbers of its vertices and faces"));
     }
@@ -34,7 +36,8 @@ pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, Rea
         sink.check()?;
         text.expect(done, vertices, "vertices")?;
         let position: Vec<f64> = text.numbers(3, "x, y and z of a vertex")?;
-        sink.vertex(DVec3::new(position[0], position[1], position[2]), None);
+        let color = color.and_then(|at| text.color(at));
+        sink.vertex(DVec3::new(position[0], position[1], position[2]), color);
     }
     for done in 0..faces {
         sink.check()?;
@@ -87,6 +90,12 @@ impl Text {
             let line = roles::excerpt(&String::from_utf8_lossy(&self.line));
             self.fail(format!("expected {what}, found `{line}`"))
         })
+    }
+
+    /// The colour behind the first numbers of the line, if there is one.
+    fn color(&self, behind: usize) -> Option<[f32; 3]> {
+        let mut words = self.words().skip(behind).map(|word| std::str::from_utf8(word).ok()?.parse().ok());
+        Some([words.next()??, words.next()??, words.next()??])
     }
 
     /// A face: the number of its corners, these, and perhaps a colour.

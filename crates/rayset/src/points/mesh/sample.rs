@@ -121,6 +121,13 @@ impl MeshSource {
         })
     }
 
+    /// The usual number of points on the faces of a file; `None` if it has none with an area, or is damaged.
+    pub(in crate::points) fn of_faces(path: &Path, format: MeshFormat) -> Option<Self> {
+        let mut source = Self::survey(path, format, None).ok().filter(|source| source.triangles() > 0)?;
+        source.load().ok()?;
+        Some(source)
+    }
+
     /// Number of triangles.
     pub(in crate::points) fn triangles(&self) -> u64 {
         self.survey.triangles

@@ -20,12 +20,36 @@ pub(super) fn of_other_files(file: &File) -> ReadError {
 /// Why a file is not read that has no particles where snapshots have them.
 pub(super) fn refused(file: &File) -> ReadError {
     let kind = kind_of(file).unwrap_or("HDF5, of no layout that is known");
+    let contents = contents(file).unwrap_or_else(|_| "its contents cannot be listed".into());
+    let way = way_out(&contents);
     let what = format!(
-        "this is {kind}: expected a snapshot of a simulation, with PartType0/Coordinates; {}. Save positions and columns of \
-         it as NPZ, as in `numpy.savez(\"points.npz\", positions=f[\"…\"][:], density=f[\"…\"][:])` with h5py",
-        contents(file).unwrap_or_else(|_| "its contents cannot be listed".into())
+        "this is {kind}: expected a snapshot of a simulation, with PartType0/Coordinates; {contents}. {way}"
     );
     file.wrong(0, what)
+}
+
+/// What makes a file that opens, by the names and shapes of what is in it.
+fn way_out(contents: &str) -> String {
+    let has = |part: &str| contents.contains(part);
+    if has("/axis0 (") || has("/table (") {
+        return "It is a table of pandas: `pandas.read_hdf(\"FILE\").to_csv(\"points.csv\", index=False)` makes one that \
+                opens"
+            .into();
+    }
+    if has("block size (") || has("bounding box (") {
+        return "It is output of FLASH: from Python with yt, `numpy.save(\"volume.npy\", g[\"density\"])` of `g = \
+                yt.load(\"FILE\").arbitrary_grid(left, right, dims=(256, 256, 256))` makes a volume that opens"
+            .into();
+    }
+    // `name (a × b × c)`: a last length of three is of positions.
+    let arrays = contents.split(['(', ')']).skip(1).step_by(2);
+    let is_volume = |shape: &str| shape.split(" × ").count() == 3 && !shape.ends_with(" × 3");
+    if arrays.clone().any(is_volume) {
+        return "`numpy.save(\"volume.npy\", f[\"…\"][:])` with h5py makes a volume of three dimensions that opens".into();
+    }
+    "Save positions and columns of it as NPZ, as in `numpy.savez(\"points.npz\", positions=f[\"…\"][:], \
+     density=f[\"…\"][:])` with h5py"
+        .into()
 }
 
 /// What a file is by the attributes of its root.
