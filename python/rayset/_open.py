@@ -23,6 +23,7 @@ def open(
     source: Any,
     *,
     cache: bool | _arguments.PathLike = True,
+    columns: Sequence[str] | None = None,
     memory: int | str | None = None,
     threads: int | None = None,
     progress: Progress = False,
@@ -36,6 +37,8 @@ def open(
         A path, a pattern (``"tiles/*.laz"``), a folder, a list of files of points that are one cloud, or the bytes of a file.
     cache
         Where what is built is kept: ``True`` for the user's folder for caches, a folder, or ``False`` for a temporary file.
+    columns
+        Names of the columns of text files and of arrays, as in ``["x", "y", "z", "-", "intensity"]``; ``"-"`` leaves one out.
     memory, threads, temp_dir
         What a build may use; 1 GiB by default.
 
@@ -44,7 +47,7 @@ def open(
     Cloud, Grid or Scene
     """
     if isinstance(source, (bytes, bytearray, memoryview)):
-        return _of_bytes(bytes(source), memory, threads, progress, temp_dir)
+        return _of_bytes(bytes(source), columns, memory, threads, progress, temp_dir)
     files = [source] if isinstance(source, (str, os.PathLike)) else source
     if not isinstance(files, Sequence):
         raise TypeError(f"open: expected a path, a list of paths or bytes, and got {type(source).__name__}")
@@ -55,8 +58,11 @@ def open(
     folder = None if isinstance(cache, bool) else str(_arguments.path(cache, "cache"))
     budget = _arguments.memory_bytes(memory) or _MEMORY
     folder_of_others = None if temp_dir is None else str(_arguments.path(temp_dir, "temp_dir"))
+    if isinstance(columns, str):
+        raise TypeError(f"columns={columns!r}: expected a list of names, as in [\"x\", \"y\", \"z\"]")
+    names = None if columns is None else [str(name) for name in columns]
     with Told(progress) as told:
-        found, remarks = _native.open_files(paths, folder, keeps, folder_of_others, budget, _arguments.thread_count(threads), told)
+        found, remarks = _native.open_files(paths, folder, keeps, names, folder_of_others, budget, _arguments.thread_count(threads), told)
     for remark in remarks:
         _log.info("%s", remark)
     if isinstance(found, _native.CloudFile):
@@ -71,7 +77,7 @@ def _is_built(paths: list[str], found: Any) -> bool:
     return paths == [str(found.path)]
 
 
-def _of_bytes(data: bytes, memory: Any, threads: Any, progress: Progress, temp_dir: Any) -> Any:
+def _of_bytes(data: bytes, columns: Any, memory: Any, threads: Any, progress: Progress, temp_dir: Any) -> Any:
     found = _native.open_bytes(data)
     if isinstance(found, _native.CloudFile):
         return Cloud(found)
@@ -80,5 +86,5 @@ def _of_bytes(data: bytes, memory: Any, threads: Any, progress: Progress, temp_d
     # Readers take files: this one is gone when the cloud or grid is built.
     raw = TemporaryFile(".raw")
     Path(raw.name).write_bytes(data)
-    return open(raw.name, cache=False, memory=memory, threads=threads, progress=progress, temp_dir=temp_dir)
+    return open(raw.name, cache=False, columns=columns, memory=memory, threads=threads, progress=progress, temp_dir=temp_dir)
 

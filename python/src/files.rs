@@ -305,6 +305,7 @@ pub(crate) fn open_files(
     paths: Vec<PathBuf>,
     cache: Option<PathBuf>,
     keep: bool,
+    columns: Option<Vec<String>>,
     temp_dir: Option<PathBuf>,
     memory: u64,
     threads: Option<usize>,
@@ -312,6 +313,7 @@ pub(crate) fn open_files(
 ) -> PyResult<(AnyFile, Vec<String>)> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let cache = if keep { CacheArgs::in_folder(cache) } else { CacheArgs::none() };
+    let cache = cache.with_columns(columns);
     let host = Package { remarks: Mutex::default(), progress: &progress, cancel: &cancel, folder: temp_dir };
     let work = || rayset_inputs::open(&paths, &cache, Resources { memory, threads, host: &host });
     let opened =

@@ -67,6 +67,12 @@ impl CacheArgs {
         Self { no_cache: true, ..Self::default() }
     }
 
+    /// The same, with names of the columns of text files and of arrays; `-` leaves one out.
+    #[must_use]
+    pub fn with_columns(self, columns: Option<Vec<String>>) -> Self {
+        Self { columns, ..self }
+    }
+
     /// Names of columns, if any were given.
     pub(super) fn columns(&self) -> Option<&[String]> {
         self.columns.as_deref()
