@@ -55,6 +55,7 @@ impl Shot {
                 let chosen = look::of_cloud(cloud, &args.look, &args.camera, size)?;
                 let (file, text) = parsed(cloud.path(), &chosen)?;
                 warnings::of_small_radii(cloud.header(), chosen.middle, &file.camera, file.settings);
+                warnings::of_strays(cloud.header());
                 (file, Some(text), Some(chosen.look))
             }
             Input::Grid(grid) => {

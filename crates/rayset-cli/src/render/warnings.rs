@@ -28,3 +28,17 @@ pub(super) fn of_small_radii(
         ));
     }
 }
+
+/// Rays that pass strays very far away are long.
+pub(super) fn of_strays(header: &Header) {
+    /// Bounds that are larger than this by the mean radius have next to nothing in them.
+    const WIDE: f64 = 1e8;
+    let bounds = header.bounds.size().max_element();
+    if header.points > 0 && bounds > WIDE * header.radius_mean {
+        report::remark(format_args!(
+            "the bounds ({bounds:.1e}) are {:.0e} times as large as the points: strays far away make rendering slow; leave \
+             them out of the file",
+            bounds / header.radius_mean
+        ));
+    }
+}

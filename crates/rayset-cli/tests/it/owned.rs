@@ -182,3 +182,27 @@ fn a_number_of_points_on_faces_is_not_ignored_in_silence() {
     let (well, said) = run(f, &["build", "a.xyz", "-o", "a.rset", "--mesh-points", "100"]);
     assert!(well && said.contains("--mesh-points is for the faces"), "{said}");
 }
+
+#[test]
+fn of_points_in_places_far_apart_one_is_framed_and_it_is_said_and_rows_of_zeros_are_no_place() {
+    let folder = folder();
+    let f = folder.path();
+    let points = sides([40.0, 30.0, 20.0]);
+    let rows = |east: f64| -> String {
+        points.iter().map(|[x, y, z]| format!("{} {} {z}\n", x + east, y + 5.2e6)).collect()
+    };
+    fs::write(f.join("a.xyz"), rows(4e5)).expect("a write");
+    let alone = render(f, &["a.xyz"]);
+    assert!(!alone.contains("places"), "{alone}");
+    let picture = || fs::read(f.join("a.png")).expect("a picture").len();
+    let full = picture();
+    fs::write(f.join("a.xyz"), rows(4e5) + &rows(7e5)[..rows(7e5).len() / 4]).expect("a write");
+    let said = render(f, &["a.xyz"]);
+    assert!(said.contains("the points lie in places 3.000e5 apart"), "{said}");
+    assert!(!said.contains("is under a pixel") && !said.contains("is empty"), "{said}");
+    assert!(picture() * 2 > full, "{} of {full} bytes", picture());
+    fs::write(f.join("a.xyz"), rows(4e5) + &"0 0 0\n".repeat(8)).expect("a write");
+    let said = render(f, &["a.xyz"]);
+    assert!(!said.contains("places") && !said.contains("is under a pixel"), "{said}");
+    assert!(picture() * 2 > full, "{} of {full} bytes", picture());
+}

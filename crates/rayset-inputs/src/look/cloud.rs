@@ -102,7 +102,8 @@ impl CloudLook {
     pub(super) fn points(&self) -> Vec<(DVec3, f64)> {
         let all: Vec<(DVec3, f64)> =
             self.statistics.positions().zip(self.statistics.values("radius")).collect();
-        let seen = if self.name == LookName::Gas { self.seen_of_gas() } else { Vec::new() };
+        let fades = self.name == LookName::Gas && self.paint != Paint::Points;
+        let seen = if fades { self.seen_of_gas() } else { Vec::new() };
         if seen.len() < LEAST_SEEN { all } else { seen.into_iter().map(|i| all[i]).collect() }
     }
 
@@ -112,8 +113,8 @@ impl CloudLook {
         let mut sorted: Vec<f64> = densities.iter().map(|&(_, density)| density).collect();
         sorted.sort_by(f64::total_cmp);
         let (low, high) = (percentile(&sorted, 0.02), percentile(&sorted, 0.98));
-        // The place on the map whose opacity is a tenth of the largest.
-        let faint = low * (high / low.max(1e-300)).powf(0.4);
+        // The place on the map whose opacity is a sixteenth of the largest.
+        let faint = low * (high / low.max(1e-300)).powf(0.3);
         densities.iter().filter(|&&(_, density)| density >= faint).map(|&(i, _)| i).collect()
     }
 
@@ -259,6 +260,8 @@ impl CloudLook {
                 scene["lights"] = json!("none");
                 scene["background"] = json!(NIGHT);
                 scene["rendering"]["unitDistance"] = json!(self.extent() / 60.0);
+                // Of what glows smoothly half as many samples make the same picture, to a step of a byte, in half the time.
+                scene["rendering"]["stepFraction"] = json!(0.5);
             }
             LookName::Splats => {
                 scene["lights"] = json!("none");

@@ -280,8 +280,12 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
         let advice = refusals::advice(path, &head, &known.join(", "));
         ReadError::UnknownFormat { path: path.to_owned(), advice }
     };
-    if head.is_empty() && path.is_file() {
-        return Err(unknown());
+    if head.is_empty()
+        && path.is_file()
+        && !named(&name).is_some_and(|format| format.extensions.contains(&"txt"))
+    {
+        let what = "this file is empty: it was not written, or not copied".to_owned();
+        return Err(named(&name).map_or_else(unknown, |_| ReadError::malformed(path, Place::Byte(0), what)));
     }
     let Some(packing) = Packing::of(&head) else {
         if let Some(format) = begins(&head) {

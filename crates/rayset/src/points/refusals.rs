@@ -83,7 +83,7 @@ fn json(head: &[u8], name: &str) -> Option<&'static Kind> {
 fn named(name: &str) -> Option<&'static Kind> {
     // Of names that are whole, as `cloud.js` is, an ending alone is none.
     let is = |e: &&str| name.ends_with(&format!(".{e}")) || e.contains('.') && name == *e;
-    KINDS.iter().find(|kind| kind.extensions.iter().any(|e| is(e)))
+    KINDS.iter().find(|kind| kind.extensions.iter().any(is))
 }
 
 /// The kind whose marks a file has.

@@ -17,6 +17,9 @@ const MOST_LABEL: f64 = 64.0;
 /// A pulse of a LiDAR has at most this many returns, of which files have the number of each and that of all.
 const MOST_RETURNS: f64 = 7.0;
 
+/// Fewer rows than these may have such numbers by chance.
+const FEWEST_ROWS: usize = 4;
+
 /// The first rows of a table.
 struct Sample<'a>(&'a [Vec<f64>]);
 
@@ -63,7 +66,13 @@ impl Sample<'_> {
 
     /// Whether a column counts returns of a pulse, or the like.
     fn counts(&self, column: usize) -> bool {
-        self.all(column, |v| v.fract() == 0.0 && (1.0..=MOST_RETURNS).contains(&v))
+        let is_number = |v: f64| v.fract() == 0.0 && (1.0..=MOST_RETURNS).contains(&v);
+        self.column(column).count() >= FEWEST_ROWS && self.all(column, is_number)
+    }
+
+    /// Whether a column is no number of a return, and the next two are.
+    fn comes_before_returns(&self, column: usize) -> bool {
+        !self.counts(column) && self.counts(column + 1) && self.counts(column + 2)
     }
 
     /// Whether two of three columns count returns, and the third is something else, or all do.
@@ -124,12 +133,7 @@ pub(super) fn names(width: usize, rows: &[Vec<f64>]) -> Vec<String> {
             names.extend(["red", "green", "blue"].map(String::from));
             has_color = true;
         } else if !has_color && !has_normal && (left == 1 && at == first || left == 4 && (behind || unknown))
-        {
-            names.push("intensity".to_owned());
-        } else if at == first
-            && left > 2
-            && !sample.counts(at)
-            && [1, 2].iter().all(|i| sample.counts(at + i))
+            || at == first && left > 2 && sample.comes_before_returns(at)
         {
             names.push("intensity".to_owned());
         } else if left == 1 && (has_color || has_normal) && sample.is_label(at) {
