@@ -200,7 +200,11 @@ fn circles(mut arrows: BTreeMap<Module, BTreeSet<Module>>) -> BTreeMap<Module, B
 #[test]
 fn no_circle_of_files_in_library_and_program() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for (root, least) in [(here.join("src"), 400), (here.join("../rayset-cli/src"), 20), (here.join("../rayset-inputs/src"), 10)] {
+    for (root, least) in [
+        (here.join("src"), 400),
+        (here.join("../rayset-cli/src"), 20),
+        (here.join("../rayset-inputs/src"), 10),
+    ] {
         let arrows = Crate::read(&root).arrows();
         let count: usize = arrows.values().map(BTreeSet::len).sum();
         assert!(count > least, "{count} arrows in {}: imports are not understood any more", root.display());
