@@ -145,7 +145,7 @@ def test_what_is_cut_away_is_not_seen(cloud: rs.Cloud) -> None:
 def test_what_is_seen_fills_the_frame(cloud: rs.Cloud) -> None:
     inside, beyond = rs.Sphere((0, 0, 0), 1, color="#ff0000"), rs.Sphere((12, 0, 0), 1, color="#ff0000")
     for target in (cloud, cloud - inside, cloud | inside, cloud & rs.Box((-9, -9, -9), (0, 9, 9)), cloud | beyond, cloud.moved((50, 0, 0))):
-        seen = rs.render(target, size=96).opacity > 0.3
+        seen = rs.render(target, size=96, look="surface").opacity > 0.3
         rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
         assert max(np.ptp(rows), np.ptp(columns)) > 48, target
         edge = seen[0].any() or seen[-1].any() or seen[:, 0].any() or seen[:, -1].any()
