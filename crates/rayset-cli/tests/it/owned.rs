@@ -196,10 +196,14 @@ fn of_points_in_places_far_apart_one_is_framed_and_it_is_said_and_rows_of_zeros_
     assert!(!alone.contains("places"), "{alone}");
     let picture = || fs::read(f.join("a.png")).expect("a picture").len();
     let full = picture();
-    fs::write(f.join("a.xyz"), rows(4e5) + &rows(7e5)[..rows(7e5).len() / 4]).expect("a write");
+    fs::write(
+        f.join("a.xyz"),
+        rows(4e5) + &rows(7e5).lines().take(600).map(|row| format!("{row}\n")).collect::<String>(),
+    )
+    .expect("a write");
     let said = render(f, &["a.xyz"]);
     assert!(said.contains("the points lie in places 3.000e5 apart"), "{said}");
-    assert!(!said.contains("is under a pixel") && !said.contains("is empty"), "{said}");
+    assert!(!said.contains("is under a pixel") && !said.contains("few points"), "{said}");
     assert!(picture() * 2 > full, "{} of {full} bytes", picture());
     fs::write(f.join("a.xyz"), rows(4e5) + &"0 0 0\n".repeat(8)).expect("a write");
     let said = render(f, &["a.xyz"]);

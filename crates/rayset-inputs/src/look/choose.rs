@@ -192,7 +192,10 @@ fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> 
     if count > FEW || matches!(look.look, Some(LookName::Density | LookName::Splats)) {
         return None;
     }
-    let extent = statistics.diagonal();
+    // Of what will be framed.
+    let (framed, _) = one_place(statistics.positions().map(|p| (p, 0.0)).collect());
+    let ends = |of: fn(DVec3, DVec3) -> DVec3| framed.iter().map(|(p, _)| *p).reduce(of);
+    let extent = ends(DVec3::max).unwrap_or_default().distance(ends(DVec3::min).unwrap_or_default());
     let least = extent * (COVERED / count as f64).sqrt().clamp(SEEN, 8.0 * SEEN);
     let radius = percentile(&statistics.sorted("radius"), 0.5);
     let scale = least / radius;

@@ -84,7 +84,10 @@ pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Op
         let Some((at, gap)) = gaps.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
         let keeps_first = 2 * at >= points.len();
         let kept = if keeps_first { 0..at } else { at..points.len() };
-        let length = points[kept.end - 1].0[axis] - points[kept.start].0[axis];
+        // Of the whole place: what lies on steps has gaps along one axis.
+        let ends = |of: fn(DVec3, DVec3) -> DVec3| points[kept.clone()].iter().map(|(p, _)| *p).reduce(of);
+        let (Some(low), Some(high)) = (ends(DVec3::min), ends(DVec3::max)) else { break };
+        let length = (high - low).max_element();
         if gap > EMPTY * length.max(1e-300) && gap.is_finite() {
             if (points.len() - kept.len()) as f64 > PART * all {
                 away = Some(away.unwrap_or(0.0_f64).max(gap));

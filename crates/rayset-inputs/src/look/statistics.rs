@@ -66,13 +66,6 @@ impl Statistics {
         values
     }
 
-    /// The length of the diagonal of the sample's box.
-    pub(super) fn diagonal(&self) -> f64 {
-        let low = self.positions().fold(DVec3::INFINITY, DVec3::min);
-        let high = self.positions().fold(DVec3::NEG_INFINITY, DVec3::max);
-        if low.cmple(high).all() { low.distance(high) } else { 0.0 }
-    }
-
     /// The values of a column, point by point; empty if there is no such column.
     pub(super) fn values(&self, name: &str) -> Vec<f64> {
         let column = self.sample.schema.columns.iter().position(|column| column.name == name);
