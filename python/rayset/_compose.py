@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from . import _arguments
@@ -97,7 +98,8 @@ def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthograp
     if data is None:
         raise ValueError("Camera.fit: there are no points or voxels to frame; say position and look_at")
     chosen, _ = look_of(data, camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
-    return Camera.from_json(chosen["camera"])
+    middle = tuple(0.5 * (a + b) for a, b in zip(*data.bounds))
+    return replace(Camera.from_json(chosen["camera"]), about=middle)
 
 
 def _framed(target: Object) -> Cloud | Grid | None:
@@ -134,6 +136,9 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
         first = next(iter(chosen.values()))
         scene = {key: value for key, value in first.items() if key != "root"}
         scene["root"] = _dressed(target._node, chosen)
+        if all("transferFunction" in node for node in _leaves(target._node)):
+            # It belongs to looks of surfaces, and nothing here has one.
+            scene.get("rendering", {}).pop("ambientOcclusion", None)
         if not _is_framed_by_first(target):
             scene["camera"] = {key: first["camera"][key] for key in ("type", "up", "fovy") if key in first["camera"]}
             scene["camera"]["direction"] = _direction(first["camera"])
@@ -165,6 +170,14 @@ def _is_framed_by_first(target: Object) -> bool:
         return any(map(stays, children)) if kind == "intersection" else all(map(stays, children))
 
     return stays(target._node)
+
+
+def _leaves(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """The clouds and grids of a node."""
+    if node.get("type") in ("cloud", "grid"):
+        yield node
+    for child in node.get("children", []):
+        yield from _leaves(child)
 
 
 def _bounds_of_solid(node: Mapping[str, Any]) -> tuple[list[float], list[float]] | None:

@@ -163,7 +163,7 @@ def PointLight(
 class Camera:
     """From where something is seen: an eye at `position`, which looks at `look_at` or along `direction`.
 
-    `fovy` is the vertical angle of view in degrees; with a `height` instead, rays are parallel and the picture is that high.
+    `about` is what :meth:`orbited` turns it about: what it looks at, if nothing is said. `fovy` is the vertical angle of view in degrees; with a `height` instead, rays are parallel and the picture is that high.
     :meth:`fit` makes one that frames an object.
     """
 
@@ -173,6 +173,7 @@ class Camera:
     up: Any = (0.0, 1.0, 0.0)
     fovy: float = 45.0
     height: float | None = None
+    about: Any = None
 
     def __post_init__(self) -> None:
         if (self.look_at is None) == (self.direction is None):
@@ -227,7 +228,7 @@ class Camera:
     def orbited(self, degrees: float, about: _arguments.Vector | None = None) -> Camera:
         """The same camera, turned about what it looks at (or `about`), around what is up."""
         if about is None:
-            about = self.look_at
+            about = self.look_at if self.about is None else self.about
         if about is None:
             raise ValueError("orbited: a camera with a direction needs about=, the place that it is turned about")
         center, eye = np.array(_arguments.vector(about, "about")), np.array(_arguments.vector(self.position, "position"))

@@ -134,6 +134,13 @@ def test_operators_are_those_of_scenes() -> None:
     ]
 
 
+def test_a_camera_goes_around_what_it_frames(cloud: rs.Cloud) -> None:
+    front = rs.Camera.fit(cloud)
+    sums = [rs.render(cloud, camera=front.orbited(90.0 * k), size=48, look="surface").opacity.sum() for k in range(4)]
+    assert min(sums) > 0.8 * max(sums) > 200
+    assert np.allclose(front.orbited(360).position, front.position)
+
+
 def test_what_is_cut_away_is_not_seen(cloud: rs.Cloud) -> None:
     camera = rs.Camera.fit(cloud)
     whole = rs.render(cloud, camera=camera, size=64).opacity.sum()
