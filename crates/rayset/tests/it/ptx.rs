@@ -61,7 +61,7 @@ fn a_damaged_ptx_file_is_points_or_a_sentence() {
 #[test]
 fn malformed_ptx_is_an_error_that_names_line_and_value() {
     for (text, expected) in [
-        (String::new(), "line 0: the file is empty"),
+        (String::new(), "byte 0: this file is empty: it was not written, or not copied"),
         ("many\n".into(), "line 1: `many` where a number of columns was expected"),
         ("4\n4\n1 2 3\n".into(), "line 3: the file ends within the header of a scan, on line 1"),
         (scan(2, "1 2 3 0.5\n"), "line 1: the scan has 2 points, and 1 follow"),

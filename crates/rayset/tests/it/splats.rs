@@ -279,10 +279,7 @@ fn spz_headers_that_cannot_be_are_refused_with_their_reason() {
 #[test]
 fn files_of_splats_without_a_format_of_their_own_are_looked_at() {
     let records = bytes_of("records.splat");
-    assert_eq!(
-        refusal("a.splat", b""),
-        "byte 0: 0 bytes are no whole number of splats, which have 32 bytes each"
-    );
+    assert_eq!(refusal("a.splat", b""), "byte 0: this file is empty: it was not written, or not copied");
     let said = refusal("a.splat", &records[..70]);
     assert_eq!(said, "byte 64: 70 bytes are no whole number of splats, which have 32 bytes each");
     let text = "x y z and no splats, but text of some kind\n".repeat(32);
