@@ -189,7 +189,9 @@ fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> 
     /// … and the least part of the square of the extent that all points' squares of radii add up to.
     const COVERED: f64 = 4e-3;
     let count = cloud.header().points;
-    if count > FEW || matches!(look.look, Some(LookName::Density | LookName::Splats)) {
+    // Splats are as large as they were made.
+    let are_splats = cloud.header().sources.iter().any(|source| source.contains("Gaussian splat"));
+    if count > FEW || are_splats || matches!(look.look, Some(LookName::Density | LookName::Splats)) {
         return None;
     }
     // Of what will be framed.
@@ -197,7 +199,8 @@ fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> 
     let ends = |of: fn(DVec3, DVec3) -> DVec3| framed.iter().map(|(p, _)| *p).reduce(of);
     let extent = ends(DVec3::max).unwrap_or_default().distance(ends(DVec3::min).unwrap_or_default());
     let least = extent * (COVERED / count as f64).sqrt().clamp(SEEN, 8.0 * SEEN);
-    let radius = percentile(&statistics.sorted("radius"), 0.5);
+    // If a few are seen, more radius would make them hide the others.
+    let radius = percentile(&statistics.sorted("radius"), 0.9);
     let scale = least / radius;
     let digits = 10_f64.powf(scale.log10().floor() - 1.0);
     (radius > 0.0 && scale.is_finite() && scale > 1.0).then(|| ((scale / digits).ceil() * digits).min(1e3))
