@@ -153,7 +153,7 @@ fn entries(folder: &Path) -> Vec<Entry> {
 }
 
 /// Raised when what is built of the same input changes within a version of the program: entries of before are not used.
-const GENERATION: u32 = 3;
+const GENERATION: u32 = 4;
 
 /// `site-0123456789abcdef.rset`: the name of the first input, and a hash of all that the entry depends on.
 fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {
