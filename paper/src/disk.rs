@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 
 use rayset::working_set::PageBuffer;
-use rayset::working_set::read::{self, FileStorage, ReadBackend, Storage};
+use rayset::working_set::read::{self, FileStorage, Storage, Transport};
 
 /// A read that was asked for.
 pub type Ticket = u64;
@@ -56,7 +56,7 @@ pub struct RealDisk {
     files: Vec<Arc<dyn Storage>>,
     around: Option<Around>,
     lengths: Vec<u64>,
-    backend: Arc<dyn ReadBackend>,
+    backend: Arc<dyn Transport>,
     next: Ticket,
     pending: HashMap<Ticket, Extent>,
     arrived: HashMap<Ticket, (PageBuffer, io::Result<()>)>,

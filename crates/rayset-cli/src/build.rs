@@ -1,15 +1,16 @@
 //! `rayset build`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
-use rayset::points::ReadOptions;
+use rayset::points::{PointSource, ReadOptions};
 use rayset::volumes::{RawLayout, VolumeSource};
 
 use crate::budget::{name_smallest_budget, name_smallest_grid_budget};
+use crate::build_parts::{self, PartArgs, PartOf, Work};
 use crate::memory::{PROCESS_BYTES, peak_rss};
 use crate::outputs::Outputs;
 use crate::progress::Meter;
@@ -90,6 +91,8 @@ pub(crate) struct BuildArgs {
     /// Folder for temporary files; that of the output by default
     #[arg(long)]
     temp_dir: Option<PathBuf>,
+    #[command(flatten)]
+    parts: PartArgs,
     /// Report as JSON
     #[arg(long)]
     json: bool,
@@ -109,16 +112,39 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let host = Program::quiet();
     let inputs = rayset_inputs::expand(&args.inputs, &host)?;
     if args.raw.is_some() || rayset_inputs::has_volume(&inputs)? {
+        if args.parts.asked().is_some() {
+            bail!("--part is for clouds; a grid is built by one process");
+        }
         return build_grid(args, &inputs);
     }
     let options = options(args)?;
     let output = Outputs::beside(&inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let read = ReadOptions::default()
+    if let Some(part) = args.parts.asked() {
+        return run_part(args, part, &inputs, options);
+    }
+    let (sources, options) = open(args, &inputs, options)?;
+    let meter = Meter::new("points", args.json);
+    let control = build::BuildControl::from(&meter as &dyn build::Progress);
+    let built = build::to_file(sources, &args.output, &options, &control);
+    meter.finish();
+    present(&args.output, &built.map_err(|e| name_smallest_budget(e, args.memory))?, args.json)
+}
+
+fn read_options(args: &BuildArgs) -> ReadOptions {
+    ReadOptions::default()
         .with_text_columns(args.columns.clone())
         .with_mesh_points(args.mesh_points)
-        .with_particles(args.particles.clone());
-    let sources = rayset_inputs::open_points(&inputs, &read, &host)?;
+        .with_particles(args.particles.clone())
+}
+
+/// Opens the points, and chooses the attributes that are kept of them.
+fn open(
+    args: &BuildArgs,
+    inputs: &[PathBuf],
+    options: BuildOptions,
+) -> Result<(Vec<Box<dyn PointSource>>, BuildOptions)> {
+    let sources = rayset_inputs::open_points(inputs, &read_options(args), &Program::quiet())?;
     let named = args.attributes.as_deref().unwrap_or_default();
     let attributes = match (&args.attributes, named) {
         (None, _) => {
@@ -130,13 +156,28 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
         (Some(_), [one]) if one == "none" => Vec::new(),
         (Some(_), _) => named.to_vec(),
     };
-    let options = options.with_attributes(attributes);
-    let meter = Meter::new("points", args.json);
-    let control = build::BuildControl::from(&meter as &dyn build::Progress);
-    let built = build::to_file(sources, &args.output, &options, &control);
-    meter.finish();
-    let built = built.map_err(|e| name_smallest_budget(e, args.memory))?;
-    if args.json { report::json(&Summary::of(&built)) } else { describe(args, &built) }
+    Ok((sources, options.with_attributes(attributes)))
+}
+
+/// Does a step of a part.
+fn run_part(args: &BuildArgs, part: PartOf, inputs: &[PathBuf], options: BuildOptions) -> Result<()> {
+    let nothing = BuildOptions::default();
+    let chosen = options.clone().with_memory_bytes(nothing.memory_bytes).with_threads(1).with_temp_dir(None);
+    let said = format!("{chosen:?} {:?} {:?}", args.attributes, read_options(args));
+    let work = Work {
+        args: &args.parts,
+        output: &args.output,
+        request: rayset_inputs::fingerprint(inputs, &said)?,
+        options: options.clone(),
+        memory: args.memory,
+        json: args.json,
+    };
+    build_parts::run(&work, part, || open(args, inputs, options))
+}
+
+/// Says what was built.
+pub(crate) fn present(output: &Path, built: &BuildReport, json: bool) -> Result<()> {
+    if json { report::json(&Summary::of(built)) } else { describe(output, built) }
 }
 
 /// The result of building a volume, as JSON.
@@ -285,11 +326,11 @@ impl Summary {
     }
 }
 
-fn describe(args: &BuildArgs, built: &BuildReport) -> Result<()> {
+fn describe(output: &Path, built: &BuildReport) -> Result<()> {
     let summary = Summary::of(built);
     report::say(format_args!(
         "{}: {} points, {} in {} pages, {:.1} % index",
-        args.output.display(),
+        output.display(),
         report::count(built.points),
         report::bytes(summary.file_bytes),
         summary.pages,

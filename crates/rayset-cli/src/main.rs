@@ -7,10 +7,12 @@ mod bench_features;
 mod bench_scenes;
 mod budget;
 mod build;
+mod build_parts;
 mod check;
 mod demo;
 #[cfg(test)]
 mod documents;
+mod far;
 mod figure;
 mod generate;
 mod histogram;
@@ -19,7 +21,9 @@ mod input;
 mod interrupts;
 mod manual;
 mod memory;
+mod merge;
 mod outputs;
+mod part_note;
 mod progress;
 mod render;
 mod report;
@@ -41,6 +45,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    far: far::FarArgs,
 }
 
 #[derive(Subcommand)]
@@ -59,6 +65,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Render a scene, a cloud, a grid, or any file of points or voxels to a picture
     Render(Box<render::RenderArgs>),
+    /// Join the parts of a picture or of a cloud, which `render --part` or `build --part` wrote
+    Merge(merge::MergeArgs),
     /// Look around in a scene, a cloud, a grid, or any file of points or voxels, in a browser
     #[cfg(feature = "view")]
     View(Box<view::ViewArgs>),
@@ -83,8 +91,10 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    let outcome =
-        interrupts::install().and_then(|()| run(cli.command)).and_then(|()| report::check_results());
+    let outcome = interrupts::install()
+        .and_then(|()| cli.far.open())
+        .and_then(|()| run(cli.command))
+        .and_then(|()| report::check_results());
     interrupts::wait_if_ending();
     ended(outcome)
 }
@@ -98,6 +108,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::Merge(args) => merge::run(&args),
         #[cfg(feature = "view")]
         Command::View(args) => view::run(&args),
         Command::Figure(args) => figure::run(&args),

@@ -11,6 +11,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use rayset::storage::{self, address_of};
 
 use crate::host::{Host, TemporaryFolder};
 use crate::{text, values};
@@ -157,16 +158,7 @@ const GENERATION: u32 = 4;
 
 /// `site-0123456789abcdef.rset`: the name of the first input, and a hash of all that the entry depends on.
 fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {
-    let mut text = format!("{} {GENERATION} {options}\n", env!("CARGO_PKG_VERSION"));
-    for input in inputs {
-        let doing = || format!("cannot read {}", input.display());
-        let metadata = std::fs::metadata(input).with_context(doing)?;
-        let path = std::fs::canonicalize(input).with_context(doing)?;
-        let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-        let changed = changed.map_or(0, |time| time.as_nanos());
-        // Paths that are not text differ in their debugging form.
-        let _ = writeln!(text, "{path:?} {} {changed}", metadata.len());
-    }
+    let hash = fingerprint(inputs, &format!("{GENERATION} {options}"))?;
     let Some(first) = inputs.first() else { bail!("no input") };
     let stem: String = first
         .file_stem()
@@ -176,7 +168,32 @@ fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {
         .map(|c| if c.is_alphanumeric() || c == '_' { c } else { '-' })
         .take(40)
         .collect();
-    Ok(format!("{stem}-{:016x}.{EXTENSION}", xxhash_rust::xxh3::xxh3_64(text.as_bytes())))
+    Ok(format!("{stem}-{hash}.{EXTENSION}"))
+}
+
+/// A hash, in 16 digits, of the version of the program, of the paths, sizes and times of change of some inputs, and of `options`, a
+/// text that says what is made of them.
+///
+/// # Errors
+/// If an input cannot be read.
+pub fn fingerprint(inputs: &[PathBuf], options: &str) -> Result<String> {
+    let mut text = format!("{} {options}\n", env!("CARGO_PKG_VERSION"));
+    for input in inputs {
+        let doing = || format!("cannot read {}", input.display());
+        if address_of(input).is_some() {
+            let object = storage::open(input, false).with_context(doing)?;
+            let bytes = object.length().with_context(doing)?;
+            let _ = writeln!(text, "{input:?} {bytes} {:?}", object.version());
+            continue;
+        }
+        let metadata = std::fs::metadata(input).with_context(doing)?;
+        let path = std::fs::canonicalize(input).with_context(doing)?;
+        let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let changed = changed.map_or(0, |time| time.as_nanos());
+        // Paths that are not text differ in their debugging form.
+        let _ = writeln!(text, "{path:?} {} {changed}", metadata.len());
+    }
+    Ok(format!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes())))
 }
 
 /// The user's own folder for caches.

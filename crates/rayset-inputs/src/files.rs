@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use rayset::points::{self, ReadError, ReadOptions};
+use rayset::storage::address_of;
 use rayset::volumes::VolumeSource;
 
 use super::kinds;
@@ -27,7 +28,7 @@ pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Vec<PathBuf>> {
             }
             let found = files.split_off(before);
             files.extend(readable(input, found, host)?);
-        } else if is_pattern(input) && !input.exists() {
+        } else if address_of(input).is_none() && is_pattern(input) && !input.exists() {
             matching(input, &mut files)?;
         } else {
             files.push(input.clone());

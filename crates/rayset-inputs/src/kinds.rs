@@ -1,12 +1,12 @@
 //! What a file is, by its first bytes, so that errors about other files can say what to do with them.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use rayset::file::{FileKind, LEAST_FILE_BYTES};
+use rayset::storage::{InputFile, Named, look};
 use rayset::volumes::VolumeSource;
 use rayset::{Cloud, Grid, points};
 
@@ -61,8 +61,12 @@ fn is_other_json(path: &Path) -> Result<bool> {
     ];
     let doing = || format!("cannot open {}", path.display());
     let mut text = Vec::new();
-    if std::fs::metadata(path).with_context(doing)?.is_file() {
-        File::open(path).with_context(doing)?.take(MOST_JSON).read_to_end(&mut text).with_context(doing)?;
+    if matches!(look(path).with_context(doing)?, Named::File(_)) {
+        InputFile::open(path)
+            .with_context(doing)?
+            .take(MOST_JSON)
+            .read_to_end(&mut text)
+            .with_context(doing)?;
     }
     let text = String::from_utf8_lossy(&text);
     let text = text.trim_start_matches('\u{feff}').trim_start();
@@ -85,8 +89,8 @@ pub fn is_built(path: &Path) -> Result<bool> {
 fn head(path: &Path) -> Result<Vec<u8>> {
     let doing = || format!("cannot open {}", path.display());
     let mut head = Vec::new();
-    if std::fs::metadata(path).with_context(doing)?.is_file() {
-        File::open(path).with_context(doing)?.take(8).read_to_end(&mut head).with_context(doing)?;
+    if matches!(look(path).with_context(doing)?, Named::File(_)) {
+        InputFile::open(path).with_context(doing)?.take(8).read_to_end(&mut head).with_context(doing)?;
     }
     Ok(head)
 }
@@ -94,24 +98,22 @@ fn head(path: &Path) -> Result<Vec<u8>> {
 /// Opens a cloud or a grid.
 pub fn open_built(path: &Path) -> Result<Built> {
     let doing = || format!("cannot open {}", path.display());
-    let metadata = std::fs::metadata(path).with_context(doing)?;
-    if metadata.is_dir() {
-        bail!("{} is a folder; name a cloud or grid file in it", path.display());
-    }
-    if !metadata.is_file() {
-        bail!(
+    let bytes = match look(path).with_context(doing)? {
+        Named::File(bytes) => bytes,
+        Named::Folder => bail!("{} is a folder; name a cloud or grid file in it", path.display()),
+        Named::Other => bail!(
             "{} is a pipe or a device; a cloud or grid is read in many places and has to be a regular file",
             path.display()
-        );
-    }
+        ),
+    };
     let head = head(path)?;
     let is_cloud = head == FileKind::Cloud.magic();
     let is_grid = head == FileKind::Grid.magic();
-    if (is_cloud || is_grid) && metadata.len() < LEAST_FILE_BYTES {
+    if (is_cloud || is_grid) && bytes < LEAST_FILE_BYTES {
         bail!(
             "{} ends at byte {}; a {} file has at least {LEAST_FILE_BYTES}: copy or build it again",
             path.display(),
-            metadata.len(),
+            bytes,
             if is_cloud { "cloud" } else { "grid" }
         );
     }

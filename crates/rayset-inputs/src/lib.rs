@@ -16,7 +16,7 @@ mod sources;
 pub mod text;
 pub mod values;
 
-pub use self::cache::CacheArgs;
+pub use self::cache::{CacheArgs, fingerprint};
 pub use self::columns::{Columns, customary as customary_columns, of_all as all_columns};
 pub use self::files::expand;
 pub use self::host::{Host, TemporaryFolder, stage_name};

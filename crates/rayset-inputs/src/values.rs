@@ -149,13 +149,20 @@ impl Frames {
     /// # Errors
     /// If it has no such frames.
     pub fn of(self, path: &rayset::scene::CameraPath) -> anyhow::Result<std::ops::RangeInclusive<u32>> {
-        let (from, to) = path.ends();
+        self.among(path.ends(), "animation")
+    }
+
+    /// Those that are meant of the frames from the first to the last of `what`.
+    ///
+    /// # Errors
+    /// If it has no such frames.
+    pub fn among(self, (from, to): (u32, u32), what: &str) -> anyhow::Result<std::ops::RangeInclusive<u32>> {
         match self {
             Self::All => Ok(from..=to),
             Self::Part(first, last) => {
                 ensure!(
                     from <= first && last <= to,
-                    "--frames {first}..{last}: the animation runs from frame {from} to frame {to}"
+                    "--frames {first}..{last}: the {what} runs from frame {from} to frame {to}"
                 );
                 Ok(first..=last)
             }

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group};
 use rayset::cancel::CancelToken;
 use rayset::storage::Storage;
-use rayset::working_set::read::{Read, ReadBackend};
+use rayset::working_set::read::{Read, Transport};
 use rayset::working_set::{Kind, Limits, Object, PageSource, WorkingSet};
 
 const PAGE: usize = 512;
@@ -58,7 +58,7 @@ impl PageSource for Pages {
 /// Reads on the thread that asks.
 struct AtOnce;
 
-impl ReadBackend for AtOnce {
+impl Transport for AtOnce {
     fn submit(&self, batch: Vec<Read>) {
         batch.into_iter().for_each(Read::run);
     }

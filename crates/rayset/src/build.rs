@@ -5,6 +5,6 @@
 
 pub use crate::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
 pub use crate::octree::build::{
-    BuildControl, BuildError, BuildOptions, BuildReport, InvalidPolicy, Precision, Progress, Quantity, Rule,
-    Skipped, Stage, run as to_file, run_in_memory as in_memory,
+    BuildControl, BuildError, BuildOptions, BuildParts, BuildReport, BuildStep, InvalidPolicy, Precision,
+    Progress, Quantity, Rule, Skipped, Stage, run as to_file, run_in_memory as in_memory,
 };

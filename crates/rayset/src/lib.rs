@@ -35,6 +35,7 @@
 //! | describe a scene | [`scene`], [`scene_file`] |
 //! | render it: whole, in tiles, in passes; cancel it | [`Session`], [`View`], [`CancelToken`] |
 //! | write the picture | [`image`], [`output`] |
+//! | render it in parts, by many processes | [`parts`] |
 //! | set a memory budget, and see how it was used | [`memory`] |
 //! | read from somewhere else | [`storage`] |
 #![deny(unsafe_code)]
@@ -99,6 +100,7 @@ pub mod memory;
 mod numbers;
 pub mod output;
 mod parse;
+pub mod parts;
 pub mod points;
 pub mod scene;
 pub mod scene_file;

@@ -13,11 +13,59 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::output::{Destination, Purpose, create_unique};
 
-/// Temporarily stored records: in an unnamed file, or in memory if no file is to be created.
+/// Temporarily stored records: in an unnamed file, or in memory if no file is to be created; or stretches of files that others
+/// have written, one after another.
 #[derive(Debug)]
 pub(crate) enum Spill {
     File(TemporaryFile),
     Memory(Mutex<Vec<u8>>),
+    Joined(Joined),
+}
+
+/// Stretches of files, one after another, to be read.
+#[derive(Debug)]
+pub(crate) struct Joined {
+    files: Vec<File>,
+    stretches: Vec<JoinedStretch>,
+    bytes: u64,
+}
+
+#[derive(Debug)]
+struct JoinedStretch {
+    /// Where it begins, among all bytes.
+    start: u64,
+    file: usize,
+    /// Where it begins in its file.
+    at: u64,
+}
+
+impl Joined {
+    pub(crate) fn new(files: Vec<File>) -> Self {
+        Self { files, stretches: Vec::new(), bytes: 0 }
+    }
+
+    /// Appends `bytes` bytes of a file, from byte `at` on.
+    pub(crate) fn push(&mut self, file: usize, at: u64, bytes: u64) {
+        if bytes > 0 {
+            self.stretches.push(JoinedStretch { start: self.bytes, file, at });
+            self.bytes += bytes;
+        }
+    }
+
+    fn read_at(&self, mut buffer: &mut [u8], mut offset: u64) -> io::Result<()> {
+        while !buffer.is_empty() {
+            let next = self.stretches.partition_point(|stretch| stretch.start <= offset);
+            let end = self.stretches.get(next).map_or(self.bytes, |stretch| stretch.start);
+            let stretch = self.stretches.get(next.wrapping_sub(1)).filter(|_| offset < end);
+            let stretch = stretch.ok_or(io::ErrorKind::UnexpectedEof)?;
+            let length = usize::try_from(end - offset).unwrap_or(usize::MAX).min(buffer.len());
+            let (now, rest) = buffer.split_at_mut(length);
+            read_file_at(&self.files[stretch.file], now, stretch.at + (offset - stretch.start))?;
+            offset += length as u64;
+            buffer = rest;
+        }
+        Ok(())
+    }
 }
 
 /// A file without a name.
@@ -63,6 +111,7 @@ impl Spill {
     pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         match self {
             Self::File(file) => file.read_at(buffer, offset),
+            Self::Joined(joined) => joined.read_at(buffer, offset),
             Self::Memory(bytes) => {
                 let bytes = bytes.lock().unwrap_or_else(PoisonError::into_inner);
                 let start = usize::try_from(offset).unwrap_or(usize::MAX);
@@ -76,6 +125,7 @@ impl Spill {
     pub(crate) fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
         match self {
             Self::File(file) => file.write_at(buffer, offset),
+            Self::Joined(_) => Err(io::ErrorKind::Unsupported.into()),
             Self::Memory(bytes) => {
                 let mut bytes = bytes.lock().unwrap_or_else(PoisonError::into_inner);
                 let start = usize::try_from(offset).map_err(|_| io::ErrorKind::OutOfMemory)?;
@@ -92,24 +142,7 @@ impl Spill {
 
 impl TemporaryFile {
     fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        #[cfg(unix)]
-        return std::os::unix::fs::FileExt::read_exact_at(&self.file, buffer, offset);
-        #[cfg(not(unix))]
-        {
-            let mut done = 0;
-            while done < buffer.len() {
-                let n = std::os::windows::fs::FileExt::seek_read(
-                    &self.file,
-                    &mut buffer[done..],
-                    offset + done as u64,
-                )?;
-                if n == 0 {
-                    return Err(io::ErrorKind::UnexpectedEof.into());
-                }
-                done += n;
-            }
-            Ok(())
-        }
+        read_file_at(&self.file, buffer, offset)
     }
 
     fn write_at(&self, buffer: &[u8], offset: u64) -> io::Result<()> {
@@ -127,6 +160,24 @@ impl TemporaryFile {
             }
             Ok(())
         }
+    }
+}
+
+fn read_file_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::FileExt::read_exact_at(file, buffer, offset);
+    #[cfg(not(unix))]
+    {
+        let mut done = 0;
+        while done < buffer.len() {
+            let n =
+                std::os::windows::fs::FileExt::seek_read(file, &mut buffer[done..], offset + done as u64)?;
+            if n == 0 {
+                return Err(io::ErrorKind::UnexpectedEof.into());
+            }
+            done += n;
+        }
+        Ok(())
     }
 }
 

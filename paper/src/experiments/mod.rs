@@ -31,7 +31,7 @@ use rayset::scene::{
 use rayset::trace::predict::{NoPredictor, Predictor};
 use rayset::trace::reference::PointField;
 use rayset::trace::{ExecSettings, render_once};
-use rayset::working_set::read::{self, BackendKind, ReadBackend};
+use rayset::working_set::read::{self, BackendKind, Transport};
 use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
 
 use crate::engine::{self, IndexField, Picture};
@@ -217,7 +217,7 @@ impl Subject {
     pub(crate) fn shipping_by(
         &self,
         page_bytes: u64,
-        backend: Arc<dyn ReadBackend>,
+        backend: Arc<dyn Transport>,
         predictor: Arc<dyn Predictor>,
     ) -> Result<(Picture, f64, Statistics)> {
         shipping(&self.scene, (&self.camera, &self.settings), page_bytes, backend, predictor)
@@ -303,7 +303,7 @@ pub(crate) fn shipping(
     scene: &Scene,
     view: (&Camera, &RenderSettings),
     page_bytes: u64,
-    backend: Arc<dyn ReadBackend>,
+    backend: Arc<dyn Transport>,
     predictor: Arc<dyn Predictor>,
 ) -> Result<(Picture, f64, Statistics)> {
     timed(scene, view, &PagedFiles::new(WorkingSet::new(Limits::total(page_bytes), backend)), predictor)

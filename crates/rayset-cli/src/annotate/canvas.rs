@@ -150,6 +150,24 @@ impl Raster {
         }
     }
 
+    /// Appends all of it to bytes.
+    pub(super) fn encode(&self, bytes: &mut Vec<u8>) {
+        let rows = self.pixels.len() / self.width.max(1) as usize;
+        for number in [self.left, self.top, self.width, rows as u32] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(self.pixels.as_flattened());
+    }
+
+    /// Takes one from the front of bytes; `None` if none is there.
+    pub(super) fn decode(bytes: &mut &[u8]) -> Option<Self> {
+        let mut number = || bytes.split_off(..4)?.try_into().ok().map(u32::from_le_bytes);
+        let (left, top, width, rows) = (number()?, number()?, number()?, number()?);
+        let length = u64::from(width) * u64::from(rows) * 4;
+        let (pixels, _) = bytes.split_off(..usize::try_from(length).ok()?)?.as_chunks();
+        Some(Self { left, top, width, pixels: pixels.to_vec() })
+    }
+
     /// Lays its row number `y` of the picture over pixels of straight alpha that begin at column `left`.
     pub(super) fn over(&self, y: u32, left: u32, rgba: &mut [u8]) {
         let Some(row) = y.checked_sub(self.top) else { return };

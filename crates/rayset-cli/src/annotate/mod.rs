@@ -154,6 +154,22 @@ pub(crate) struct Overlay {
 }
 
 impl Overlay {
+    /// Its pixels as bytes.
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.rasters.iter().for_each(|raster| raster.encode(&mut bytes));
+        bytes
+    }
+
+    /// What [`encode`](Self::encode) made bytes of; `None` if they are anything else.
+    pub(crate) fn decode(mut bytes: &[u8]) -> Option<Self> {
+        let mut rasters = Vec::new();
+        while !bytes.is_empty() {
+            rasters.push(Raster::decode(&mut bytes)?);
+        }
+        Some(Self { rasters })
+    }
+
     /// Lays row `y` of the picture over encoded pixels (RGBA, straight alpha) that begin at column `left`.
     pub(crate) fn over(&self, y: u32, left: u32, rgba: &mut [u8]) {
         self.rasters.iter().for_each(|raster| raster.over(y, left, rgba));

@@ -8,6 +8,7 @@ use clap::Args;
 use super::picture::PictureArgs;
 use super::work::WorkArgs;
 use crate::annotate::AnnotateArgs;
+use rayset::parts::Share;
 use rayset_inputs::CacheArgs;
 use rayset_inputs::look::{CameraArgs, LookArgs};
 use rayset_inputs::values::{self, Frames};
@@ -22,15 +23,21 @@ pub(crate) struct RenderArgs {
     #[arg(required = true)]
     pub(super) inputs: Vec<PathBuf>,
     /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo, opacity, instanceId,
-    /// samples, bytes
+    /// samples, bytes. With --part, the part
     #[arg(short, long)]
     pub(super) output: PathBuf,
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(super) turntable: Option<u32>,
-    /// Pictures along the camera's path in the scene: `all`, one, or FIRST..LAST; OUTPUT gets numbers
-    #[arg(long, conflicts_with = "turntable", value_parser = values::frames)]
+    /// Pictures along the camera's path in the scene, or of the turntable: `all`, one, or FIRST..LAST; OUTPUT gets numbers
+    #[arg(long, value_parser = values::frames)]
     pub(super) frames: Option<Frames>,
+    /// Render only this part of the picture, as 3/8: the third of eight. `rayset merge` joins all of them
+    #[arg(long, value_name = "PART/OF")]
+    pub(super) part: Option<Share>,
+    /// Parts for OpenEXR: with all layers
+    #[arg(long, requires = "part", conflicts_with = "annotate")]
+    pub(super) layers: bool,
     /// Write the scene that a cloud or grid without one is rendered as, to this file
     #[arg(long)]
     pub(super) write_scene: Option<PathBuf>,

@@ -1,6 +1,7 @@
 //! `rayset render`: [`run`] is the way from arguments to a picture.
 
 mod args;
+mod part;
 mod picture;
 mod report;
 mod sanity;
@@ -10,34 +11,32 @@ mod warnings;
 mod work;
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use rayset::CancelToken;
 use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::output::Destination;
+use rayset::parts::Share;
 use rayset::scene::Camera;
-use rayset::{PreparedScene, Region};
+use rayset::{CancelToken, PreparedScene, Region, RenderCounts, View};
 
 pub(crate) use self::args::{RenderArgs, defaults};
 use self::report::RenderReport;
-use self::sanity::Circumstances;
+use self::sanity::{Census, Circumstances};
 use self::shot::Shot;
-use self::sink::{Format, PictureSink};
+pub(crate) use self::sink::{Format, PictureSink};
 pub(crate) use self::work::PredictorArg;
 use self::work::Work;
+use crate::annotate::Overlay;
 use crate::outputs::{self, Outputs};
 use crate::report::{bytes, remark};
+use rayset_inputs::values::Frames;
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     // Reading the scene may take long: what can be refused before that is refused first.
-    let format = Format::of(&Destination::new(&args.output)?)?;
-    ensure!(
-        !args.annotate.annotate || format == Format::Png,
-        "--annotate draws on pictures for display; an OpenEXR file holds the light as computed: write a .png"
-    );
+    let has_layers = check_output(args)?;
     let mut shot = Shot::new(args)?;
-    shot.settings.layers = format == Format::Exr;
+    shot.settings.layers = has_layers;
     let region = args.picture.region(shot.settings)?;
     let mut outputs = Outputs::beside(&shot.files);
     let pictures = pictures(args, &shot)?
@@ -50,23 +49,49 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     }
     let annotations = shot.annotations(args)?;
     let drawing_bytes = annotations.as_ref().map_or(0, |annotations| annotations.bytes(&shot.camera));
-    let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(shot.loading_bytes + drawing_bytes);
+    // A part has a copy of what is drawn, and that compressed.
+    let part_bytes = args.part.map_or(0, |share| share.index_bytes(&region) + 2 * drawing_bytes);
+    let loading_bytes = shot.loading_bytes + drawing_bytes + part_bytes;
+    let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(loading_bytes);
     let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
     let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
     prepared.remarks().iter().for_each(remark);
-    for (picture, camera) in &pictures {
-        let sink = PictureSink::create(picture, &region, &shot)?
-            .under(annotations.as_ref().map(|annotations| annotations.overlay(camera)));
-        render(&shot, &prepared, camera, &region, sink, picture, stats.as_ref(), &work, &plan)?;
+    let rendering = Rendering { shot: &shot, prepared, region, work, plan };
+    for (output, camera) in &pictures {
+        let overlay = annotations.as_ref().map(|annotations| annotations.overlay(camera));
+        let report = match args.part {
+            None => rendering.picture(camera, overlay, output)?,
+            Some(share) => rendering.part(camera, overlay, share, output)?,
+        };
+        if let Some(stats) = &stats {
+            outputs::write(stats, serde_json::to_string_pretty(&report)?.as_bytes())?;
+        }
     }
     Ok(())
+}
+
+/// Refuses what cannot be written. Returns whether the output has layers.
+fn check_output(args: &RenderArgs) -> Result<bool> {
+    let destination = Destination::new(&args.output)?;
+    if args.part.is_some() {
+        part::check_name(&destination)?;
+        return Ok(args.layers);
+    }
+    let format = Format::of(&destination)?;
+    ensure!(
+        !args.annotate.annotate || format == Format::Png,
+        "--annotate draws on pictures for display; an OpenEXR file holds the light as computed: write a .png"
+    );
+    Ok(format == Format::Exr)
 }
 
 /// Every picture to render: its path and its camera.
 fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
     let numbered = |frame| numbered(&args.output, frame);
     Ok(match (args.turntable, args.frames) {
-        (Some(turns), _) => (0..turns)
+        (Some(turns), frames) => frames
+            .unwrap_or(Frames::All)
+            .among((0, turns - 1), "turntable")?
             .map(|frame| (numbered(frame), shot.turned(f64::from(frame) / f64::from(turns))))
             .collect(),
         (None, Some(frames)) => {
@@ -79,47 +104,88 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
     })
 }
 
-/// Renders one picture.
-#[expect(clippy::too_many_arguments, reason = "what is seen, from where, by what means, and where it goes")]
-fn render(
-    shot: &Shot,
-    prepared: &PreparedScene,
-    camera: &Camera,
-    region: &Region,
-    mut sink: PictureSink,
-    output: &Destination,
-    stats: Option<&Destination>,
-    work: &Work,
-    plan: &MemoryPlan,
-) -> Result<()> {
-    let started = Instant::now();
-    work.session.reset_statistics();
-    let view = prepared.view(camera)?;
-    let counts = view.render_bands(region, plan.band_rows, &CancelToken::new(), &mut sink)?;
-    let census = sink.finish()?;
-    let report = RenderReport::new(work, plan, counts, started.elapsed());
-    if let Some(stats) = stats {
-        outputs::write(stats, serde_json::to_string_pretty(&report)?.as_bytes())?;
+/// What is rendered, and by what means.
+struct Rendering<'a> {
+    shot: &'a Shot,
+    prepared: PreparedScene,
+    region: Region,
+    work: Work,
+    plan: MemoryPlan,
+}
+
+impl Rendering<'_> {
+    /// Renders one picture.
+    fn picture(
+        &self,
+        camera: &Camera,
+        overlay: Option<Overlay>,
+        output: &Destination,
+    ) -> Result<RenderReport> {
+        let (shot, settings) = (self.shot, &self.shot.settings);
+        let (started, view) = self.begin(camera)?;
+        let whole = (settings.width, settings.height);
+        let mut sink = PictureSink::create(output, &self.region, whole, shot.display_transform)?
+            .seen_by(Census::new(shot.scene.background, shot.display_transform))
+            .under(overlay);
+        let counts = view.render_bands(&self.region, self.plan.band_rows, &CancelToken::new(), &mut sink)?;
+        let census = sink.finish()?;
+        let report = self.report(counts, started.elapsed(), output);
+        if let Some(census) = census {
+            census.remark(&counts, &self.circumstances());
+        }
+        self.remark_on_memory(&report);
+        Ok(report)
     }
-    report.describe(output.path());
-    let settings = &shot.settings;
-    census.remark(
-        &counts,
-        &Circumstances {
-            points: shot.points,
-            chosen: shot.chosen.is_some(),
+
+    /// Renders a share of one picture.
+    fn part(
+        &self,
+        camera: &Camera,
+        overlay: Option<Overlay>,
+        share: Share,
+        output: &Destination,
+    ) -> Result<RenderReport> {
+        let (started, view) = self.begin(camera)?;
+        let held_pixels = u64::from(self.plan.band_rows) * self.region.columns.len() as u64;
+        let options = part::options(share, self.shot, overlay)?.with_held_pixels(held_pixels);
+        let counts = part::write(&view, &self.region, &options, output)?;
+        let report = self.report(counts, started.elapsed(), output);
+        self.remark_on_memory(&report);
+        Ok(report)
+    }
+
+    fn begin(&self, camera: &Camera) -> Result<(Instant, View)> {
+        let started = Instant::now();
+        self.work.session.reset_statistics();
+        Ok((started, self.prepared.view(camera)?))
+    }
+
+    fn report(&self, counts: RenderCounts, elapsed: Duration, output: &Destination) -> RenderReport {
+        let report = RenderReport::new(&self.work, &self.plan, counts, elapsed);
+        report.describe(output.path());
+        report
+    }
+
+    fn circumstances(&self) -> Circumstances {
+        let settings = &self.shot.settings;
+        Circumstances {
+            points: self.shot.points,
+            chosen: self.shot.chosen.is_some(),
             rays_per_pixel: u64::from(settings.samples) * u64::from(settings.samples),
-            cropped: region.pixels() < u64::from(settings.width) * u64::from(settings.height),
-        },
-    );
-    if report.memory_bytes < plan.comfortable_bytes && report.pages.reads_per_page > 2.0 {
-        remark(format_args!(
-            "pages were read {:.1} times each; --memory {} would do better",
-            report.pages.reads_per_page,
-            bytes(plan.comfortable_bytes)
-        ));
+            cropped: self.region.pixels() < u64::from(settings.width) * u64::from(settings.height),
+        }
     }
-    Ok(())
+
+    fn remark_on_memory(&self, report: &RenderReport) {
+        let comfortable = self.plan.comfortable_bytes;
+        if report.memory_bytes < comfortable && report.pages.reads_per_page > 2.0 {
+            remark(format_args!(
+                "pages were read {:.1} times each; --memory {} would do better",
+                report.pages.reads_per_page,
+                bytes(comfortable)
+            ));
+        }
+    }
 }
 
 /// `turn.png` becomes `turn.0007.png`.

@@ -16,7 +16,7 @@ const MOSTLY: f64 = 0.9;
 const FIRST_SAMPLE: f64 = 1.05;
 
 /// Counts of a picture's pixels.
-pub(super) struct Census {
+pub(crate) struct Census {
     background: [f32; 3],
     /// Factor from linear light to what is displayed.
     exposure: f32,

@@ -3,24 +3,23 @@
 use std::io::BufWriter;
 
 use anyhow::{Context, Result, bail};
-use rayset::image::{Band, ExrBands, PngBands};
+use rayset::image::{Band, DisplayTransform, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::{BandSink, Region, SinkError};
 
 use super::sanity::Census;
-use super::shot::Shot;
 use crate::annotate::Overlay;
 use crate::progress::Meter;
 
 /// Picture formats, by file extension.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Format {
+pub(crate) enum Format {
     Png,
     Exr,
 }
 
 impl Format {
-    pub(super) fn of(to: &Destination) -> Result<Self> {
+    pub(crate) fn of(to: &Destination) -> Result<Self> {
         match to.path().extension().map(|e| e.to_string_lossy().to_lowercase()).as_deref() {
             Some("png") => Ok(Self::Png),
             Some("exr") => {
@@ -35,12 +34,13 @@ impl Format {
 }
 
 /// Writes bands to a file that appears under its name only when it is complete.
-pub(super) struct PictureSink {
+pub(crate) struct PictureSink {
     // Dropped before the file: an encoder writes when it is dropped.
     encoder: Encoder,
     file: OutputFile,
     meter: Meter<'static>,
-    census: Census,
+    doing: &'static str,
+    census: Option<Census>,
     /// What is laid over the picture, and the picture's first column of the whole.
     overlay: Option<Overlay>,
     left: u32,
@@ -52,8 +52,13 @@ enum Encoder {
 }
 
 impl PictureSink {
-    pub(super) fn create(to: &Destination, region: &Region, shot: &Shot) -> Result<Self> {
-        let (settings, display_transform) = (&shot.settings, shot.display_transform);
+    /// For a region of a picture whose size is `whole`.
+    pub(crate) fn create(
+        to: &Destination,
+        region: &Region,
+        whole: (u32, u32),
+        display_transform: DisplayTransform,
+    ) -> Result<Self> {
         let doing = || format!("cannot write {}", to.path().display());
         let format = Format::of(to)?;
         let file = OutputFile::create(to)?;
@@ -66,22 +71,38 @@ impl PictureSink {
             }
             Format::Exr => {
                 let corner = (region.columns.start, region.rows.start);
-                let whole = (settings.width, settings.height);
                 Encoder::Exr(ExrBands::new(output, (width, height), corner, whole).with_context(doing)?)
             }
         };
-        let census = Census::new(shot.scene.background, display_transform);
         let meter = Meter::new("pixels", false);
-        Ok(Self { encoder, file, meter, census, overlay: None, left: region.columns.start })
+        Ok(Self {
+            encoder,
+            file,
+            meter,
+            doing: "tracing",
+            census: None,
+            overlay: None,
+            left: region.columns.start,
+        })
+    }
+
+    /// With another word for what is being done.
+    pub(crate) fn doing(self, doing: &'static str) -> Self {
+        Self { doing, ..self }
     }
 
     /// With something laid over the picture, if anything.
-    pub(super) fn under(self, overlay: Option<Overlay>) -> Self {
+    pub(crate) fn under(self, overlay: Option<Overlay>) -> Self {
         Self { overlay, ..self }
     }
 
-    /// Completes the file. Returns what its pixels were like.
-    pub(super) fn finish(self) -> Result<Census> {
+    /// With somebody who looks at the pixels.
+    pub(super) fn seen_by(self, census: Census) -> Self {
+        Self { census: Some(census), ..self }
+    }
+
+    /// Completes the file. Returns who has looked at its pixels.
+    pub(crate) fn finish(self) -> Result<Option<Census>> {
         self.meter.finish();
         let doing = || format!("cannot write {}", self.file.destination().path().display());
         match self.encoder {
@@ -95,7 +116,9 @@ impl PictureSink {
 
 impl BandSink for PictureSink {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
-        self.census.add(band);
+        if let Some(census) = &mut self.census {
+            census.add(band);
+        }
         let written = match &mut self.encoder {
             Encoder::Png(png) => {
                 let retouch = |row: u32, rgba: &mut [u8]| {
@@ -111,6 +134,6 @@ impl BandSink for PictureSink {
     }
 
     fn progress(&mut self, done: u64, total: u64) {
-        self.meter.show("tracing", done, total);
+        self.meter.show(self.doing, done, total);
     }
 }

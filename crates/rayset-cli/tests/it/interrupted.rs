@@ -94,7 +94,7 @@ fn a_grid_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans
     std::fs::write(folder.path().join("v.raw"), voxels).expect("a write");
     let build = || {
         let mut command = program();
-        let arguments = ["build", "v.raw", "--raw", "700x700x64,u8", "-o", "v.rset", "--memory", "16MiB"];
+        let arguments = ["build", "v.raw", "--raw", "700x700x64,u8", "-o", "v.rset", "--memory", "17MiB"];
         command.current_dir(folder.path()).args(arguments);
         command
     };

@@ -4,6 +4,7 @@
 #![allow(clippy::type_complexity, reason = "tables of cases are clearest written out")]
 
 mod annotations;
+mod cloud_parts;
 mod columns;
 mod common;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
@@ -18,6 +19,7 @@ mod manual;
 mod memory;
 mod outputs;
 mod owned;
+mod parts;
 mod pictures;
 mod program;
 mod settings;

@@ -55,8 +55,8 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
     assert!(number(&built, "peak_rss_bytes") <= 24.0 * MIB, "{built}");
     let file = number(&built, "file_bytes");
     let mut pictures = Vec::new();
-    // An unoptimised program takes a mebibyte more by itself.
-    let least = if cfg!(debug_assertions) { 12.625 } else { 12.0 };
+    // An unoptimised program takes up to two mebibytes more by itself.
+    let least = if cfg!(debug_assertions) { 13.5 } else { 12.0 };
     for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (least, 10.0)] {
         for predictor in ["packet", "none"] {
             let budget = format!("{memory}MiB");
@@ -84,8 +84,8 @@ fn a_grid_whose_layers_exceed_memory_builds_within_the_budget() {
             ["build", "v.raw", "--raw", "1200x1200x33,u8", "-o", output, "--memory", memory, "--json"];
         rayset(folder.path(), &arguments)
     };
-    let small = build("small.rset", "16MiB");
-    assert!(number(&small, "peak_rss_bytes") <= 16.0 * MIB, "{small}");
+    let small = build("small.rset", "17MiB");
+    assert!(number(&small, "peak_rss_bytes") <= 17.0 * MIB, "{small}");
     build("large.rset", "400MiB");
     let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a grid");
     assert!(read("small.rset") == read("large.rset"), "the grid depends on the budget");
@@ -121,11 +121,11 @@ fn the_budget_holds_where_pages_and_shadows_of_different_sizes_replace_each_othe
         "root": {"type": "cloud", "file": "c.rset",
             "transferFunction": {"opacity": [[0.25, 0], [0.55, 1]], "color": "points"}}}"#;
     std::fs::write(folder.path().join("s.json"), scene).expect("the scene is written");
-    let output = ["-o", "c.png", "--stats", "stats.json", "--threads", "2", "--memory", "17.25MiB"];
+    let output = ["-o", "c.png", "--stats", "stats.json", "--threads", "2", "--memory", "18MiB"];
     rayset(folder.path(), &[&["render", "s.json"], &output[..]].concat());
     let text = std::fs::read_to_string(folder.path().join("stats.json")).expect("statistics are written");
     let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
-    assert!(number(&stats, "peak_rss_bytes") <= 17.25 * MIB, "{stats}");
+    assert!(number(&stats, "peak_rss_bytes") <= 18.0 * MIB, "{stats}");
 }
 
 #[test]
@@ -133,9 +133,9 @@ fn the_budget_holds_where_every_ray_meets_every_point() {
     let folder = folder();
     rayset(folder.path(), &["generate", "cube-2m", "-o", "p.ply"]);
     rayset(folder.path(), &["build", "p.ply", "-o", "c.rset", "--radius", "1.5", "--memory", "64MiB"]);
-    let look = ["--memory", "12.75MiB", "--threads", "2", "--size", "8x8", "--opacity", "extinction:1e-7"];
+    let look = ["--memory", "13.75MiB", "--threads", "2", "--size", "8x8", "--opacity", "extinction:1e-7"];
     let stats = render(folder.path(), &look);
-    assert!(number(&stats, "peak_rss_bytes") <= 12.75 * MIB, "{stats}");
+    assert!(number(&stats, "peak_rss_bytes") <= 13.75 * MIB, "{stats}");
 }
 
 #[test]

@@ -4,14 +4,13 @@
 //! Only the directory at the end is trusted for where members are; the checksum of each is verified when it is read to its
 //! end.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use flate2::bufread::DeflateDecoder;
 
 use super::fault::Fault;
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 /// Upper bound on the compression ratio of Deflate.
 const MOST_DEFLATED: u64 = 1032;
@@ -39,9 +38,14 @@ impl Member {
         Self { name: String::new(), start: 0, stored: bytes, bytes, is_deflated: false, checksum: None }
     }
 
+    /// Whether what is skipped need not be read.
+    pub(crate) fn can_seek(&self) -> bool {
+        self.checksum.is_none()
+    }
+
     /// A stream of the bytes from `skip` on.
     pub(crate) fn open(&self, path: &Path, skip: u64) -> io::Result<Box<dyn Read + Send>> {
-        let mut file = regular_file::open(path)?;
+        let mut file = InputFile::open(path)?;
         let Some(checksum) = self.checksum else {
             file.seek(SeekFrom::Start(self.start.saturating_add(skip)))?;
             return Ok(Box::new(BufReader::with_capacity(1 << 14, file)));
@@ -99,7 +103,7 @@ fn number(bytes: &[u8], at: usize, length: usize) -> Option<u64> {
 }
 
 /// Reads bytes that must be in the file.
-fn bytes_at(file: &mut File, at: u64, length: u64) -> io::Result<Vec<u8>> {
+fn bytes_at(file: &mut InputFile, at: u64, length: u64) -> io::Result<Vec<u8>> {
     let mut bytes = vec![0; length as usize];
     file.seek(SeekFrom::Start(at))?;
     file.read_exact(&mut bytes)?;
@@ -108,8 +112,8 @@ fn bytes_at(file: &mut File, at: u64, length: u64) -> io::Result<Vec<u8>> {
 
 /// All arrays of an archive.
 pub(crate) fn members(path: &Path) -> Result<Vec<Member>, Fault> {
-    let mut file = regular_file::open(path)?;
-    let length = file.metadata()?.len();
+    let mut file = InputFile::open(path)?;
+    let length = file.length()?;
     let fail = |at: u64, what: &str| Fault::Wrong { at, what: what.to_owned() };
     let (at, entries, bytes) = directory(&mut file, length)?.ok_or_else(|| {
         fail(
@@ -164,7 +168,7 @@ pub(crate) fn members(path: &Path) -> Result<Vec<Member>, Fault> {
 }
 
 /// Where the directory is: its byte, the number of its entries, its length. `None` if there is none that fits the file.
-fn directory(file: &mut File, length: u64) -> io::Result<Option<(u64, u64, u64)>> {
+fn directory(file: &mut InputFile, length: u64) -> io::Result<Option<(u64, u64, u64)>> {
     let tail_at = length.saturating_sub(END_BYTES);
     let tail = bytes_at(file, tail_at, length - tail_at)?;
     let Some(end) = tail.windows(4).rposition(|window| window == b"PK\x05\x06") else { return Ok(None) };

@@ -9,7 +9,8 @@ use super::header::{BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, Sect
 use super::page::{PageError, stored_page_checksum};
 use super::write::Metadata;
 use crate::regular_file;
-use crate::storage::{FileStorage, Storage};
+use crate::storage::input_file::read_ahead;
+use crate::storage::{FileStorage, Storage, address, address_of};
 
 /// Longest section that is read into memory as a whole: columns, descriptions.
 const MAX_SECTION_BYTES: u64 = 512 << 10;
@@ -93,6 +94,24 @@ impl OpenFile {
         Self::over(path, Arc::new(FileStorage::from(file)), kind)
     }
 
+    /// As [`open`](Self::open), also of an address. With the storage that whoever opens the same object again has to use, so that
+    /// it is the same object; `None` for a file on disk, which is opened by its path.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub(crate) fn of_path(
+        path: &Path,
+        kind: FileKind,
+    ) -> Result<(Self, Option<Arc<dyn Storage>>), OpenError> {
+        if address_of(path).is_none() {
+            return Ok((Self::open(path, kind)?, None));
+        }
+        let shown = address::without_query(path);
+        let storage =
+            address::open(path, false).map_err(|source| OpenError::Io { path: shown.clone(), source })?;
+        Ok((Self::over(&shown, storage.clone(), kind)?, Some(storage)))
+    }
+
     /// As [`open`](Self::open), but reads from any storage; `path` is only a name for messages.
     ///
     /// # Errors
@@ -100,6 +119,7 @@ impl OpenFile {
     pub fn over(path: &Path, storage: Arc<dyn Storage>, kind: FileKind) -> Result<Self, OpenError> {
         let io = |source| OpenError::Io { path: path.to_owned(), source };
         let wrong = |source| OpenError::Header { path: path.to_owned(), source };
+        let storage = read_ahead(storage).map_err(io)?;
         let found = storage.length().map_err(io)?;
         let mut head = [0; BLOCK_BYTES];
         let got = found.min(BLOCK_BYTES as u64) as usize;

@@ -27,6 +27,12 @@ impl fmt::Display for Identity {
     }
 }
 
+/// A hash of a record; sums of it do not depend on the order of records, and that of all records is the lowest of
+/// [`RecordSum::to_words`].
+pub(crate) fn record_hash(record: &[u8]) -> u64 {
+    xxh3_128(record) as u64
+}
+
 /// The sum of the hashes of records, which does not depend on their order.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct RecordSum {
@@ -38,6 +44,21 @@ impl RecordSum {
     pub(crate) fn include(&mut self, record: &[u8]) {
         self.sum = self.sum.wrapping_add(xxh3_128(record));
         self.count += 1;
+    }
+
+    /// The sum and the count as numbers of 64 bits, lower half first.
+    pub(crate) fn to_words(self) -> [u64; 3] {
+        [self.sum as u64, (self.sum >> 64) as u64, self.count]
+    }
+
+    pub(crate) fn from_words([low, high, count]: [u64; 3]) -> Self {
+        Self { sum: u128::from(high) << 64 | u128::from(low), count }
+    }
+
+    /// Includes the records of another sum.
+    pub(crate) fn merge(&mut self, other: Self) {
+        self.sum = self.sum.wrapping_add(other.sum);
+        self.count += other.count;
     }
 
     /// The identity of a file made from these records and from `options`, which state everything else that its pages depend

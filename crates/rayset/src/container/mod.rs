@@ -26,7 +26,7 @@ pub use self::page::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind, stored_page
 pub use self::reseal::reseal;
 
 pub(crate) use self::bytes::{Reader, Writer};
-pub(crate) use self::identity::{RecordSum, StreamHash};
+pub(crate) use self::identity::{RecordSum, StreamHash, record_hash};
 pub(crate) use self::page::PAGE_CHECKSUM_AT;
 pub(crate) use self::write::{Metadata, seal_file};
 

@@ -14,7 +14,7 @@ const MAX_SOURCES_BYTES: usize = 128 << 10;
 const MAX_CRS_BYTES: usize = 64 << 10;
 
 /// The textual descriptions in a file. Anything else in the section is ignored.
-#[derive(Clone, Debug, Default, serde::Deserialize, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize, serde::Serialize)]
 #[serde(default)]
 pub(crate) struct Metadata {
     /// The coordinate reference system; empty if unknown.

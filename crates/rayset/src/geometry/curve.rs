@@ -94,14 +94,20 @@ pub fn hilbert_cell(side: u32, index: u64) -> (u32, u32) {
 /// square, so that the cost is proportional to its number of cells.
 #[must_use]
 pub fn hilbert_order(columns: u32, rows: u32) -> Vec<(u32, u32)> {
-    let side = columns.min(rows).max(1).next_power_of_two();
     let mut order = Vec::with_capacity(columns as usize * rows as usize);
-    for square in 0..columns.max(rows).div_ceil(side) {
-        let (x0, y0) = if columns > rows { (square * side, 0) } else { (0, square * side) };
-        let cells = (0..u64::from(side) * u64::from(side)).map(|index| hilbert_cell(side, index));
-        order.extend(cells.map(|(x, y)| (x0 + x, y0 + y)).filter(|&(x, y)| x < columns && y < rows));
-    }
+    order.extend(hilbert_cells(columns, rows));
     order
+}
+
+/// The cells of [`hilbert_order`], one after another.
+pub fn hilbert_cells(columns: u32, rows: u32) -> impl Iterator<Item = (u32, u32)> {
+    let side = columns.min(rows).max(1).next_power_of_two();
+    let squares = 0..columns.max(rows).div_ceil(side);
+    let origins = squares.map(move |at| if columns > rows { (at * side, 0) } else { (0, at * side) });
+    origins.flat_map(move |(x0, y0)| {
+        let cells = (0..u64::from(side) * u64::from(side)).map(move |index| hilbert_cell(side, index));
+        cells.map(move |(x, y)| (x0 + x, y0 + y)).filter(move |&(x, y)| x < columns && y < rows)
+    })
 }
 
 #[cfg(test)]

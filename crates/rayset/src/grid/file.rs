@@ -9,7 +9,7 @@ use crate::container::{
 };
 use crate::geometry::DVec3;
 use crate::points::{ColumnType, PointBatch, Values};
-use crate::storage::{MemoryStorage, Storage};
+use crate::storage::{MemoryStorage, Storage, address};
 
 /// An open grid: its checked header, and where its pages are read from.
 pub struct Grid {
@@ -27,13 +27,14 @@ impl std::fmt::Debug for Grid {
 }
 
 impl Grid {
-    /// Opens a grid and checks its header, its length, its descriptions and its footer.
+    /// Opens a grid and checks its header, its length, its descriptions and its footer. The path may be an address
+    /// ([`storage::open_addresses_with`](crate::storage::open_addresses_with)).
     ///
     /// # Errors
     /// [`OpenError`] if the file cannot be read, or is not a complete grid of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
-        let mut file = OpenFile::open(path, FileKind::Grid)?;
-        Ok(Self { path: path.to_owned(), storage: None, header: GridHeader::read(&mut file)? })
+        let (mut file, storage) = OpenFile::of_path(path, FileKind::Grid)?;
+        Ok(Self { path: address::without_query(path), storage, header: GridHeader::read(&mut file)? })
     }
 
     /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are used in place.

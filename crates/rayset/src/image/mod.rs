@@ -45,8 +45,9 @@ pub struct LayerPixel {
     pub instance: u32,
     /// Number of samples that are not transparent.
     pub samples: u32,
-    /// Bytes of the pages requested for the pixel's tile, divided by the number of pixels of the tile. This describes
-    /// how the work was done, and is the only value of a picture that may depend on it.
+    /// Bytes of the pages requested for the pixel's tile, divided by the number of pixels of the tile; those for tables of shadows
+    /// are not counted. This describes how the work was done, and is the only value of a picture that may depend on it: on how the
+    /// picture is divided into tiles.
     pub bytes: f32,
 }
 

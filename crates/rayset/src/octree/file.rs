@@ -7,7 +7,7 @@ use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
 use crate::container::{FileKind, OpenError, OpenFile, PageError, PageKind, ScanError, SectionKind};
-use crate::storage::{MemoryStorage, Storage};
+use crate::storage::{MemoryStorage, Storage, address};
 
 /// Radii that points may be given; lengths in scenes have the same limits.
 const RADII: std::ops::RangeInclusive<f64> = 1e-18..=1e18;
@@ -33,13 +33,19 @@ impl std::fmt::Debug for Cloud {
 }
 
 impl Cloud {
-    /// Opens a cloud and checks its header, its length, its descriptions and its footer.
+    /// Opens a cloud and checks its header, its length, its descriptions and its footer. The path may be an address
+    /// ([`storage::open_addresses_with`](crate::storage::open_addresses_with)).
     ///
     /// # Errors
     /// [`OpenError`] if the file cannot be read, or is not a complete cloud of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
-        let mut file = OpenFile::open(path, FileKind::Cloud)?;
-        Ok(Self { path: path.to_owned(), storage: None, header: Header::read(&mut file)?, stored: None })
+        let (mut file, storage) = OpenFile::of_path(path, FileKind::Cloud)?;
+        Ok(Self {
+            path: address::without_query(path),
+            storage,
+            header: Header::read(&mut file)?,
+            stored: None,
+        })
     }
 
     /// Opens a cloud whose bytes are in memory, for example those of a file that was read. They are used in place.

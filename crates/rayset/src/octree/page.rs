@@ -76,7 +76,8 @@ fn step_fraction(code: u8) -> f64 {
 }
 
 impl RunHead {
-    fn decode(bytes: &[u8]) -> Result<Self, PageError> {
+    /// Reads the record from its 18 bytes.
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, PageError> {
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let u24_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]);
         let shape = u16_at(14);

@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::OutputError;
+use crate::storage::{address, address_of};
 
 /// Symbolic links followed in a row before they are taken for a cycle: as many as Linux follows.
 const MOST_LINKS: usize = 40;
@@ -22,6 +23,8 @@ pub struct Destination {
 pub(super) enum Target {
     /// A file that exists and will be replaced, or that does not exist yet; never a link.
     File(PathBuf),
+    /// An object that is far away. It is written to a file in the folder for temporary files first.
+    Far(PathBuf),
     /// A pipe or a device that takes bytes one after another. It is written to, never replaced.
     Stream,
 }
@@ -35,6 +38,10 @@ impl Destination {
     pub fn new(path: &Path) -> Result<Self, OutputError> {
         let io = |source| OutputError::Io { action: "write", path: path.to_owned(), source };
         let to = |target| Ok(Self { named: path.to_owned(), target });
+        if let Some(address) = address_of(path) {
+            address::opener(address).and_then(|opener| opener.prepare(address)).map_err(io)?;
+            return to(Target::Far(std::env::temp_dir()));
+        }
         let found = match std::fs::metadata(path) {
             Ok(found) => Some(found),
             // Also a link whose target does not exist.
@@ -74,10 +81,14 @@ impl Destination {
         &self.named
     }
 
-    /// The folder in which the file is written, after links have been followed.
+    /// The folder in which the file is written, after links have been followed; the one for temporary files if the destination is
+    /// far away.
     #[must_use]
     pub fn folder(&self) -> &Path {
-        folder_of(self.written())
+        match &self.target {
+            Target::Far(folder) => folder,
+            _ => folder_of(self.written()),
+        }
     }
 
     /// Whether this is a pipe or a device, which takes bytes in order and cannot seek.
@@ -115,6 +126,15 @@ impl Destination {
             // If it cannot be examined, it must not be replaced.
             Err(source) => Err(OutputError::Io { action: "look at", path: path.to_owned(), source }),
         };
+        if matches!(self.target, Target::Far(_)) {
+            let inputs: Vec<P> = inputs.into_iter().collect();
+            return match inputs.iter().find(|input| input.as_ref() == self.named) {
+                Some(input) => {
+                    Err(OutputError::IsInput { path: self.named.clone(), input: input.as_ref().to_owned() })
+                }
+                None => Ok(()),
+            };
+        }
         let Some(replaced) = described(self.written())? else { return Ok(()) };
         for input in inputs {
             let input = input.as_ref();
@@ -127,13 +147,16 @@ impl Destination {
         Ok(())
     }
 
-    /// The canonical path of the file that is written, by which outputs can be compared; `None` for a stream.
+    /// The canonical path of the file that is written, or its address, by which outputs can be compared; `None` for a stream.
     ///
     /// # Errors
     /// The system's error, if the folder cannot be found.
     pub fn canonical(&self) -> io::Result<Option<PathBuf>> {
         if self.is_stream() {
             return Ok(None);
+        }
+        if matches!(self.target, Target::Far(_)) {
+            return Ok(Some(self.named.clone()));
         }
         Ok(Some(self.folder().canonicalize()?.join(self.file_name())))
     }
@@ -147,7 +170,7 @@ impl Destination {
     fn written(&self) -> &Path {
         match &self.target {
             Target::File(path) => path,
-            Target::Stream => &self.named,
+            Target::Far(_) | Target::Stream => &self.named,
         }
     }
 }

@@ -12,6 +12,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::destination::{Destination, is_same};
+use crate::storage::{address, address_of};
 
 /// What a file beside an output is for.
 #[derive(Clone, Copy)]
@@ -130,6 +131,20 @@ pub(crate) fn remove_leftovers(folder: &Path, output: &Destination) {
     });
 }
 
+/// Removes from `folder` what killed processes have left of the outputs whose names are `known`.
+pub(crate) fn remove_partials(folder: &Path, known: impl Fn(&str) -> bool) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let output = name.to_str().and_then(|name| name.strip_prefix('.')?.split_once(".rayset-"));
+        if let Some((output, _)) = output.filter(|(output, _)| known(output))
+            && let Ok(destination) = Destination::new(&folder.join(output))
+        {
+            remove_leftovers(folder, &destination);
+        }
+    }
+}
+
 impl Destination {
     /// Removes the files that this process is currently writing for this destination, although they are locked: for a
     /// process that is about to be ended by a signal. `temp_dir` is the folder of the temporary files, if they are not
@@ -137,6 +152,11 @@ impl Destination {
     pub fn remove_own_partials(&self, temp_dir: Option<&Path>) {
         if self.is_stream() {
             return;
+        }
+        if let Some(address) = address_of(self.path())
+            && let Ok(opener) = address::opener(address)
+        {
+            opener.abandon(address);
         }
         for folder in std::iter::once(self.folder()).chain(temp_dir) {
             for_each_partial(folder, self.file_name(), |path, process| {

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::destination::Target;
 use super::partial::{Purpose, create_unique, remove_leftovers};
 use super::{Destination, OutputError};
+use crate::storage::{address, address_of};
 
 /// An output that is being written. [`publish`](Self::publish) gives it its name; if it is dropped before, it is removed.
 ///
@@ -39,7 +40,7 @@ impl OutputFile {
         let io = |source| OutputError::Io { action: "write", path: destination.path().to_owned(), source };
         let (file, partial) = match &destination.target {
             Target::Stream => (File::options().write(true).open(destination.path()).map_err(io)?, None),
-            Target::File(_) => {
+            Target::File(_) | Target::Far(_) => {
                 let folder = destination.folder();
                 remove_leftovers(folder, destination);
                 let (file, partial) =
@@ -69,25 +70,47 @@ impl OutputFile {
     /// [`OutputError::Io`]; any existing file of that name is then unchanged, unless the only failure was to make the folder
     /// durable.
     pub fn publish(mut self) -> Result<(), OutputError> {
-        self.give_name().map_err(|source| OutputError::Io {
+        self.rename(true).map_err(|source| OutputError::Io {
             action: "write",
             path: self.destination.path().to_owned(),
             source,
         })
     }
 
-    fn give_name(&mut self) -> io::Result<()> {
+    /// Gives the file its name without making it durable: for files whose readers find out if a crash of the machine has
+    /// taken some of them.
+    pub(crate) fn publish_volatile(mut self) -> Result<(), OutputError> {
+        self.rename(false).map_err(|source| OutputError::Io {
+            action: "write",
+            path: self.destination.path().to_owned(),
+            source,
+        })
+    }
+
+    fn rename(&mut self, durable: bool) -> io::Result<()> {
         if let Some(error) = self.growing.failure.lock().unwrap_or_else(PoisonError::into_inner).take() {
             return Err(error);
         }
-        let (Target::File(path), Some(partial)) = (&self.destination.target, &self.partial) else {
-            return Ok(());
+        let Some(partial) = &self.partial else { return Ok(()) };
+        let path = match &self.destination.target {
+            Target::File(path) => path,
+            // The partial file is removed with this.
+            Target::Far(_) => return put(partial, self.destination.path()),
+            Target::Stream => return Ok(()),
         };
-        self.growing.file.sync_all()?;
+        if durable {
+            self.growing.file.sync_all()?;
+        }
         std::fs::rename(partial, path)?;
         self.partial = None;
-        sync_folder(self.destination.folder())
+        if durable { sync_folder(self.destination.folder()) } else { Ok(()) }
     }
+}
+
+/// Makes a far object of a finished file.
+fn put(file: &Path, to: &Path) -> io::Result<()> {
+    let address = address_of(to).ok_or(io::ErrorKind::InvalidInput)?;
+    address::opener(address)?.put(file, address)
 }
 
 impl Drop for OutputFile {

@@ -1,7 +1,6 @@
 //! The formats that points are read from, and how the format of a file is recognized: by its first bytes, and only where
 //! these say nothing by its name.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -27,6 +26,7 @@ use super::velodyne::VelodyneSource;
 use super::vtk::{self, VtkSource};
 use super::{Place, PointSource, ReadError, geographic, refusals};
 use crate::setters::setters;
+use crate::storage::input_file::{self, InputFile, Named};
 
 /// Information for a reader that some formats do not contain.
 #[derive(Clone, Debug, Default)]
@@ -168,8 +168,9 @@ fn is_of_shape(name: &str) -> bool {
 
 /// Opens the vertices of a PLY file, which may be Gaussians, or its faces.
 fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
+    let io = |source| ReadError::Io { path: path.to_owned(), source };
     // A pipe is read only once.
-    if path.is_file() {
+    if matches!(input_file::look(path).map_err(io)?, Named::File(_)) {
         let (header, _) = Body::open(path)?;
         let vertex = header.elements.iter().find(|element| element.name == "vertex");
         let names: Vec<&str> = vertex.iter().flat_map(|v| &v.properties).map(Property::name).collect();
@@ -281,7 +282,7 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
         ReadError::UnknownFormat { path: path.to_owned(), advice }
     };
     if head.is_empty()
-        && path.is_file()
+        && input_file::is_file(path)
         && !named(&name).is_some_and(|format| format.extensions.contains(&"txt"))
     {
         let what = "this file is empty: it was not written, or not copied".to_owned();
@@ -339,8 +340,8 @@ fn unpacked_head(path: &Path) -> Result<Vec<u8>, ReadError> {
 fn head(path: &Path) -> Result<Vec<u8>, ReadError> {
     let io = |source| ReadError::Io { path: path.to_owned(), source };
     let mut head = Vec::new();
-    if std::fs::metadata(path).map_err(io)?.is_file() {
-        File::open(path).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    if matches!(input_file::look(path).map_err(io)?, Named::File(_)) {
+        InputFile::open(path).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
     }
     Ok(head)
 }

@@ -84,7 +84,7 @@ pub(super) fn in_metres(
     source: Box<dyn PointSource>,
     open: impl FnOnce() -> Result<Box<dyn PointSource>, ReadError>,
 ) -> Result<Box<dyn PointSource>, ReadError> {
-    if !is_geographic(&source.schema().crs) || !path.is_file() {
+    if !is_geographic(&source.schema().crs) || !crate::storage::input_file::is_file(path) {
         return Ok(source);
     }
     let mut batch = PointBatch::default();
@@ -127,6 +127,14 @@ impl PointSource for InMetres {
 
     fn watch(&mut self, cancel: &CancelToken) {
         self.degrees.watch(cancel);
+    }
+
+    fn can_skip(&self) -> bool {
+        self.degrees.can_skip()
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        self.degrees.skip(count)
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {

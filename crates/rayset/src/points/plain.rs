@@ -3,7 +3,7 @@
 use std::io;
 
 use super::{ColumnType, Values};
-use crate::storage::{FileStorage, Storage};
+use crate::storage::Storage;
 
 /// Where a table lies, and what its numbers are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,7 +25,7 @@ impl Plain {
     /// Reads rows, in little-endian order.
     pub(super) fn load(
         &self,
-        file: &FileStorage,
+        file: &dyn Storage,
         first: u64,
         rows: usize,
         bytes: &mut Vec<u8>,

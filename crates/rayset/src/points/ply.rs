@@ -182,6 +182,20 @@ impl PointSource for PlySource {
         self.targets = axes.chain(columns).collect();
     }
 
+    fn can_skip(&self) -> bool {
+        self.body.encoding() != Encoding::Ascii && self.vertex.stride().is_some() && self.body.can_seek()
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        let count = count.min(self.vertex.count - self.next);
+        match self.vertex.stride() {
+            Some(stride) if self.can_skip() => self.body.seek_records(count, stride)?,
+            _ => self.body.skip(&Element { count, ..self.vertex.clone() })?,
+        }
+        self.next += count;
+        Ok(())
+    }
+
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
         batch.reset(&self.schema, &self.selected);
         let count = (self.vertex.count - self.next).min(limit as u64) as usize;

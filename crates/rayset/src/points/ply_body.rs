@@ -105,6 +105,19 @@ impl Body {
         Ok(())
     }
 
+    /// Whether records of a fixed size can be passed over without reading them.
+    pub(super) fn can_seek(&self) -> bool {
+        self.input.can_seek()
+    }
+
+    /// Passes over `count` binary records of `stride` bytes.
+    pub(super) fn seek_records(&mut self, count: u64, stride: usize) -> Result<(), ReadError> {
+        let bytes = count.saturating_mul(stride as u64);
+        self.input.seek_forward(bytes).map_err(self.io())?;
+        self.byte += bytes;
+        Ok(())
+    }
+
     /// Reads record `index` of an element and passes its parts to `visit`, with the index of their property. The items of
     /// lists for which `wants` is false are skipped. Errors of `visit` are reported with their place in the file.
     pub(super) fn record(

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::{Place, ReadError};
+use crate::storage::input_file;
 
 /// Largest number of files of a snapshot.
 const MOST_FILES: u64 = 1 << 16;
@@ -36,7 +37,7 @@ pub(super) fn of(path: &Path, count: u64, extension: &str) -> Result<Vec<PathBuf
     let files = (0..count).map(|number| path.with_file_name(format!("{base}.{number}{extension}")));
     let files: Vec<PathBuf> = files.collect();
     for file in &files {
-        std::fs::metadata(file).map_err(|error| {
+        input_file::look(file).map_err(|error| {
             let source = if error.kind() == io::ErrorKind::NotFound {
                 let what =
                     format!("it is one of the {count} files of a snapshot with {name}, and is not there");

@@ -219,6 +219,16 @@ impl PointSource for SliceSource<'_> {
         self.selected = columns.to_vec();
     }
 
+    fn can_skip(&self) -> bool {
+        true
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        let left = self.position.len() - self.next;
+        self.next += usize::try_from(count).unwrap_or(left).min(left);
+        Ok(())
+    }
+
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
         batch.reset(&self.schema, &self.selected);
         let range = self.next..self.position.len().min(self.next.saturating_add(limit));

@@ -125,6 +125,26 @@ pub trait PointSource: Send {
     fn memory_needed(&self) -> u64 {
         0
     }
+    /// Whether [`skip`](Self::skip) takes about as long for many points as for few. Builds in parts divide such sources among
+    /// the parts, and give others to one part as a whole.
+    fn can_skip(&self) -> bool {
+        false
+    }
+    /// Passes over the next `count` points, or those that there are.
+    ///
+    /// # Errors
+    /// As [`fill`](Self::fill).
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        let (mut batch, mut left) = (PointBatch::default(), count);
+        while left > 0 {
+            self.fill(&mut batch, left.min(1 << 14) as usize)?;
+            if batch.is_empty() {
+                break;
+            }
+            left = left.saturating_sub(batch.len() as u64);
+        }
+        Ok(())
+    }
     /// Hands over a token that stops long reads: after it is cancelled, [`fill`](Self::fill) may fail with
     /// [`ReadError::Cancelled`]. Sources whose every `fill` is short need not look at it; a build looks between two.
     fn watch(&mut self, _cancel: &CancelToken) {}

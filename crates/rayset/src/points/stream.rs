@@ -1,12 +1,12 @@
 //! A file as a stream of bytes, looked through gzip and zstd if it is compressed.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::ReadError;
 use super::packed::{Packing, Unpacked};
 use crate::regular_file::held;
+use crate::storage::input_file::InputFile;
 
 /// Size of a read buffer in bytes.
 const BUFFER_BYTES: usize = 256 << 10;
@@ -23,15 +23,15 @@ pub(super) struct Stream {
 }
 
 enum Input {
-    Plain(BufReader<File>),
-    Packed(Box<BufReader<Unpacked<BufReader<File>>>>),
+    Plain(BufReader<InputFile>),
+    Packed(Box<BufReader<Unpacked<BufReader<InputFile>>>>),
 }
 
 impl Stream {
     /// Opens a file, which may also be a pipe.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut file = BufReader::with_capacity(BUFFER_BYTES, File::open(path).map_err(io)?);
+        let mut file = BufReader::with_capacity(BUFFER_BYTES, InputFile::open_any(path).map_err(io)?);
         held(&mut file).map_err(io)?;
         let packing = Packing::of(file.buffer());
         let mut memory = BUFFER_BYTES as u64;
@@ -59,6 +59,19 @@ impl Stream {
     /// Upper bound on the memory in bytes of buffers and decompressor.
     pub(super) fn memory_needed(&self) -> u64 {
         self.memory
+    }
+
+    /// Whether bytes can be passed over without reading them.
+    pub(super) fn can_seek(&self) -> bool {
+        matches!(&self.input, Input::Plain(input) if input.get_ref().is_file())
+    }
+
+    /// Passes over bytes, of a file that can be so passed; if it ends before, what is read next finds the end.
+    pub(super) fn seek_forward(&mut self, bytes: u64) -> io::Result<()> {
+        match &mut self.input {
+            Input::Plain(input) => input.seek_relative(bytes.min(i64::MAX as u64) as i64),
+            Input::Packed(input) => io::copy(&mut input.take(bytes), &mut io::sink()).map(drop),
+        }
     }
 
     /// Reads what is left of a compressed file, so that its checksum is found to be right; of others, nothing.

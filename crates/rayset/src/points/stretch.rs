@@ -1,17 +1,16 @@
 //! A part of a file as a stream: nothing beyond its end is ever read.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
-use std::sync::Arc;
+
+use crate::storage::input_file::{self, Shared};
 
 /// Size of the read buffer in bytes.
 pub(super) const BUFFER_BYTES: usize = 64 << 10;
 
-/// A range of the bytes of a file. Several stretches of one file have positions of their own, but may only be used by one
-/// thread at a time, because the file has a single cursor.
+/// A range of the bytes of a file. Several stretches of one file have positions of their own.
 #[derive(Clone)]
 pub(super) struct Stretch {
-    file: Arc<File>,
+    file: Shared,
     at: u64,
     end: u64,
 }
@@ -20,7 +19,7 @@ pub(super) struct Stretch {
 pub(super) type Input = BufReader<Stretch>;
 
 impl Stretch {
-    pub(super) fn new(file: &Arc<File>, at: u64, end: u64) -> Self {
+    pub(super) fn new(file: &Shared, at: u64, end: u64) -> Self {
         Self { file: file.clone(), at, end }
     }
 
@@ -41,14 +40,7 @@ impl Stretch {
 
 impl Read for Stretch {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let left = usize::try_from(self.end.saturating_sub(self.at)).unwrap_or(usize::MAX);
-        let room = buffer.len().min(left);
-        if room == 0 {
-            return Ok(0);
-        }
-        let mut file = &*self.file;
-        file.seek(SeekFrom::Start(self.at))?;
-        let read = file.read(&mut buffer[..room])?;
+        let read = self.file.read(buffer, self.at, self.end)?;
         self.at += read as u64;
         Ok(read)
     }
@@ -57,12 +49,7 @@ impl Read for Stretch {
 impl Seek for Stretch {
     /// Positions are byte offsets in the file; `SeekFrom::End` counts from the end of the stretch.
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        let place = match to {
-            SeekFrom::Start(place) => Some(place),
-            SeekFrom::Current(distance) => self.at.checked_add_signed(distance),
-            SeekFrom::End(distance) => self.end.checked_add_signed(distance),
-        };
-        self.at = place.ok_or(io::ErrorKind::InvalidInput)?;
+        self.at = input_file::place_of(to, self.at, self.end)?;
         Ok(self.at)
     }
 }

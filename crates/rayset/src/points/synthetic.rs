@@ -21,6 +21,17 @@ enum Shape {
     Vase,
 }
 
+impl Shape {
+    /// Random numbers that a point takes.
+    fn numbers_per_point(self) -> u64 {
+        match self {
+            Self::Sphere | Self::Knot | Self::Vase => 2,
+            Self::Cube => 3,
+            Self::Galaxy => 8,
+        }
+    }
+}
+
 /// A generated cloud: `sphere-100k`, `cube-1m`, `knot-2m`, `galaxy-500k`, with any number of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Workload {
@@ -156,6 +167,11 @@ impl SplitMix {
         (z >> 40) as f64 / f64::from(1 << 24)
     }
 
+    /// Passes over the next `count` numbers.
+    fn skip(&mut self, count: u64) {
+        self.0 = self.0.wrapping_add(count.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    }
+
     /// Normally distributed with mean 0 and standard deviation 1 (Box–Muller, one of the pair).
     fn normal(&mut self) -> f64 {
         let (u, v) = (1.0 - self.unit(), self.unit());
@@ -262,6 +278,17 @@ impl PointSource for SyntheticSource {
         self.selected = columns.to_vec();
     }
 
+    fn can_skip(&self) -> bool {
+        true
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        let skipped = count.min(self.workload.points - self.next);
+        self.next += skipped;
+        self.random.skip(skipped.wrapping_mul(self.workload.shape.numbers_per_point()));
+        Ok(())
+    }
+
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
         batch.reset(&self.schema, &self.selected);
         let count = (self.workload.points - self.next).min(limit as u64);
@@ -286,6 +313,19 @@ mod tests {
         // splitmix64 from state 42: 13679457532755275413 is the first output.
         let mut random = SplitMix(42);
         assert_eq!(random.unit(), (13_679_457_532_755_275_413_u64 >> 40) as f64 / f64::from(1 << 24));
+    }
+
+    #[test]
+    fn points_that_are_skipped_are_those_that_would_have_come() {
+        for name in ["sphere-100", "cube-100", "knot-100", "galaxy-100", "vase-100"] {
+            let workload: Workload = name.parse().expect("a workload");
+            let (mut all, mut rest) = (PointBatch::default(), PointBatch::default());
+            workload.source().fill(&mut all, 100).expect("points");
+            let mut source = workload.source();
+            source.skip(63).expect("points");
+            source.fill(&mut rest, 100).expect("points");
+            assert_eq!(all.position[63..], rest.position[..], "{name}");
+        }
     }
 
     #[test]

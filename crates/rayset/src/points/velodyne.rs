@@ -3,11 +3,12 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::plain::Plain;
 use super::{ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema};
-use crate::regular_file;
-use crate::storage::FileStorage;
+use crate::storage::Storage;
+use crate::storage::input_file::InputFile;
 
 /// Rows that are read at once.
 const ROWS: u64 = 1 << 14;
@@ -21,7 +22,7 @@ const NAMES: [&str; 2] = ["intensity", "ring"];
 /// The points of a scan.
 pub(super) struct VelodyneSource {
     path: PathBuf,
-    file: FileStorage,
+    file: Arc<dyn Storage>,
     table: Plain,
     rows: u64,
     next: u64,
@@ -37,8 +38,9 @@ impl VelodyneSource {
     /// [`ReadError`] if it cannot be read, or neither its size nor its first records are those of a scan.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let length = regular_file::open(path).and_then(|file| file.metadata()).map_err(io)?.len();
-        let file = FileStorage::open(path, false).map_err(io)?;
+        let file = InputFile::open(path).map_err(io)?;
+        let length = file.length().map_err(io)?;
+        let file = file.into_storage();
         let mut bytes = Vec::new();
         for width in [4, 5] {
             let table = Plain { start: 0, kind: ColumnType::F32, width, big_endian: false };
@@ -46,7 +48,7 @@ impl VelodyneSource {
             if rows == 0 || length % table.bytes(1) != 0 {
                 continue;
             }
-            table.load(&file, 0, rows.min(EXAMINED) as usize, &mut bytes).map_err(io)?;
+            table.load(&*file, 0, rows.min(EXAMINED) as usize, &mut bytes).map_err(io)?;
             if is_scan(&table, &bytes) {
                 let columns = NAMES[..width - 3].iter().map(|name| ColumnInfo::new(*name, ColumnType::F32));
                 let mut schema = Schema::new(columns.collect(), ColorDepth::Guess);
@@ -103,7 +105,7 @@ impl PointSource for VelodyneSource {
         batch.reset(&self.schema, &self.selected);
         while batch.len() < limit && self.next < self.rows {
             let count = (self.rows - self.next).min(ROWS).min((limit - batch.len()) as u64) as usize;
-            self.table.load(&self.file, self.next, count, &mut self.bytes).map_err(|source| {
+            self.table.load(&*self.file, self.next, count, &mut self.bytes).map_err(|source| {
                 if source.kind() == io::ErrorKind::UnexpectedEof {
                     let at = Place::Byte(self.table.bytes(self.next));
                     return ReadError::malformed(&self.path, at, "the file has become shorter");

@@ -11,6 +11,8 @@ use crate::grid::{self, Grid};
 use crate::octree::{self, Cloud};
 use crate::regular_file;
 use crate::scene::{Node, Shape};
+use crate::storage::address_of;
+use crate::storage::input_file::InputFile;
 
 /// The least and the largest factor of radii.
 const RADIUS_SCALES: [f64; 2] = [1e-3, 1e3];
@@ -29,11 +31,11 @@ impl DataFiles {
     pub(super) fn share(&mut self, node: &Node) {
         match &node.shape {
             Shape::Cloud(object) => {
-                let path = object.cloud.path().canonicalize();
+                let path = key_of(object.cloud.path());
                 drop(path.map(|path| self.clouds.insert(path, object.cloud.stored().clone())));
             }
             Shape::Grid(object) => {
-                let path = object.grid.path().canonicalize();
+                let path = key_of(object.grid.path());
                 drop(path.map(|path| self.grids.insert(path, object.grid.clone())));
             }
             Shape::Operator(_, children) => children.iter().for_each(|child| self.share(child)),
@@ -108,9 +110,17 @@ impl DataFiles {
     }
 }
 
-/// The key under which a data file is shared: its canonical path. An error if it is not a readable regular file.
+/// The key of a file that is open.
+fn key_of(path: &Path) -> std::io::Result<PathBuf> {
+    if address_of(path).is_some() { Ok(path.to_owned()) } else { path.canonicalize() }
+}
+
+/// The key under which a data file is shared: its canonical path, or its address. An error if it is not a readable regular file.
 fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
-    let known = regular_file::open(path).and_then(|_| path.canonicalize());
+    let known = match address_of(path) {
+        Some(_) => Ok(path.to_owned()),
+        None => regular_file::open(path).and_then(|_| path.canonicalize()),
+    };
     known.map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))
 }
 
@@ -118,7 +128,7 @@ fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
 /// be raw data that has to be built first.
 fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
     let mut head = [0_u8; 8];
-    let is_read = regular_file::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
+    let is_read = InputFile::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
     let name = path.display();
     at.error(match head {
         _ if is_read && head == wanted => what,

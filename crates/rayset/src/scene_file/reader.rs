@@ -12,6 +12,7 @@ use super::locate::{Part, Step, locate, repeated_key};
 use crate::field::linear_from_srgb;
 use crate::geometry::DVec3;
 use crate::scene::{BRIGHTEST, FARTHEST, SHORTEST};
+use crate::storage::beside;
 
 /// A document: its text, in which errors are located, and the file it was read from.
 pub(super) struct Document<'a> {
@@ -24,7 +25,8 @@ pub(super) struct Document<'a> {
 impl<'a> Document<'a> {
     /// The path of a file that the document refers to, relative to the folder of the document.
     pub(super) fn beside(&self, name: &str) -> PathBuf {
-        let path = self.file.parent().map_or_else(|| PathBuf::from(name), |folder| folder.join(name));
+        let path =
+            self.file.parent().map_or_else(|| PathBuf::from(name), |folder| beside(folder, Path::new(name)));
         self.named.borrow_mut().insert(path.clone());
         path
     }

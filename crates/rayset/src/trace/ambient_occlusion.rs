@@ -26,6 +26,9 @@ const GRAIN: f32 = 0.08;
 /// How much light a strength of 1 takes: what is left is `exp(-TAKEN × occlusion)`.
 const TAKEN: f32 = 2.5;
 
+/// Most rows that are sent at a time: at the end of a picture all that are kept are ready.
+pub(super) const ROWS_SENT: u32 = 16;
+
 /// Darkens the bands of a picture on their way to a sink.
 pub(super) struct AmbientOcclusion<'s, S: BandSink + ?Sized> {
     strength: f32,
@@ -53,14 +56,14 @@ struct Row {
 }
 
 /// The distance between the centres of two pixels in the world: a length, and a part of the distance from the eye.
-#[derive(Clone, Copy)]
-struct Footprint {
-    length: f32,
-    of_depth: f32,
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Footprint {
+    pub(super) length: f32,
+    pub(super) of_depth: f32,
 }
 
 impl Footprint {
-    fn of(rays: &RayMaker, width: u32, height: u32) -> Self {
+    pub(super) fn of(rays: &RayMaker, width: u32, height: u32) -> Self {
         let (x, y) = (0.5 * f64::from(width), 0.5 * f64::from(height));
         let (ray, next) = (rays.ray(x, y), rays.ray(x, y + 1.0));
         Self {
@@ -74,16 +77,28 @@ impl Footprint {
     }
 }
 
-/// What a picture with ambient occlusion is made of.
-pub(super) struct Surroundings<'a> {
-    pub(super) rays: &'a RayMaker,
+/// What a picture with ambient occlusion is made of, besides colours, depths and opacities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Surroundings {
     /// Width and height of the whole picture in pixels.
     pub(super) size: (u32, u32),
     pub(super) strength: f32,
+    pub(super) footprint: Footprint,
     /// The longest step of a ray; world space.
-    pub(super) step: f64,
-    pub(super) background: Option<[f32; 3]>,
+    pub(super) step: f32,
+    /// Black if the background is transparent.
+    pub(super) background: [f32; 3],
+    /// Whether the sink receives layers.
     pub(super) layers: bool,
+}
+
+impl Surroundings {
+    /// What has to be rendered of a picture for a region of it.
+    pub(super) fn rendered(&self, region: &Region) -> Region {
+        let (width, height) = self.size;
+        let apron = apron(height);
+        Region { columns: widened(&region.columns, apron, width), rows: widened(&region.rows, apron, height) }
+    }
 }
 
 /// How many pixels away a pixel of a picture of `height` pixels sees what makes it darker.
@@ -103,19 +118,14 @@ fn widened(range: &Range<u32>, by: u32, end: u32) -> Range<u32> {
 }
 
 impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
-    pub(super) fn new(of: &Surroundings<'_>, region: &Region, sink: &'s mut S) -> Self {
-        let (width, height) = of.size;
-        let apron = apron(height);
-        let rendered = Region {
-            columns: widened(&region.columns, apron, width),
-            rows: widened(&region.rows, apron, height),
-        };
+    pub(super) fn new(of: &Surroundings, region: &Region, sink: &'s mut S) -> Self {
+        let rendered = of.rendered(region);
         Self {
             strength: of.strength,
-            rings: rings(height),
-            footprint: Footprint::of(of.rays, width, height),
-            step: of.step as f32,
-            background: of.background.unwrap_or_default(),
+            rings: rings(of.size.1),
+            footprint: of.footprint,
+            step: of.step,
+            background: of.background,
             region: region.clone(),
             first: rendered.rows.start,
             rendered,
@@ -137,27 +147,33 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
         let apron = self.rings[2] as u32;
         let ready = if known == self.rendered.rows.end { known } else { known.saturating_sub(apron) };
         let ready = ready.min(self.region.rows.end);
-        if ready > self.next {
-            let columns = self.region.columns.clone();
-            let mut band = Band::new(self.next, columns.len() as u32, ready - self.next, false);
-            let rows = band.pixels.chunks_exact_mut(columns.len());
-            for (y, shaded) in (self.next..ready).zip(rows) {
-                for (x, pixel) in columns.clone().zip(shaded) {
-                    *pixel = self.shaded(x, y);
-                }
-                if self.layers {
-                    let left = (columns.start - self.rendered.columns.start) as usize;
-                    let row = &self.rows[(y - self.first) as usize].layers;
-                    band.layers.extend_from_slice(&row[left..left + columns.len()]);
-                }
-            }
-            self.next = ready;
+        while self.next < ready {
+            let band = self.band_until(ready.min(self.next + ROWS_SENT));
+            self.next += band.rows();
             self.sink.band(&band)?;
-        }
-        while self.first + apron < self.next && self.rows.pop_front().is_some() {
-            self.first += 1;
+            while self.first + apron < self.next && self.rows.pop_front().is_some() {
+                self.first += 1;
+            }
         }
         Ok(())
+    }
+
+    /// The shaded rows from the next one on.
+    fn band_until(&self, end: u32) -> Band {
+        let columns = self.region.columns.clone();
+        let mut band = Band::new(self.next, columns.len() as u32, end - self.next, self.layers);
+        let left = (columns.start - self.rendered.columns.start) as usize;
+        for (i, y) in (self.next..end).enumerate() {
+            let row = i * columns.len()..(i + 1) * columns.len();
+            for (x, pixel) in columns.clone().zip(&mut band.pixels[row.clone()]) {
+                *pixel = self.shaded(x, y);
+            }
+            if self.layers {
+                let known = &self.rows[(y - self.first) as usize].layers;
+                band.layers[row].copy_from_slice(&known[left..left + columns.len()]);
+            }
+        }
+        band
     }
 
     /// Depth of a pixel; infinite if nothing is there, `None` outside the picture.

@@ -1,9 +1,9 @@
 //! Rendering a view into memory, or band by band as file encoders need it.
 
-use super::ambient_occlusion::{AmbientOcclusion, Surroundings};
+use super::ambient_occlusion::{AmbientOcclusion, Footprint, Surroundings};
 use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 use super::view::View;
-use super::work::{Region, Tile, Work};
+use super::work::{Region, Work};
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
 use crate::image::Band;
@@ -31,29 +31,37 @@ impl View {
         cancel: &CancelToken,
         sink: &mut (impl BandSink + ?Sized),
     ) -> Result<RenderCounts, RenderError> {
+        self.check_region(region)?;
+        let Some(surroundings) = self.surroundings() else {
+            return self.bands(region, band_rows, cancel, sink);
+        };
+        let mut shading = AmbientOcclusion::new(&surroundings, region, sink);
+        let rendered = shading.rendered().clone();
+        self.bands(&rendered, band_rows, cancel, &mut shading)
+    }
+
+    /// Refuses a region that is empty or not within the picture.
+    pub(super) fn check_region(&self, region: &Region) -> Result<(), RenderError> {
         let whole = self.region();
         let within = region.columns.end <= whole.columns.end && region.rows.end <= whole.rows.end;
         if region.columns.is_empty() || region.rows.is_empty() || !within {
             let what = "empty, or not within the picture".into();
             return Err(RenderError::Setting { setting: "region", what });
         }
-        if self.settings.ambient_occlusion <= 0.0 {
-            return self.bands(region, band_rows, cancel, sink);
-        }
-        let mut shading = AmbientOcclusion::new(&self.surroundings(), region, sink);
-        let rendered = shading.rendered().clone();
-        self.bands(&rendered, band_rows, cancel, &mut shading)
+        Ok(())
     }
 
-    fn surroundings(&self) -> Surroundings<'_> {
-        Surroundings {
-            rays: &self.rays,
-            size: (self.settings.width, self.settings.height),
+    /// What ambient occlusion needs, if the picture has any.
+    pub(super) fn surroundings(&self) -> Option<Surroundings> {
+        let (width, height) = (self.settings.width, self.settings.height);
+        (self.settings.ambient_occlusion > 0.0).then(|| Surroundings {
+            size: (width, height),
             strength: self.settings.ambient_occlusion,
-            step: self.prepared.world.steps.coarsest_world(),
-            background: self.prepared.world.background,
+            footprint: Footprint::of(&self.rays, width, height),
+            step: self.prepared.world.steps.coarsest_world() as f32,
+            background: self.prepared.world.background.unwrap_or_default(),
             layers: self.settings.layers,
-        }
+        })
     }
 
     /// The bands of a region that lies in the picture, as tiles make them.
@@ -67,7 +75,7 @@ impl View {
         let (mut counts, mut done) = (RenderCounts::default(), 0);
         let mut row = region.rows.start;
         while row < region.rows.end {
-            let rows = row..row + band_rows.clamp(1, region.rows.end - row);
+            let rows = row..self.end_of_band(row, band_rows, region.rows.end);
             let of_band = Region { columns: region.columns.clone(), rows };
             let mut filling = Filling {
                 band: Band::new(
@@ -88,6 +96,14 @@ impl View {
         }
         Ok(counts)
     }
+
+    /// Where a band of at most `band_rows` rows ends that begins with a row: between two rows of tiles if it can, so that tiles are the same
+    /// for all budgets, and with them the layer of the bytes that each requested.
+    fn end_of_band(&self, row: u32, band_rows: u32, last: u32) -> u32 {
+        let end = row + band_rows.clamp(1, last - row);
+        let between = end / self.prepared.engine.exec.tile_pixels * self.prepared.engine.exec.tile_pixels;
+        if end < last && between > row { between } else { end }
+    }
 }
 
 /// A band that is being filled with finished tiles.
@@ -102,17 +118,7 @@ struct Filling<'s, S: BandSink + ?Sized> {
 
 impl<S: BandSink + ?Sized> TileSink for Filling<'_, S> {
     fn tile(&mut self, finished: &FinishedTile<'_>) -> Result<(), SinkError> {
-        let Tile { x, y, width, height } = finished.tile;
-        let length = width as usize;
-        for row in 0..height {
-            let from = row as usize * length;
-            let to = (y + row - self.band.first_row) as usize * self.band.width as usize;
-            let to = to + (x - self.left) as usize;
-            self.band.pixels[to..to + length].copy_from_slice(&finished.pixels[from..from + length]);
-            if !finished.layers.is_empty() {
-                self.band.layers[to..to + length].copy_from_slice(&finished.layers[from..from + length]);
-            }
-        }
+        finished.paste(&mut self.band, self.left);
         self.done += finished.tile.pixels() as u64;
         self.sink.progress(self.done, self.total);
         Ok(())

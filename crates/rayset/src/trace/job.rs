@@ -186,6 +186,7 @@ impl Job {
         let complete = state.pass == self.passes.len() && state.outputs.is_empty();
         let (panic, error, counts) = (state.panic.take(), state.error.take(), state.counts);
         drop(state);
+        self.lookahead(&self.pages, &RefCell::default()).finish();
         self.pages.forget_hints();
         if let Some(panic) = panic {
             resume_unwind(panic);
@@ -215,19 +216,30 @@ impl Job {
         let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse);
         while !self.stop.is_cancelled()
             && let Some(attempt) =
-                queue.next(self.lookahead_state.tiles_to_defer(), || self.take(together.tiles()))
+                queue.next(self.lookahead_state.deferral(), |waits| self.take(together.tiles(), waits))
         {
             exec.predictor.ahead(self.lookahead(&pages, &reuse), attempt.place.tile);
             let (before, mut is_full) = (tracer.counts(), false);
             asked_bytes.set(0);
             pages.begin_round(&mut reuse.borrow_mut());
-            match self.trace(&attempt, &mut tracer) {
+            let begun = Instant::now();
+            let traced = self.trace(&attempt, &mut tracer);
+            if !attempt.access.waits {
+                self.lookahead_state.worked(begun.elapsed());
+            }
+            match traced {
                 Ok(outputs) => {
+                    if attempt.is_repeated() {
+                        attempt.place.tiles().for_each(|tile| self.lookahead_state.undeferred(tile));
+                    }
                     pages.end_round(&mut reuse.borrow_mut());
                     together.finished(outputs.len());
                     is_full = self.finish(outputs, turn);
                 }
                 Err(Halt::Deferred(lacking)) => {
+                    if !attempt.is_repeated() {
+                        attempt.place.tiles().for_each(|tile| self.lookahead_state.deferred(tile));
+                    }
                     together.put_off();
                     tracer.deferred(before);
                     queue.deferred(&attempt, lacking);
@@ -258,8 +270,9 @@ impl Job {
     }
 
     /// A tile that a thread left behind, otherwise the next tiles of the work: as many as are traced together, fewer at
-    /// its end, so that all threads have something to do until then.
-    fn take(&self, together: usize) -> Option<Deferred> {
+    /// its end, so that all threads have something to do until then. `None` if there are none, or if the thread has deferred tiles
+    /// to wait for and the next tile should come after them.
+    fn take(&self, together: usize, waits: bool) -> Option<Deferred> {
         let mut state = self.lock();
         if let Some(deferred) = state.left_behind.pop() {
             return Some(deferred);
@@ -268,6 +281,9 @@ impl Job {
             return None;
         }
         let (tile, left) = (state.next, self.tiles.len() - state.next);
+        if waits && self.lookahead_state.is_too_early(tile) {
+            return None;
+        }
         let count = together.min(left / (2 * self.prepared.engine.exec.threads.max(1))).max(1);
         let count = self.lookahead_state.together(tile, count);
         state.next += count;

@@ -34,7 +34,7 @@ const ALLOCATOR_PART: u64 = 32;
 const MARCH_BYTES: u64 = (24 + 32 + size_of::<Option<NodeSamples>>()) as u64;
 /// Bytes per column for the blocks of 16 rows of layers that are being written to an OpenEXR file: six blocks,
 /// including what compression takes.
-const EXR_BYTES: u64 = 6 * 16 * 60;
+pub(super) const EXR_BYTES: u64 = 6 * 16 * 60;
 /// Bytes of a pixel in the band that is being rendered.
 pub const PIXEL_BYTES: u64 = 16;
 /// Fewest rows in a band.

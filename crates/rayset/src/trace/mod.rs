@@ -25,6 +25,7 @@ pub mod memory;
 mod node_samples;
 mod operators;
 mod packet_tracer;
+pub mod parts;
 pub mod predict;
 mod prepared;
 mod procedural;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::engine::{Engine, Reservation};
 use super::world::World;
-use crate::scene::RenderSettings;
+use crate::scene::{RenderSettings, Scene};
 
 /// A scene that is ready to be rendered, any number of times and from several threads. Cheap to clone.
 ///
@@ -14,6 +14,8 @@ pub struct PreparedScene(pub(super) Arc<Prepared>);
 
 /// The state that all views of a scene share.
 pub(super) struct Prepared {
+    /// The scene as it was given.
+    pub(super) scene: Scene,
     pub(super) world: World,
     pub(super) settings: RenderSettings,
     remarks: Vec<String>,
@@ -30,13 +32,14 @@ impl std::fmt::Debug for Prepared {
 
 impl PreparedScene {
     pub(super) fn new(
+        scene: Scene,
         world: World,
         settings: RenderSettings,
         engine: Arc<Engine>,
         reservation: Option<Reservation>,
         remarks: Vec<String>,
     ) -> Self {
-        Self(Arc::new(Prepared { world, settings, remarks, _reservation: reservation, engine }))
+        Self(Arc::new(Prepared { scene, world, settings, remarks, _reservation: reservation, engine }))
     }
 
     /// What a person should know of the scene, a sentence each: caps that were left out, and why.

@@ -19,7 +19,7 @@ use crate::geometry::{Aabb, DAffine3};
 use crate::scene::{
     CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
 };
-use crate::working_set::PagedFiles;
+use crate::working_set::{Object, PagedFiles};
 
 /// What an instruction does.
 pub(super) enum Action {
@@ -140,6 +140,15 @@ impl Program {
     /// Its clouds, each with the index of its instruction.
     pub(super) fn clouds(&self) -> impl Iterator<Item = (usize, &CloudVolume)> + Clone {
         (0..self.instructions.len()).filter_map(|at| self.cloud(at).map(|volume| (at, volume)))
+    }
+
+    /// The pages of its clouds and grids; of files that it uses several times, several times.
+    pub(super) fn files(&self) -> impl Iterator<Item = &Arc<Object>> {
+        self.instructions.iter().filter_map(|instruction| match &instruction.action {
+            Action::Cloud(volume) => Some(&volume.placement.pages),
+            Action::Grid(volume) => Some(volume.pages()),
+            Action::Procedural(_) | Action::Operator(..) => None,
+        })
     }
 }
 

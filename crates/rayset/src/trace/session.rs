@@ -170,7 +170,7 @@ impl Session {
         let reservation = self.0.reserve(scene, settings)?;
         let (capped, remarks) = interior::with_caps(scene, settings, &self.0, &files)?;
         let world = World::compile(&capped, settings, self.0.exec.simd, &files)?;
-        Ok(PreparedScene::new(world, *settings, self.0.clone(), reservation, remarks))
+        Ok(PreparedScene::new(scene.clone(), world, *settings, self.0.clone(), reservation, remarks))
     }
 
     /// How pages are read, as text.

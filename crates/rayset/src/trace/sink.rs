@@ -32,6 +32,21 @@ impl FinishedTile<'_> {
     pub fn is_final(&self) -> bool {
         self.pass + 1 == self.passes
     }
+
+    /// Copies the tile to its place in a band that begins at column `left`, and has layers if the tile does.
+    pub(super) fn paste(&self, band: &mut Band, left: u32) {
+        let Tile { x, y, width, height } = self.tile;
+        let length = width as usize;
+        for row in 0..height {
+            let from = row as usize * length;
+            let to = (y + row - band.first_row) as usize * band.width as usize;
+            let to = to + (x - left) as usize;
+            band.pixels[to..to + length].copy_from_slice(&self.pixels[from..from + length]);
+            if !self.layers.is_empty() {
+                band.layers[to..to + length].copy_from_slice(&self.layers[from..from + length]);
+            }
+        }
+    }
 }
 
 /// Receives tiles as they are finished, in any order, one at a time, on the thread that called

@@ -5,13 +5,9 @@ use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 
 use super::access::{Access, Lacking};
-use super::predict::Predictor;
+use super::predict::{Deferral, Predictor};
 use super::work::TilePlace;
 use crate::working_set::{PageClient, Reuse};
-
-/// Number of attempts at a tile without waiting. The next attempt waits for every page, so that even with a budget that
-/// keeps none of them between attempts the tile is finished.
-const IMPATIENT_ATTEMPTS: u32 = 6;
 
 /// An attempt at a tile, with its access to pages.
 #[derive(Clone, Copy)]
@@ -19,6 +15,13 @@ pub(super) struct Attempt<'a> {
     pub(super) place: TilePlace,
     pub(super) access: Access<'a>,
     number: u32,
+}
+
+impl Attempt<'_> {
+    /// Whether the tile has been deferred before.
+    pub(super) fn is_repeated(&self) -> bool {
+        self.number > 1
+    }
 }
 
 /// A tile that is still to be traced.
@@ -62,28 +65,47 @@ impl<'a> TileQueue<'a> {
         Self { pages, predictor, asked_bytes, reuse, deferred: VecDeque::new() }
     }
 
-    /// A tile whose page has become resident, otherwise what `take` returns, otherwise the tile deferred first, which
-    /// then waits for its pages. A tile from `take` also waits if none may be deferred.
+    /// A tile whose page has become resident, otherwise what `take` returns when told whether any tile is deferred, otherwise the tile deferred first, which
+    /// then waits for its pages, or, of far ones, for the one that it lacked. A tile from `take` also waits if none may be deferred.
     pub(super) fn next(
         &mut self,
-        most_deferred: usize,
-        take: impl FnOnce() -> Option<Deferred>,
+        deferral: Deferral,
+        take: impl FnOnce(bool) -> Option<Deferred>,
     ) -> Option<Attempt<'a>> {
         let ready = self.deferred.iter().position(Deferred::is_ready);
         if let Some(deferred) = ready.and_then(|at| self.deferred.remove(at)) {
-            let waits = deferred.attempts >= IMPATIENT_ATTEMPTS;
+            let waits = deferred.attempts >= deferral.impatient_attempts();
             return Some(self.attempt(&deferred, waits));
         }
-        if (self.deferred.is_empty() || self.deferred.len() < most_deferred)
-            && let Some(deferred) = take()
+        if (self.deferred.is_empty() || self.deferred.len() < deferral.most)
+            && let Some(deferred) = take(!self.deferred.is_empty())
         {
             let waits = self.predictor.slabs_on_a_miss() == 0
-                || most_deferred == 0
-                || deferred.attempts >= IMPATIENT_ATTEMPTS;
+                || deferral.most == 0
+                || deferred.attempts >= deferral.impatient_attempts();
             return Some(self.attempt(&deferred, waits));
         }
+        if deferral.far {
+            self.wait_for_any();
+            if let Some(ready) = self.deferred.iter().position(Deferred::is_ready) {
+                self.deferred.swap(0, ready);
+            }
+        }
         let deferred = self.deferred.pop_front()?;
-        Some(self.attempt(&deferred, true))
+        let waits = !deferral.far || deferred.attempts >= deferral.impatient_attempts();
+        if !waits && let Some(Lacking { object, page }) = &deferred.lacking {
+            // If it cannot be had, the attempt will meet the same error.
+            let _ = self.pages.retain(object, *page);
+        }
+        Some(self.attempt(&deferred, waits))
+    }
+
+    /// Waits until the page of any deferred tile is there, if the first one's is under way.
+    fn wait_for_any(&self) {
+        let lacking = self.deferred.front().and_then(|deferred| deferred.lacking.as_ref());
+        if lacking.is_some_and(|lacking| !lacking.object.is_absent(lacking.page)) {
+            self.pages.wait_until(|| self.deferred.iter().any(Deferred::is_ready));
+        }
     }
 
     pub(super) fn deferred(&mut self, attempt: &Attempt<'_>, lacking: Lacking) {

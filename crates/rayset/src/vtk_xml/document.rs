@@ -1,6 +1,5 @@
 //! The XML elements of a file of VTK, up to its appended data, which are not XML.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
@@ -10,6 +9,7 @@ use quick_xml::events::{BytesStart, Event};
 
 use super::fault::{Fault, data_at};
 use crate::regular_file::held;
+use crate::storage::input_file::InputFile;
 
 /// Limit on the bytes of a file that are read as XML, without the text of arrays.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -94,7 +94,7 @@ impl Tag {
     }
 }
 
-type Xml = Reader<io::Take<BufReader<File>>>;
+type Xml = Reader<io::Take<BufReader<InputFile>>>;
 
 /// Reads the elements of a file.
 pub(crate) fn read(path: &Path) -> Result<Document, Fault> {

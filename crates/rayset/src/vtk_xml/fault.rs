@@ -1,10 +1,9 @@
 //! Why a file of VTK in XML cannot be read.
 
-use std::fs::File;
 use std::io::{self, BufReader, Seek, SeekFrom};
 use std::path::Path;
 
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 /// Why a file of VTK in XML cannot be read.
 #[derive(Debug)]
@@ -37,8 +36,8 @@ pub(crate) fn what_of(error: &io::Error) -> String {
 }
 
 /// A buffered reader that starts at a byte of a regular file.
-pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<File>, Fault> {
-    let mut file = regular_file::open(path)?;
+pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<InputFile>, Fault> {
+    let mut file = InputFile::open(path)?;
     file.seek(SeekFrom::Start(offset))?;
     Ok(BufReader::with_capacity(1 << 16, file))
 }

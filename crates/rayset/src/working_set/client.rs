@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::sync::Arc;
 
 use super::guard::PageGuard;
-use super::hints::Hints;
+use super::hints::{Hint, Hints};
 use super::object::{HintMark, Object, Resident, Slot};
 use super::own::Own;
 use super::reuse::Reuse;
@@ -58,6 +58,12 @@ impl PageClient {
     pub fn share_bytes(&self) -> u64 {
         let clients = lock(&self.shared.clients).len().max(1);
         self.shared.pool.limits().all_kinds() / clients as u64
+    }
+
+    /// Bytes of pages that were read for hints, or are being read for them, and have not been requested yet.
+    #[must_use]
+    pub fn hinted_bytes(&self) -> u64 {
+        self.hints.unused_bytes.load(Ordering::Relaxed)
     }
 
     /// A page, if it is in memory now. This does not count as a use of the page.
@@ -120,10 +126,50 @@ impl PageClient {
         most_bytes: u64,
         reuse: Option<&RefCell<Reuse>>,
     ) -> usize {
+        self.hint_all(object, pages, most_bytes, reuse, false)
+    }
+
+    /// Hints pages that are to stay until they are [let go](Self::let_go), however much else is used meanwhile: as long as there
+    /// are others, these are not evicted.
+    pub fn hint_to_stay(&self, object: &Arc<Object>, pages: &[u32], reuse: &RefCell<Reuse>) -> usize {
+        self.hint_all(object, pages, u64::MAX, Some(reuse), true)
+    }
+
+    /// Waits until pages that are being read are there, as `ready` tells; not for ever, if none are, and not when the client is
+    /// cancelled.
+    pub fn wait_until(&self, ready: impl Fn() -> bool) {
+        let shared = self.shared.clone();
+        let _woken = self.cancel.register(Arc::new(move || shared.pool.notify()));
+        // Why it has ended shows when a page is requested.
+        let _ = self.shared.pool.wait_until(&self.cancel, || ready().then_some(()));
+    }
+
+    /// Lets a page go that was hinted at [to stay](Self::hint_to_stay). Returns whether it is still being read: then it is to be
+    /// let go once more.
+    pub fn let_go(&self, object: &Arc<Object>, page: u32) -> bool {
+        if object.is_in_place() {
+            return false;
+        }
+        match &*object.slot(page) {
+            Slot::Resident(resident) => resident.kept.store(false, Ordering::Relaxed),
+            Slot::Loading => return true,
+            Slot::Absent | Slot::Failed(_) => {}
+        }
+        false
+    }
+
+    fn hint_all(
+        &self,
+        object: &Arc<Object>,
+        pages: &[u32],
+        most_bytes: u64,
+        reuse: Option<&RefCell<Reuse>>,
+        keep: bool,
+    ) -> usize {
         if object.is_in_place() {
             return pages.len();
         }
-        let era = self.hints.era.load(Ordering::Relaxed);
+        let hint = Hint { era: self.hints.era.load(Ordering::Relaxed), keep };
         let mut batch = Vec::new();
         let mut noted = Vec::new();
         let mut dealt_with = pages.len();
@@ -137,7 +183,10 @@ impl PageClient {
                 }
                 Slot::Absent => *slot = Slot::Loading,
                 Slot::Resident(resident) => {
-                    if self.keep(resident) {
+                    if keep {
+                        resident.kept.store(true, Ordering::Relaxed);
+                    }
+                    if self.mark(resident) {
                         noted.push(page);
                     }
                     continue;
@@ -152,7 +201,7 @@ impl PageClient {
                 Some(buffer) => {
                     self.hints.unused_bytes.fetch_add(object.bytes(), Ordering::Relaxed);
                     self.shared.counters[kind.index()].hinted.fetch_add(1, Ordering::Relaxed);
-                    batch.push(self.shared.read_of(object, page, buffer, self.number, Some(era)));
+                    batch.push(self.shared.read_of(object, page, buffer, self.number, Some(hint)));
                     noted.push(page);
                 }
                 None => {
@@ -164,14 +213,14 @@ impl PageClient {
         }
         self.hints.note(object, &noted, self.number);
         if !batch.is_empty() {
-            self.shared.backend.submit(batch);
+            self.shared.transport_of(object).submit(batch);
         }
         dealt_with
     }
 
     /// Keeps a hinted page that is resident already, like those that are read for a hint. Returns whether the hint was
     /// recorded: not if the page is retained or has been hinted before. The caller holds the lock of its slot.
-    fn keep(&self, resident: &Arc<Resident>) -> bool {
+    fn mark(&self, resident: &Arc<Resident>) -> bool {
         resident.last_use.store(self.own.time_of_use(), Ordering::Relaxed);
         if Arc::strong_count(resident) > 1 {
             return false;

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::read::Storage;
 use super::{Kind, PageSource};
 use crate::container::PageKind;
 use crate::octree::Cloud;
+use crate::storage::Storage;
 
 /// The pages of a cloud file.
 pub struct CloudPages {

@@ -19,6 +19,8 @@ pub(super) enum Outcome {
     Evicted(Resident),
     /// It has been used since it was entered, last at this time.
     Younger(u64),
+    /// It is kept for rays that will come to it.
+    Kept,
     Retained,
     /// The entry belongs to an earlier stay in memory.
     Stale,
@@ -33,6 +35,9 @@ impl Entry {
             return Outcome::Stale;
         }
         let last_use = resident.last_use.load(Ordering::Relaxed);
+        if only_unused && resident.kept.load(Ordering::Relaxed) {
+            return Outcome::Kept;
+        }
         if only_unused && last_use > self.last_use {
             return Outcome::Younger(last_use);
         }
@@ -48,12 +53,12 @@ impl Entry {
         }
     }
 
-    /// When the page was last used, and whether it is retained; `None` if the entry belongs to an earlier stay in
-    /// memory.
+    /// When the page was last used, or later than any use if it is kept, and whether it is retained; `None` if the entry belongs
+    /// to an earlier stay in memory.
     pub(super) fn last_use_if_current(&self) -> Option<(u64, bool)> {
         match &*self.object.slot(self.page) {
             Slot::Resident(resident) if resident.serial == self.serial => {
-                Some((resident.last_use.load(Ordering::Relaxed), Arc::strong_count(resident) > 1))
+                Some((resident.age(), Arc::strong_count(resident) > 1))
             }
             _ => None,
         }

@@ -11,11 +11,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::budget::Obstacle;
-use super::buffer::PageBuffer;
 use super::entry::{Entry, Outcome};
 use super::object::{Object, Resident};
 use super::reuse::Reuse;
 use super::source::{KINDS, Kind};
+use crate::storage::PageBuffer;
 use crate::sync::atomic::Ordering;
 
 /// After this many pages that are younger than their entries, an eviction takes the oldest of them instead of searching
@@ -170,7 +170,9 @@ impl EvictionQueue {
             match entry.evict(false) {
                 Outcome::Evicted(resident) => return Some((kind, entry, resident)),
                 // Another thread has retained it in between.
-                Outcome::Younger(_) | Outcome::Retained => self.queues[kind.index()].by_age.push_back(entry),
+                Outcome::Younger(_) | Outcome::Kept | Outcome::Retained => {
+                    self.queues[kind.index()].by_age.push_back(entry);
+                }
                 Outcome::Stale => {}
             }
         }
@@ -186,6 +188,7 @@ impl EvictionQueue {
         now: u64,
     ) -> Option<(Kind, Entry, Resident)> {
         let mut oldest_younger: Option<(Kind, Entry)> = None;
+        let mut last_kept: Option<(Kind, Entry)> = None;
         let mut looked_at = 0;
         // Every page once as entered, and once more after its second chance.
         for _ in 0..2 * pages {
@@ -201,6 +204,11 @@ impl EvictionQueue {
                     queue.push_back(entry);
                     looked_at += 1;
                 }
+                Outcome::Kept => {
+                    let entry = Entry { last_use: now, ..entry };
+                    last_kept = Some((kind, entry.clone()));
+                    queue.push_back(entry);
+                }
                 Outcome::Retained => queue.push_back(Entry { last_use: now, ..entry }),
                 Outcome::Stale => {}
             }
@@ -212,7 +220,10 @@ impl EvictionQueue {
                 }
             }
         }
-        None
+        // The page that was entered last is the one that rays come to last.
+        let (kind, entry) = last_kept?;
+        let Outcome::Evicted(resident) = entry.evict(false) else { return None };
+        Some((kind, entry, resident))
     }
 
     /// The first entry of the queues, if it was entered before a time.
@@ -240,7 +251,7 @@ impl EvictionQueue {
                         evicted.push(Evicted { object: entry.object, kind, resident });
                     }
                     Outcome::Retained => queue.by_age.push_back(entry),
-                    Outcome::Younger(_) | Outcome::Stale => {}
+                    Outcome::Younger(_) | Outcome::Kept | Outcome::Stale => {}
                 }
             }
             queue.retired.retain(Entry::is_retired);

@@ -3,10 +3,10 @@
 use std::io;
 use std::sync::Arc;
 
-use super::read::{FileStorage, Storage};
 use super::{CloudPages, GridPages, Object, WorkingSet};
 use crate::grid::Grid;
 use crate::octree::Cloud;
+use crate::storage::{FileStorage, Storage};
 
 /// A working set, and which of its objects holds the pages of which file.
 #[derive(Clone)]

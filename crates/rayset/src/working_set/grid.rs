@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::read::Storage;
 use super::{Kind, PageSource};
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
+use crate::storage::Storage;
 
 /// The pages of a grid file.
 pub struct GridPages {

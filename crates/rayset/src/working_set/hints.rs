@@ -7,6 +7,15 @@ use super::object::{Object, Slot};
 use crate::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use crate::sync::{Mutex, lock};
 
+/// Why a page is read ahead.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hint {
+    /// The era of its client in which it was hinted at.
+    pub(super) era: u32,
+    /// Whether the page is to stay until it is let go.
+    pub(super) keep: bool,
+}
+
 /// The hints of one client.
 #[derive(Default)]
 pub(super) struct Hints {

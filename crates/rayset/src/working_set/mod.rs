@@ -16,7 +16,6 @@
 //! `object` has the states of pages, `guard` what retains them, `client` and `hints` who requests them.
 
 mod budget;
-mod buffer;
 mod client;
 mod cloud;
 mod entry;
@@ -32,7 +31,6 @@ mod models;
 mod object;
 mod own;
 mod pool;
-pub mod read;
 mod request;
 mod reuse;
 mod shared;
@@ -45,7 +43,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 pub use self::budget::Limits;
-pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 pub use self::client::PageClient;
 pub use self::cloud::CloudPages;
 pub use self::files::PagedFiles;
@@ -54,13 +51,15 @@ pub use self::guard::PageGuard;
 #[cfg(feature = "internals")]
 pub use self::log::{Requested, least_reads};
 pub use self::object::Object;
-use self::read::ReadBackend;
 pub use self::reuse::Reuse;
 use self::shared::Shared;
 pub use self::source::{Kind, PageFault, PageSource};
 use self::stats::Counters;
 pub use self::stats::{KindStatistics, Statistics};
 use crate::cancel::CancelToken;
+pub use crate::storage::local as read;
+use crate::storage::transport::Transport;
+pub use crate::storage::{OVERHEAD_BYTES, PageBuffer};
 use crate::sync::atomic::Ordering;
 use crate::sync::lock;
 
@@ -77,11 +76,11 @@ pub struct WorkingSet {
 impl WorkingSet {
     /// An empty set with a budget and a backend to read with.
     #[must_use]
-    pub fn new(limits: Limits, backend: Arc<dyn ReadBackend>) -> Self {
+    pub fn new(limits: Limits, backend: Arc<dyn Transport>) -> Self {
         Self::with_patience(limits, backend, PATIENCE)
     }
 
-    fn with_patience(limits: Limits, backend: Arc<dyn ReadBackend>, patience: Duration) -> Self {
+    fn with_patience(limits: Limits, backend: Arc<dyn Transport>, patience: Duration) -> Self {
         Self { shared: Arc::new(Shared::new(limits, backend, patience)) }
     }
 

@@ -85,7 +85,7 @@ struct Backend {
     waiting: Mutex<Vec<Read>>,
 }
 
-impl ReadBackend for Backend {
+impl Transport for Backend {
     fn submit(&self, batch: Vec<Read>) {
         for read in batch {
             if self.held.load(Ordering::SeqCst) {

@@ -13,9 +13,11 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::time::Duration;
 
-use super::buffer::PageBuffer;
 use super::source::{Kind, PageFault, PageSource};
+use crate::storage::PageBuffer;
+use crate::storage::transport::Transport;
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use crate::sync::{Mutex, MutexGuard, lock_counting};
 
@@ -30,7 +32,9 @@ pub(super) struct Resident {
     pub(super) user: AtomicU32,
     /// It is unlikely to be needed again: evicted first.
     pub(super) retired: AtomicBool,
-    /// Why it was loaded or is kept, as long as nobody has been handed the page since: see [`HintMark`].
+    /// Rays that have been looked ahead at will come to it: evicted after all that are not kept.
+    pub(super) kept: AtomicBool,
+    /// Why it was loaded, or hinted at when it was there already, as long as nobody has been handed the page since: see [`HintMark`].
     pub(super) hint: AtomicU32,
 }
 
@@ -75,6 +79,14 @@ impl HintMark {
 }
 
 impl Resident {
+    /// When it was last used. Later than any use if it is kept, and the later the earlier it was used: rays come last to what was
+    /// entered last.
+    pub(super) fn age(&self) -> u64 {
+        const LATER: u64 = u64::MAX - 1;
+        let last_use = self.last_use.load(Ordering::Relaxed);
+        if self.kept.load(Ordering::Relaxed) { LATER.saturating_sub(last_use) } else { last_use }
+    }
+
     pub(super) fn hint_mark(&self) -> HintMark {
         HintMark::of(self.hint.load(Ordering::Relaxed))
     }
@@ -96,6 +108,10 @@ pub struct Object {
     /// For each page, the period of the statistics in which it was last read.
     touched: Vec<AtomicU32>,
     in_place: Option<InPlace>,
+    /// What the storage brings to be read with; `None` if its pages are read as local files are.
+    transport: Option<Arc<dyn Transport>>,
+    /// The usual time of a read in nanoseconds, a moving average; 0 if nothing has been read.
+    latency: AtomicU64,
     /// How often a thread had to wait for a lock of the working set.
     lock_waits: Arc<AtomicU64>,
 }
@@ -132,8 +148,8 @@ impl std::fmt::Debug for Object {
 impl Object {
     pub(super) fn new(source: Arc<dyn PageSource>, lock_waits: Arc<AtomicU64>) -> Self {
         let pages = source.pages() as usize;
-        let in_place = source
-            .storage()
+        let storage = source.storage();
+        let in_place = storage
             .memory()
             .map(|memory| InPlace { memory, checked: (0..pages).map(|_| AtomicBool::new(false)).collect() });
         let counted = if in_place.is_some() { 0 } else { pages };
@@ -142,8 +158,39 @@ impl Object {
             slots: (0..counted).map(|_| Mutex::new(Slot::Absent)).collect(),
             touched: (0..counted).map(|_| AtomicU32::new(0)).collect(),
             in_place,
+            transport: storage.transport(),
+            latency: AtomicU64::new(0),
             lock_waits,
         }
+    }
+
+    /// What the storage brings to be read with; `None` if its pages are read as local files are.
+    pub(super) fn transport(&self) -> Option<&dyn Transport> {
+        self.transport.as_deref()
+    }
+
+    /// Whether its pages come from so far away that many should be under way at a time.
+    pub(crate) fn is_far(&self) -> bool {
+        self.transport.as_ref().is_some_and(|transport| transport.is_far())
+    }
+
+    /// The usual time from asking for a page until it is there; zero if nothing has been read.
+    pub(crate) fn latency(&self) -> Duration {
+        let measured = self.transport.as_ref().and_then(|transport| transport.latency());
+        measured.unwrap_or_else(|| Duration::from_nanos(self.latency.load(Ordering::Relaxed)))
+    }
+
+    /// A read took so long. Of two that are counted at once one may be lost, which an average does not notice.
+    pub(super) fn took(&self, time: Duration) {
+        let time = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        let before = self.latency.load(Ordering::Relaxed);
+        let average = if before == 0 { time } else { before - before / 8 + time / 8 };
+        self.latency.store(average.max(1), Ordering::Relaxed);
+    }
+
+    /// The number of pages.
+    pub(crate) fn pages(&self) -> u32 {
+        self.source.pages()
     }
 
     /// Bytes that the set itself keeps for every page of an object, resident or not.

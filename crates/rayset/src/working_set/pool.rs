@@ -11,12 +11,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::budget::{Budget, Limits, Obstacle};
-use super::buffer::PageBuffer;
 use super::eviction::{Evicted, EvictionQueue};
 use super::object::{Object, Resident, Slot};
 use super::reuse::Reuse;
 use super::source::{KINDS, Kind};
 use crate::cancel::CancelToken;
+use crate::storage::PageBuffer;
 use crate::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
 use crate::sync::thread::{self, ThreadId};
 use crate::sync::{Condvar, Mutex, MutexGuard, lock_counting, wait_timeout};

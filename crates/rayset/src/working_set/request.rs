@@ -9,17 +9,18 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::buffer::PageBuffer;
 use super::client::PageClient;
 use super::guard::PageGuard;
+use super::hints::Hint;
 use super::object::{HintMark, Object, Resident, Slot};
 use super::pool::WaitError;
-use super::read::Read;
 use super::reuse::Reuse;
 use super::shared::Shared;
 use super::source::PageFault;
 use super::stats::Counters;
 use crate::cancel::Registration as Registered;
+use crate::storage::PageBuffer;
+use crate::storage::transport::Read;
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 impl PageClient {
@@ -95,7 +96,7 @@ impl PageClient {
     fn read(&self, object: &Arc<Object>, page: u32, reuse: Option<&RefCell<Reuse>>) -> Result<(), PageFault> {
         let buffer = self.make_room(object, page, reuse)?;
         let read = self.shared.read_of(object, page, buffer, self.number, None);
-        self.shared.backend.submit_awaited(read);
+        self.shared.transport_of(object).submit_awaited(read);
         Ok(())
     }
 
@@ -287,15 +288,14 @@ impl Shared {
         self.pool.notify();
     }
 
-    /// The read that will make a page resident, for a client; `hint` is the era of the hint if the page is read for
-    /// one.
+    /// The read that will make a page resident, for a client, and the hint if the page is read for one.
     pub(super) fn read_of(
         self: &Arc<Self>,
         object: &Arc<Object>,
         page: u32,
         buffer: PageBuffer,
         client: u32,
-        hint: Option<u32>,
+        hint: Option<Hint>,
     ) -> Read {
         let counters = self.counters_of(object, page);
         counters.reads.fetch_add(1, Ordering::Relaxed);
@@ -303,12 +303,13 @@ impl Shared {
         if object.touch(page, self.period.load(Ordering::Relaxed)) {
             counters.bytes_unique.fetch_add(object.bytes(), Ordering::Relaxed);
         }
-        let (shared, owner) = (self.clone(), object.clone());
+        let (shared, owner, asked) = (self.clone(), object.clone(), Instant::now());
         Read {
             storage: object.source.storage(),
             offset: object.source.offset(page),
             buffer,
             done: Box::new(move |buffer, outcome| {
+                owner.took(asked.elapsed());
                 shared.complete(&owner, page, buffer, outcome, client, hint);
             }),
         }
@@ -322,7 +323,7 @@ impl Shared {
         buffer: PageBuffer,
         outcome: io::Result<()>,
         client: u32,
-        hint: Option<u32>,
+        hint: Option<Hint>,
     ) {
         let (name, offset) = (|| object.source.name(), object.source.offset(page));
         let checked = match outcome {
@@ -337,7 +338,7 @@ impl Shared {
         match checked {
             Ok(()) => {
                 // A page whose hint has been withdrawn meanwhile is evicted first.
-                let wanted = hint.is_none_or(|era| self.is_hint_of(client, era));
+                let wanted = hint.is_none_or(|hint| self.is_hint_of(client, hint.era));
                 let mark = match hint {
                     None => HintMark::Requested,
                     Some(_) if wanted => HintMark::Read(client),
@@ -347,6 +348,7 @@ impl Shared {
                     self.hint_was_used(client, object.bytes());
                 }
                 let resident = self.resident(buffer, client, mark, !wanted);
+                resident.kept.store(wanted && hint.is_some_and(|hint| hint.keep), Ordering::Relaxed);
                 let ((), evicted) = self.pool.loaded(object, page, resident, |_| ());
                 self.count_evictions(&evicted);
             }
@@ -368,6 +370,7 @@ impl Shared {
             last_use: AtomicU64::new(self.pool.tick()),
             user: AtomicU32::new(client),
             retired: AtomicBool::new(retired),
+            kept: AtomicBool::new(false),
             hint: AtomicU32::new(mark.word()),
         }
     }

@@ -8,16 +8,16 @@ use super::eviction::Evicted;
 use super::hints::Clients;
 use super::object::{HintMark, Object, Resident, Slot};
 use super::pool::PagePool;
-use super::read::ReadBackend;
 use super::source::KINDS;
 use super::stats::{Counters, Hits};
+use crate::storage::transport::Transport;
 use crate::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use crate::sync::{Mutex, lock};
 
 /// The state that all clients share.
 pub(super) struct Shared {
     pub(super) pool: PagePool,
-    pub(super) backend: Arc<dyn ReadBackend>,
+    pub(super) backend: Arc<dyn Transport>,
     pub(super) clients: Mutex<Clients>,
     /// Number of the current period of the statistics; pages of period 0 were never read.
     pub(super) period: AtomicU32,
@@ -31,7 +31,7 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(limits: Limits, backend: Arc<dyn ReadBackend>, patience: Duration) -> Self {
+    pub(super) fn new(limits: Limits, backend: Arc<dyn Transport>, patience: Duration) -> Self {
         let lock_waits = Arc::new(AtomicU64::new(0));
         Self {
             pool: PagePool::new(limits, patience, lock_waits.clone()),
@@ -44,6 +44,11 @@ impl Shared {
             #[cfg(feature = "internals")]
             log: Default::default(),
         }
+    }
+
+    /// What the pages of an object are read with.
+    pub(super) fn transport_of<'a>(&'a self, object: &'a Object) -> &'a dyn Transport {
+        object.transport().unwrap_or(&*self.backend)
     }
 
     pub(super) fn counters_of(&self, object: &Object, page: u32) -> &Counters {

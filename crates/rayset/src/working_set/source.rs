@@ -3,7 +3,7 @@
 use std::io;
 use std::sync::Arc;
 
-use super::read::Storage;
+use crate::storage::Storage;
 
 /// What a page holds; budgets and statistics are kept by kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -14,7 +14,7 @@ use rayset::scene::{
     TransferFunction,
 };
 use rayset::trace::{ExecSettings, RenderError, render_once};
-use rayset::working_set::read::{self, BackendKind, ReadBackend};
+use rayset::working_set::read::{self, BackendKind, Transport};
 use rayset::working_set::{Limits, PagedFiles, WorkingSet};
 
 /// A folder that goes with the test.
@@ -130,7 +130,7 @@ pub(crate) fn paged(scene: &Scene, budget: u64) -> PagedFiles {
 pub(crate) fn paged_with(
     scene: &Scene,
     budget: u64,
-    backend: Arc<dyn ReadBackend>,
+    backend: Arc<dyn Transport>,
     direct: bool,
 ) -> PagedFiles {
     let mut paged = PagedFiles::new(WorkingSet::new(Limits::total(budget), backend));

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 /// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 27] = [
+const ORDER: [&str; 28] = [
     "parse",
     "setters",
     "sync",
@@ -12,8 +12,8 @@ const ORDER: [&str; 27] = [
     "regular_file",
     "text_numbers",
     "numbers",
-    "array_file",
     "storage",
+    "array_file",
     "output",
     "spill",
     "vtk_xml",
@@ -30,6 +30,7 @@ const ORDER: [&str; 27] = [
     "build",
     "file",
     "memory",
+    "parts",
     "volumes",
 ];
 
@@ -102,7 +103,8 @@ fn examples_use_the_public_surface_alone() {
 fn the_library_neither_prints_nor_reads_arguments_nor_keeps_global_state() {
     for (path, _, code) in library() {
         // The hook that keeps panics of decoders quiet is the process's, as hooks are, and asks its own thread.
-        if path == Path::new("points/quiet.rs") {
+        // And who opens addresses is said once in a process, so that every path may be one.
+        if [Path::new("points/quiet.rs"), Path::new("storage/address.rs")].contains(&path.as_path()) {
             continue;
         }
         for word in [

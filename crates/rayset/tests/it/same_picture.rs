@@ -12,7 +12,7 @@ use rayset::scene::{Camera, RenderSettings, SampleOffset, Scene, Step};
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{LinePredictor, NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, Picture, Region, Session, View, render_once};
-use rayset::working_set::read::{self, BackendKind, Delayed, ReadBackend};
+use rayset::working_set::read::{self, BackendKind, Delayed, Transport};
 
 use crate::common::{
     bits, build_at, camera, clouds_of, folder, mixed_points, paged, paged_with, picture, plain_picture,
@@ -46,7 +46,7 @@ fn the_picture_is_the_same_for_every_budget_thread_count_predictor_and_backend()
         let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
         let predictors: [Arc<dyn Predictor>; 3] =
             [Arc::new(NoPredictor), Arc::new(LinePredictor), Arc::new(PacketPredictor::default())];
-        let mut backends: Vec<Arc<dyn ReadBackend>> = vec![read::backend(BackendKind::Pool).expect("a pool")];
+        let mut backends: Vec<Arc<dyn Transport>> = vec![read::backend(BackendKind::Pool).expect("a pool")];
         if let Ok(uring) = read::backend(BackendKind::Uring) {
             backends.push(uring);
         }

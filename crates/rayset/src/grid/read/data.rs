@@ -1,6 +1,5 @@
 //! Locates the voxels of a volume in a file, plain or compressed, and checks that the file can hold all of them.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -8,6 +7,7 @@ use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 
 use super::ReadError;
 use crate::regular_file;
+use crate::storage::input_file::{InputFile, Named, look};
 
 /// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.
 pub(super) const MOST_DEFLATED: u64 = 1032;
@@ -23,8 +23,7 @@ pub(super) struct Voxels {
 /// Whether a file begins as those of gzip do. Errors are left to whoever opens it.
 pub(super) fn is_gzip(path: &Path) -> bool {
     let mut magic = [0; 2];
-    regular_file::open(path).is_ok_and(|mut file| file.read_exact(&mut magic).is_ok())
-        && magic == [0x1f, 0x8b]
+    InputFile::open(path).is_ok_and(|mut file| file.read_exact(&mut magic).is_ok()) && magic == [0x1f, 0x8b]
 }
 
 /// How the data are compressed.
@@ -150,15 +149,17 @@ pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> ReadError {
 
 /// The length in bytes of a regular file; an error for a pipe, a device or a folder.
 pub(super) fn regular_file_bytes(path: &Path) -> Result<u64, ReadError> {
-    let about = std::fs::metadata(path).map_err(io_error(path))?;
-    if about.is_file() { Ok(about.len()) } else { Err(ReadError::NotRegular { path: path.to_owned() }) }
+    match look(path).map_err(io_error(path))? {
+        Named::File(bytes) => Ok(bytes),
+        _ => Err(ReadError::NotRegular { path: path.to_owned() }),
+    }
 }
 
 /// A buffered reader that starts at a byte of a file.
-pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<File>, ReadError> {
+pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<InputFile>, ReadError> {
     // Checked before it is opened: opening a pipe waits for its other end.
     regular_file_bytes(path)?;
-    let mut file = File::open(path).map_err(io_error(path))?;
+    let mut file = InputFile::open(path).map_err(io_error(path))?;
     file.seek(SeekFrom::Start(offset)).map_err(io_error(path))?;
     Ok(BufReader::with_capacity(1 << 16, file))
 }

@@ -1,19 +1,19 @@
 //! Text headers: lines, and the numbers in them.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::ReadError;
 use super::data::{data_at, io_error, regular_file_bytes};
 use crate::regular_file::held;
+use crate::storage::input_file::InputFile;
 
 /// Longest header in bytes. This bounds the memory for a file without line ends.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
 
 /// Reads and counts the lines of a text header.
 pub(super) struct Lines {
-    file: BufReader<File>,
+    file: BufReader<InputFile>,
     path: PathBuf,
     /// The number of the last line that was read; the first is 1.
     pub(super) number: u64,

@@ -1,7 +1,6 @@
 //! The formats that volumes are read from, and how the format of a file is recognized: by its first bytes, and only where
 //! these say nothing by its name.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -10,6 +9,7 @@ use flate2::read::MultiGzDecoder;
 use super::data::io_error;
 use super::refused::{refused, refused_by_content};
 use super::{ReadError, VolumeSource, dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
+use crate::storage::input_file::{InputFile, Named, look};
 
 /// Bytes from the start of a file by which its format is recognized.
 const HEAD_BYTES: u64 = 4096;
@@ -142,10 +142,10 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
 /// folder.
 fn head(path: &Path) -> std::io::Result<(Vec<u8>, bool)> {
     let mut head = Vec::new();
-    if !std::fs::metadata(path)?.is_file() {
+    if !matches!(look(path)?, Named::File(_)) {
         return Ok((head, false));
     }
-    File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
+    InputFile::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
     if head.starts_with(&[0x1f, 0x8b]) {
         let mut plain = Vec::new();
         // The end is cut off, which is no error here.

@@ -8,17 +8,17 @@ use std::path::{Path, PathBuf};
 
 use super::context::Context;
 use super::error::BuildError;
-use super::ingest::Ingested;
-use super::partition::Assemble;
+use super::pieces::Assemble;
 use super::plan::Cell;
 use super::subtree::{DraftRun, Piece, Summary};
+use super::survey::Survey;
 
 use crate::container::{
     BLOCK_BYTES, FileKind, Identity, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind, seal_file,
     stored_page_checksum,
 };
 use crate::geometry::DVec3;
-use crate::octree::format::{Column, Header};
+use crate::octree::format::Header;
 use crate::octree::layout::{
     ColumnLayout, NODE_BYTES, NodeRef, RUN_HEAD_BYTES, RootCell, least_page_bytes, nodes_per_page,
 };
@@ -29,19 +29,6 @@ use crate::spill::Spill;
 
 /// Below this number of points, pages are smaller, so that the last ones waste less space.
 const SMALL_CLOUD_POINTS: u64 = 500_000;
-
-impl Ingested {
-    /// The columns of radius and weight for the header.
-    pub(super) fn columns(&self) -> (Column, Column) {
-        let radius = settled(self.radius_range.0, self.radius_range.1);
-        let weight = if self.layout.has_weight {
-            settled(self.weight_range.0, self.weight_range.1)
-        } else {
-            Column::Constant(self.weight)
-        };
-        if self.count == 0 { (Column::Constant(1.0), Column::Constant(1.0)) } else { (radius, weight) }
-    }
-}
 
 /// An inner node that is not yet finished.
 struct OpenNode {
@@ -126,15 +113,12 @@ impl Output {
 impl Assembler {
     pub(super) fn create(
         context: &Context<'_>,
-        ingested: &Ingested,
+        survey: &Survey,
         mut output: Output,
     ) -> Result<Self, BuildError> {
-        let small = ingested.count < SMALL_CLOUD_POINTS;
+        let small = survey.count < SMALL_CLOUD_POINTS;
         let default_bytes = if small { 16 << 10 } else { 32 << 10 };
-        let (radius, weight) = ingested.columns();
-        let four = [radius.is_stored(), weight.is_stored(), ingested.layout.has_color];
-        let columns = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
-        let columns = ingested.layout.attributes.iter().fold(columns, |l, kind| l.with(kind.bytes()));
+        let columns = survey.column_layout();
         let least = least_page_bytes(columns);
         let page_bytes = match context.options.page_bytes {
             Some(bytes) if (bytes as usize) < least => {
@@ -148,8 +132,8 @@ impl Assembler {
         Ok(Self {
             output,
             page_bytes,
-            root: ingested.root,
-            identity: ingested.identity,
+            root: survey.root,
+            identity: survey.identity,
             columns,
             heads: Vec::new(),
             data: Vec::new(),
@@ -305,7 +289,7 @@ impl Assembler {
     pub(super) fn finish(
         mut self,
         context: &Context<'_>,
-        ingested: &Ingested,
+        survey: &Survey,
     ) -> Result<(Output, Header), BuildError> {
         if !self.heads.is_empty() {
             self.finish_point_page()?;
@@ -318,7 +302,7 @@ impl Assembler {
             self.finish_node_page()?;
         }
         self.copy_node_pages(context)?;
-        let mut header = self.header(context, ingested, root);
+        let mut header = self.header(context, survey, root);
         let pages = [
             (SectionKind::POINTS, self.point_pages, self.point_digest),
             (SectionKind::NODES, self.node_pages, self.node_digest),
@@ -329,7 +313,7 @@ impl Assembler {
         self.output.with(|mut file| {
             let kind = FileKind::Cloud;
             let whole =
-                seal_file(&mut file, kind, identity, page_bytes, &pages, &sections, &ingested.metadata)?;
+                seal_file(&mut file, kind, identity, page_bytes, &pages, &sections, &survey.metadata)?;
             header.file_bytes = whole.file_bytes;
             Ok(())
         })?;
@@ -360,8 +344,8 @@ impl Assembler {
         Ok(())
     }
 
-    fn header(&self, context: &Context<'_>, ingested: &Ingested, root: Option<(NodeRef, Summary)>) -> Header {
-        let (radius, weight) = ingested.columns();
+    fn header(&self, context: &Context<'_>, survey: &Survey, root: Option<(NodeRef, Summary)>) -> Header {
+        let (radius, weight) = survey.columns();
         let (root, summary) = root.unwrap_or((NodeRef::default(), Summary::EMPTY));
         let mut header = Header {
             identity: self.identity,
@@ -369,34 +353,34 @@ impl Assembler {
             point_pages: self.point_pages,
             node_pages: self.node_pages,
             file_bytes: 0,
-            points: ingested.count,
-            skipped: ingested.skipped.total(),
+            points: survey.count,
+            skipped: survey.skipped.total(),
             nodes: self.nodes,
             root,
             root_min: self.root.min,
             root_size: self.root.size,
-            bounds: ingested.bounds.inflated(summary.position_error),
+            bounds: survey.bounds.inflated(summary.position_error),
             radius,
             // Summed up the tree, so that the last digit does not depend on the order of the input.
-            radius_mean: match ingested.radius {
-                Some(radius) if ingested.count > 0 => radius.into(),
-                None if ingested.count > 0 => summary.radius_sum / ingested.count as f64,
+            radius_mean: match survey.radius {
+                Some(radius) if survey.count > 0 => radius.into(),
+                None if survey.count > 0 => summary.radius_sum / survey.count as f64,
                 _ => 1.0,
             },
             radius_scale: 1.0,
             weight,
             position_error: summary.position_error,
             position_error_radii: summary.position_error_radii,
-            has_color: ingested.layout.has_color,
-            attributes: ingested.attributes.clone(),
+            has_color: survey.layout.has_color,
+            attributes: survey.attributes.clone(),
             point_data_bytes: self.point_data_bytes,
             render_memory: context.options.render_memory.unwrap_or(0),
-            crs: ingested.metadata.crs.clone(),
-            sources: ingested.metadata.sources.clone(),
-            up: ingested.metadata.up(),
+            crs: survey.metadata.crs.clone(),
+            sources: survey.metadata.sources.clone(),
+            up: survey.metadata.up(),
             columns: self.columns,
         };
-        if ingested.count == 0 {
+        if survey.count == 0 {
             header.bounds = crate::geometry::Aabb::new(DVec3::ZERO, DVec3::ZERO);
         }
         header
@@ -453,9 +437,4 @@ impl Assemble<Piece> for Assembler {
         self.attach(open.cell, node, open.summary);
         Ok(())
     }
-}
-
-/// The kind of a column with this range: a single value is stored only once.
-fn settled(min: f32, max: f32) -> Column {
-    if min == max { Column::Constant(min) } else { Column::Varying { min, max } }
 }

@@ -6,7 +6,7 @@ use crate::points::{ColorDepth, ColumnType, Schema};
 /// type share a depth, even if one of them is dark, whereas a table of 0 to 255 and a 16-bit scan do not.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Depths {
-    largest: [f32; GUESSED],
+    pub(super) largest: [f32; GUESSED],
 }
 
 const UNIT: u8 = 0;
@@ -43,6 +43,11 @@ impl Depths {
         {
             *largest = largest.max(value);
         }
+    }
+
+    /// Includes the colours of other records.
+    pub(super) fn merge(&mut self, other: Self) {
+        self.largest.iter_mut().zip(other.largest).for_each(|(largest, v)| *largest = largest.max(v));
     }
 
     /// The factors that scale colours to 0–1, by the numbers of their depths.

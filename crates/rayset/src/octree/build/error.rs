@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use super::parts::step::BuildStep;
 use crate::container::OpenError;
 use crate::output::OutputError;
 use crate::points::ReadError;
@@ -71,6 +72,14 @@ impl Skipped {
     pub fn total(&self) -> u64 {
         self.position + self.radius + self.weight
     }
+}
+
+/// The first few of some numbers.
+fn list(numbers: &[u32]) -> String {
+    const MOST: usize = 12;
+    let named: Vec<String> = numbers.iter().take(MOST).map(u32::to_string).collect();
+    let more = if numbers.len() > MOST { " …" } else { "" };
+    format!("{}{more}", named.join(", "))
 }
 
 /// Why a build failed. An existing file at the path of the output is unchanged, and no other is left there.
@@ -168,6 +177,30 @@ pub enum BuildError {
     /// The cloud built in memory cannot be opened, which is a defect of the builder.
     #[error(transparent)]
     Open(OpenError),
+    /// A file of a part of a build cannot be used.
+    #[error("cannot use {}: {what}", path.display())]
+    Part {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and what can be done.
+        what: String,
+    },
+    /// Parts of a step, which the next one needs, have not been done.
+    #[error(
+        "{} {} of {parts} of step `{step}` {} not been done, or not in {}",
+        if missing.len() == 1 { "part" } else { "parts" }, list(missing), if missing.len() == 1 { "has" } else { "have" },
+        folder.display()
+    )]
+    MissingParts {
+        /// The folder of the parts.
+        folder: PathBuf,
+        /// The step.
+        step: BuildStep,
+        /// Number of all parts.
+        parts: u32,
+        /// The numbers of those that are missing, from 1.
+        missing: Vec<u32>,
+    },
     /// The build was cancelled.
     #[error("cancelled")]
     Cancelled,

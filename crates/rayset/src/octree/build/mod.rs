@@ -9,17 +9,24 @@ mod assemble;
 mod columns;
 mod context;
 mod control;
+mod curve;
 mod depths;
 mod error;
 mod ingest;
 mod neighbours;
 mod options;
 mod partition;
+mod parts;
+mod pieces;
 mod pipeline;
 mod plan;
 mod record;
+mod region;
+mod sorted;
 mod spacing;
 mod subtree;
+mod survey;
+mod typical;
 
 use std::path::Path;
 use std::time::Duration;
@@ -31,8 +38,9 @@ pub use self::error::{BuildError, Quantity, Skipped};
 use self::ingest::Ingested;
 use self::options::check_options;
 pub use self::options::{BuildOptions, InvalidPolicy, Precision, Rule, minimum_memory};
-use self::partition::{Partition, Region};
-use self::record::KeyMaker;
+use self::partition::Partition;
+pub use self::parts::{BuildParts, BuildStep};
+use self::region::Region;
 use super::file::Cloud;
 use crate::output::{Destination, OutputFile, remove_leftovers};
 use crate::points::PointSource;
@@ -102,18 +110,18 @@ fn build(
     let mut clock = StageClock::start();
     let ingested = ingest::run(context, sources)?;
     clock.lap(Stage::Read);
-    let ingested = if ingested.radius.is_none() && !ingested.layout.has_radius {
+    let ingested = if ingested.survey.measures_radii() {
         let with_radius = spacing::assign_radii(context, ingested)?;
         clock.lap(Stage::Spacing);
         with_radius
     } else {
         ingested
     };
-    let mut assembler = Assembler::create(context, &ingested, output)?;
+    let mut assembler = Assembler::create(context, &ingested.survey, output)?;
     order_and_pack(context, &ingested, &mut assembler)?;
-    let (output, header) = assembler.finish(context, &ingested)?;
+    let (output, header) = assembler.finish(context, &ingested.survey)?;
     clock.lap(Stage::Write);
-    let (points, skipped, times) = (header.points, ingested.skipped, clock.laps);
+    let (points, skipped, times) = (header.points, ingested.survey.skipped, clock.laps);
     Ok((output, BuildReport { points, skipped, header, times }))
 }
 
@@ -123,10 +131,11 @@ fn order_and_pack(
     ingested: &Ingested,
     assembler: &mut Assembler,
 ) -> Result<(), BuildError> {
-    let keys = KeyMaker { root: ingested.root, radius: ingested.radius };
-    let packer = subtree::Packer::new(ingested, keys, context.options.precision, &context.control.cancel);
-    let partition = Partition::new(context, ingested.layout.stride(), keys, ingested.count, Stage::Write);
-    partition.run(Region::all(&ingested.spill, ingested.count), &packer, assembler)
+    let Ingested { spill, survey } = ingested;
+    let packer = subtree::Packer::new(survey, context.options.precision, &context.control.cancel);
+    let partition =
+        Partition::new(context, survey.layout.stride(), survey.keys(), survey.count, Stage::Write);
+    partition.run(Region::all(spill, survey.count), &packer, assembler)
 }
 
 struct StageClock {

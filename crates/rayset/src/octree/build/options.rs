@@ -140,6 +140,22 @@ pub fn minimum_memory(threads: usize) -> u64 {
     (4 << 20) + (threads as u64) * (2 << 20)
 }
 
+/// Checks threads and memory, of which at least `least_bytes` are needed.
+///
+/// # Errors
+/// [`BuildError::Option`], [`BuildError::Memory`].
+pub(super) fn check_resources(options: &BuildOptions, least_bytes: u64) -> Result<(), BuildError> {
+    if options.threads > MOST_THREADS {
+        let what = format!("{} are more than {MOST_THREADS}", options.threads);
+        return Err(BuildError::Option { option: "threads", what });
+    }
+    let needed = minimum_memory(options.threads.max(1)).max(least_bytes);
+    if options.memory_bytes < needed {
+        return Err(BuildError::Memory { given: options.memory_bytes, needed });
+    }
+    Ok(())
+}
+
 /// Checks that the options are in range.
 ///
 /// # Errors
@@ -152,15 +168,9 @@ pub(super) fn check_options(
     if sources.is_empty() {
         return Err(BuildError::NoInput);
     }
-    if options.threads > MOST_THREADS {
-        return wrong("threads", format!("{} are more than {MOST_THREADS}", options.threads));
-    }
     // Sources are read one after another, before anything else needs much memory, but all are open at once.
     let reading: u64 = sources.iter().map(|s| s.memory_needed()).sum();
-    let needed = minimum_memory(options.threads.max(1)).max(READING_BYTES + reading);
-    if options.memory_bytes < needed {
-        return Err(BuildError::Memory { given: options.memory_bytes, needed });
-    }
+    check_resources(options, READING_BYTES + reading)?;
     if let Some(page) = options.page_bytes
         && (page == 0 || page % 4096 != 0 || page as usize > MAX_PAGE_BYTES || page < 16384)
     {

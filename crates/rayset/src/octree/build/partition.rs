@@ -9,100 +9,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::context::Context;
 use super::control::Stage;
 use super::error::BuildError;
+use super::pieces::{Assemble, Pack, structure};
 use super::pipeline;
 use super::plan::{Cell, Event, LEAF_POINTS, Plan, Pyramid};
-use super::record::{Key, KeyMaker};
+use super::record::KeyMaker;
+use super::region::Region;
+use super::sorted::{Entry, Records, Sorted};
 use crate::geometry::curve::MAX_LEVEL;
 use crate::spill::Spill;
-
-/// The records `first` to `first + count` (exclusive) of a spill.
-#[derive(Clone, Copy)]
-pub(super) struct Region<'a> {
-    spill: &'a Spill,
-    first: u64,
-    pub(super) count: u64,
-}
-
-impl<'a> Region<'a> {
-    pub(super) fn all(spill: &'a Spill, count: u64) -> Self {
-        Self { spill, first: 0, count }
-    }
-}
-
-/// Key and index of a record in a bucket.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Entry {
-    pub(super) key: Key,
-    index: u32,
-}
-
-/// Records in memory, with their sorted order.
-pub(super) struct Records {
-    bytes: Vec<u8>,
-    entries: Vec<Entry>,
-    stride: usize,
-}
-
-/// A stretch of sorted records.
-#[derive(Clone, Copy)]
-pub(super) struct Sorted<'a> {
-    bytes: &'a [u8],
-    pub(super) entries: &'a [Entry],
-    stride: usize,
-}
-
-impl<'a> Sorted<'a> {
-    pub(super) fn len(&self) -> usize {
-        self.entries.len()
-    }
-
-    pub(super) fn record(&self, i: usize) -> &'a [u8] {
-        let at = self.entries[i].index as usize * self.stride;
-        &self.bytes[at..at + self.stride]
-    }
-
-    pub(super) fn slice(&self, range: std::ops::Range<usize>) -> Self {
-        Self { entries: &self.entries[range], ..*self }
-    }
-
-    /// The records that a node at `level` owns itself, which come first, and the stretch of each child.
-    pub(super) fn split(&self, level: u32) -> (Self, [Self; 8]) {
-        let own = self.entries.iter().take_while(|e| e.key.level() == level).count();
-        let rest = self.slice(own..self.len());
-        let mut start = 0;
-        let children = std::array::from_fn(|octant| {
-            let end = rest.entries.partition_point(|e| e.key.cell_at(level + 1) & 7 <= octant as u64);
-            let child = rest.slice(start..end);
-            start = end;
-            child
-        });
-        (self.slice(0..own), children)
-    }
-}
-
-impl Records {
-    pub(super) fn sorted(&self) -> Sorted<'_> {
-        Sorted { bytes: &self.bytes, entries: &self.entries, stride: self.stride }
-    }
-}
-
-/// Converts sorted records to pieces of output, in parallel.
-pub(super) trait Pack: Sync {
-    type Piece: Send;
-    /// Converts a node with everything below it.
-    fn subtree(&self, cell: Cell, records: Sorted<'_>) -> Self::Piece;
-    /// Converts part of a node's own list: a multiple of 128 points, or the rest of it.
-    fn own(&self, records: Sorted<'_>) -> Self::Piece;
-}
-
-/// Receives the pieces, in file order.
-pub(super) trait Assemble<P> {
-    fn open(&mut self, cell: Cell);
-    /// Part of the own list of the open node.
-    fn own(&mut self, piece: P) -> Result<(), BuildError>;
-    fn subtree(&mut self, cell: Cell, piece: P) -> Result<(), BuildError>;
-    fn close(&mut self) -> Result<(), BuildError>;
-}
 
 pub(super) struct Partition<'a> {
     context: &'a Context<'a>,
@@ -124,6 +38,16 @@ const MOST_SORTED: u64 = 1 << 18;
 /// Own lists are passed on in multiples of this number of points, so that runs are full.
 const RUN: usize = crate::octree::layout::RUN_POINTS;
 
+/// Largest number of records of `stride` bytes that each of some threads loads at once.
+pub(super) fn capacity(memory_bytes: u64, threads: usize, stride: usize) -> u64 {
+    // A loaded record needs memory for itself, its entry, and the output made from it; up to one bucket more than there are
+    // threads is alive. A third of the budget is for these, and a quarter for the buffers of the scatter; the rest is for a
+    // second level of the same if a stretch is too large.
+    let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
+    let cap = memory_bytes / 3 / (threads as u64 + 2) / per_record;
+    cap.clamp(2 * LEAF_POINTS, MOST_SORTED)
+}
+
 impl<'a> Partition<'a> {
     pub(super) fn new(
         context: &'a Context<'a>,
@@ -133,12 +57,7 @@ impl<'a> Partition<'a> {
         stage: Stage,
     ) -> Self {
         let threads = context.options.threads.max(1);
-        // A loaded record needs memory for itself, its entry, and the output made from it; up to one bucket more than there
-        // are threads is alive. A third of the budget is for these, and a quarter for the buffers of the scatter; the rest
-        // is for a second level of the same if a stretch is too large.
-        let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
-        let cap = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
-        let cap = cap.clamp(2 * LEAF_POINTS, MOST_SORTED);
+        let cap = capacity(context.options.memory_bytes, threads, stride);
         Self { context, stride, keys, threads, cap, stage, passes: 1, total, done: 0.into() }
     }
 
@@ -178,78 +97,113 @@ impl<'a> Partition<'a> {
             return out.close();
         }
         let pyramid = Pyramid::new(base, region.count, self.context.options.memory_bytes / 8);
-        self.for_each(region, |record| pyramid.count(&self.keys, record))?;
+        self.count(region, &pyramid)?;
         let plan = Plan::new(pyramid, self.cap);
         let counts: Vec<u64> = plan.buckets.iter().map(|b| b.count).collect();
         let (spill, firsts) = self.scatter(region, &counts, |r| plan.bucket(&self.keys, r) as usize)?;
-        self.follow(&plan, &spill, &firsts, pack, out)
+        self.follow(&plan, 0..plan.buckets.len(), (&spill, &firsts), |_, _| Ok(()), pack, out)
     }
 
-    /// Executes the events of a plan: processes buckets in parallel, and passes on the results in order.
-    fn follow<P: Pack>(
+    /// Counts the records of a region.
+    pub(super) fn count(&self, region: Region<'_>, pyramid: &Pyramid) -> Result<(), BuildError> {
+        self.for_each(region, |record| pyramid.count(&self.keys, record))
+    }
+
+    /// The sum of a number of each record of a region.
+    pub(super) fn sum(
+        &self,
+        region: Region<'_>,
+        number: impl Fn(&[u8]) -> u64 + Sync,
+    ) -> Result<u64, BuildError> {
+        let sum = AtomicU64::new(0);
+        self.for_each(region, |record| {
+            sum.fetch_add(number(record), Ordering::Relaxed);
+        })?;
+        Ok(sum.into_inner())
+    }
+
+    /// Executes the events of some of the buckets of a plan, of which `firsts` has the first records in `spill`: processes
+    /// buckets in parallel, and passes on the results in order. `check` is shown the records of each bucket that fits in
+    /// memory.
+    pub(super) fn follow<P: Pack>(
         &self,
         plan: &Plan,
-        spill: &Spill,
-        firsts: &[u64],
+        buckets: std::ops::Range<usize>,
+        (spill, firsts): (&Spill, &[u64]),
+        check: impl Fn(usize, &[u8]) -> Result<(), BuildError> + Sync,
         pack: &P,
         out: &mut impl Assemble<P::Piece>,
     ) -> Result<(), BuildError> {
-        let mut starts = vec![usize::MAX; plan.buckets.len() + 1];
-        for (at, event) in plan.events.iter().enumerate().rev() {
-            if let Event::Own { bucket, .. } | Event::Subtree { bucket, .. } = event {
-                starts[*bucket as usize] = at;
-            }
+        let starts = plan.starts();
+        if buckets.start == 0 && !buckets.is_empty() {
+            // Events before the first stretch open the upper nodes.
+            plan.events[..starts[0]].iter().try_for_each(|e| structure(e, out))?;
         }
-        starts[plan.buckets.len()] = plan.events.len();
-        // Events before the first stretch open the upper nodes.
-        let leading = starts.first().copied().unwrap_or(0);
-        plan.events[..leading].iter().try_for_each(|e| structure(e, out))?;
-        let region = |b: usize| Region { spill, first: firsts[b], count: plan.buckets[b].count };
-        let work = |b: usize| -> Result<Option<Vec<P::Piece>>, BuildError> {
+        let region =
+            |b: usize| Region { spill, first: firsts[b - buckets.start], count: plan.buckets[b].count };
+        let work = |b: usize| {
             if plan.buckets[b].count > self.cap {
                 return Ok(None);
             }
             let records = self.load(region(b))?;
-            let (sorted, mut at) = (records.sorted(), 0);
-            let mut pieces = Vec::new();
-            for event in &plan.events[starts[b]..starts[b + 1]] {
-                let mut take = |count: u64| {
-                    let part = sorted.slice(at..at + count as usize);
-                    at += count as usize;
-                    part
-                };
-                match *event {
-                    Event::Own { count, .. } => pieces.push(pack.own(take(count))),
-                    Event::Subtree { cell, count, .. } => pieces.push(pack.subtree(cell, take(count))),
-                    Event::Open(_) | Event::Close => {}
-                }
-            }
-            // Packing ends early if the build is cancelled; its result is then incomplete and must not be used.
-            self.context.check()?;
-            Ok(Some(pieces))
+            check(b, records.bytes())?;
+            self.pack(&plan.events[starts[b]..starts[b + 1]], &records, pack).map(Some)
         };
-        pipeline::ordered(plan.buckets.len(), self.threads, work, |b, pieces| {
-            let mut pieces = pieces.map(Vec::into_iter);
-            let mut next = || pieces.as_mut().and_then(Iterator::next);
-            for event in &plan.events[starts[b]..starts[b + 1]] {
-                match event {
-                    Event::Open(_) | Event::Close => structure(event, out)?,
-                    // A bucket that was not packed is a single stretch that is too large for memory.
-                    Event::Own { .. } => match next() {
-                        Some(piece) => out.own(piece)?,
-                        None => self.list(region(b), 0, &mut OwnList { pack, carry: Vec::new() }, out)?,
-                    },
-                    Event::Subtree { cell, .. } => match next() {
-                        Some(piece) => out.subtree(*cell, piece)?,
-                        None => self.tree(region(b), *cell, pack, out)?,
-                    },
+        let offset = buckets.start;
+        pipeline::ordered(
+            buckets.len(),
+            self.threads,
+            |i| work(offset + i),
+            |i, pieces| {
+                let b = offset + i;
+                let mut pieces = pieces.map(Vec::into_iter);
+                let mut next = || pieces.as_mut().and_then(Iterator::next);
+                for event in &plan.events[starts[b]..starts[b + 1]] {
+                    match event {
+                        Event::Open(_) | Event::Close => structure(event, out)?,
+                        // A bucket that was not packed is a single stretch that is too large for memory.
+                        Event::Own { .. } => match next() {
+                            Some(piece) => out.own(piece)?,
+                            None => self.list(region(b), 0, &mut OwnList { pack, carry: Vec::new() }, out)?,
+                        },
+                        Event::Subtree { cell, .. } => match next() {
+                            Some(piece) => out.subtree(*cell, piece)?,
+                            None => self.tree(region(b), *cell, pack, out)?,
+                        },
+                    }
                 }
+                if plan.buckets[b].count <= self.cap {
+                    self.advance(plan.buckets[b].count as usize);
+                }
+                Ok(())
+            },
+        )
+    }
+
+    /// Packs the stretches of a bucket, which the events take one after another.
+    fn pack<P: Pack>(
+        &self,
+        events: &[Event],
+        records: &Records,
+        pack: &P,
+    ) -> Result<Vec<P::Piece>, BuildError> {
+        let (sorted, mut at) = (records.sorted(), 0);
+        let mut pieces = Vec::new();
+        for event in events {
+            let mut take = |count: u64| {
+                let part = sorted.slice(at..at + count as usize);
+                at += count as usize;
+                part
+            };
+            match *event {
+                Event::Own { count, .. } => pieces.push(pack.own(take(count))),
+                Event::Subtree { cell, count, .. } => pieces.push(pack.subtree(cell, take(count))),
+                Event::Open(_) | Event::Close => {}
             }
-            if plan.buckets[b].count <= self.cap {
-                self.advance(plan.buckets[b].count as usize);
-            }
-            Ok(())
-        })
+        }
+        // Packing ends early if the build is cancelled; its result is then incomplete and must not be used.
+        self.context.check()?;
+        Ok(pieces)
     }
 
     /// Sorts a node's own list, one window of bits after another, down to parts that fit in memory.
@@ -318,14 +272,8 @@ impl<'a> Partition<'a> {
             .spill
             .read_at(&mut bytes, region.first * self.stride as u64)
             .map_err(self.context.io("read temporary files in"))?;
-        let mut entries = Vec::with_capacity(region.count as usize);
-        for (index, record) in bytes.chunks_exact(self.stride).enumerate() {
-            if index % CHUNK_RECORDS as usize == 0 {
-                self.context.check()?;
-            }
-            entries.push(Entry { key: self.keys.key(record), index: index as u32 });
-        }
-        let mut records = Records { bytes, entries, stride: self.stride };
+        let mut records = Records::unsorted(bytes, self.stride);
+        records.index(&self.keys, || self.context.check())?;
         records.sort();
         self.context.check()?;
         Ok(records)
@@ -361,30 +309,36 @@ impl<'a> Partition<'a> {
         bucket_of: impl Fn(&[u8]) -> usize + Sync,
     ) -> Result<(Spill, Vec<u64>), BuildError> {
         let spill = self.context.spill()?;
-        let mut first = 0;
-        let firsts: Vec<u64> = counts
-            .iter()
-            .map(|c| {
-                first += c;
-                first - c
-            })
-            .collect();
+        let firsts = firsts(counts);
+        self.scatter_into(region, &firsts, bucket_of, |_, bytes, at| {
+            spill.write_at(bytes, at).map_err(self.context.io("write temporary files in"))
+        })?;
+        Ok((spill, firsts))
+    }
+
+    /// Hands the records of a region to `write`, some of a bucket at a time, with the bucket and the byte at which they go.
+    /// Buckets follow each other, and begin at the records `firsts`; the order within a bucket is undefined.
+    pub(super) fn scatter_into(
+        &self,
+        region: Region<'_>,
+        firsts: &[u64],
+        bucket_of: impl Fn(&[u8]) -> usize + Sync,
+        write: impl Fn(usize, &[u8], u64) -> Result<(), BuildError> + Sync,
+    ) -> Result<(), BuildError> {
         let cursors: Vec<AtomicU64> = firsts.iter().map(|&f| f.into()).collect();
-        let share = self.context.options.memory_bytes / 4 / (self.threads * counts.len()) as u64;
+        let share = self.context.options.memory_bytes / 4 / (self.threads * firsts.len().max(1)) as u64;
         let buffered = (share / self.stride as u64).clamp(16, 8192) as usize * self.stride;
         let write = |bucket: usize, bytes: &[u8]| {
             let records = (bytes.len() / self.stride) as u64;
             let at = cursors[bucket].fetch_add(records, Ordering::Relaxed);
-            spill
-                .write_at(bytes, at * self.stride as u64)
-                .map_err(self.context.io("write temporary files in"))
+            write(bucket, bytes, at * self.stride as u64)
         };
         // Buffers outlive the chunks, with one set per thread; `chunks` has no thread-local state, so they are kept in a
         // pool.
         let pool: Mutex<Vec<Vec<Vec<u8>>>> = Mutex::new(Vec::new());
         let take = || pool.lock().unwrap_or_else(std::sync::PoisonError::into_inner).pop();
         pipeline::chunks(region.count, CHUNK_RECORDS, self.threads, |input, range| {
-            let mut buffers = take().unwrap_or_else(|| vec![Vec::new(); counts.len()]);
+            let mut buffers = take().unwrap_or_else(|| vec![Vec::new(); firsts.len()]);
             self.read_chunk(region, &range, input)?;
             for record in input.chunks_exact(self.stride) {
                 let bucket = bucket_of(record);
@@ -404,7 +358,12 @@ impl<'a> Partition<'a> {
                 write(bucket, bytes)?;
             }
         }
-        Ok((spill, firsts))
+        Ok(())
+    }
+
+    /// Largest number of records that one thread loads at once.
+    pub(super) fn cap(&self) -> u64 {
+        self.cap
     }
 
     fn advance(&self, records: usize) {
@@ -413,19 +372,21 @@ impl<'a> Partition<'a> {
     }
 }
 
+/// The first record of each bucket.
+pub(super) fn firsts(counts: &[u64]) -> Vec<u64> {
+    let mut next = 0;
+    let first = |count: &u64| {
+        next += count;
+        next - count
+    };
+    counts.iter().map(first).collect()
+}
+
 /// Number of records that a thread reads at a time.
 const CHUNK_RECORDS: u64 = 8192;
 /// Number of 10-bit windows of a 60-bit Hilbert code.
 const CODE_WINDOWS: u32 = 6;
 const WINDOW_CELLS: usize = 1024;
-
-impl Records {
-    fn sort(&mut self) {
-        let (bytes, stride) = (&self.bytes, self.stride);
-        let record = |e: &Entry| &bytes[e.index as usize * stride..(e.index as usize + 1) * stride];
-        self.entries.sort_unstable_by(|a, b| a.key.cmp(&b.key).then_with(|| record(a).cmp(record(b))));
-    }
-}
 
 /// An own list that arrives in parts; runs must not be cut at the ends of parts.
 struct OwnList<'a, P: Pack> {
@@ -468,22 +429,10 @@ impl<P: Pack> OwnList<'_, P> {
         let entries: Vec<Entry> = (self.carry.chunks_exact(stride).take(count).enumerate())
             .map(|(index, record)| Entry { key: partition.keys.key(record), index: index as u32 })
             .collect();
-        let piece = self.pack.own(Sorted { bytes: &self.carry, entries: &entries, stride });
+        let piece = self.pack.own(Sorted::in_order(&self.carry, &entries, stride));
         partition.context.check()?;
         self.carry.drain(..count * stride);
         partition.advance(count);
         out.own(piece)
-    }
-}
-
-/// Opens and closes nodes; ignores stretches of points.
-fn structure<P>(event: &Event, out: &mut impl Assemble<P>) -> Result<(), BuildError> {
-    match event {
-        Event::Open(cell) => {
-            out.open(*cell);
-            Ok(())
-        }
-        Event::Close => out.close(),
-        Event::Own { .. } | Event::Subtree { .. } => Ok(()),
     }
 }

@@ -75,6 +75,11 @@ impl Pyramid {
         (relative as usize, index as usize)
     }
 
+    /// All counters, level by level.
+    pub(super) fn counters(&self) -> impl Iterator<Item = &std::sync::atomic::AtomicU64> {
+        self.counts.iter().flatten()
+    }
+
     pub(super) fn count(&self, keys: &KeyMaker, record: &[u8]) {
         let (level, index) = self.slot(keys.key(record));
         self.counts[level][index].fetch_add(1, std::sync::atomic::Ordering::Relaxed);
@@ -114,6 +119,26 @@ impl Plan {
     pub(super) fn bucket(&self, keys: &KeyMaker, record: &[u8]) -> u32 {
         let (level, index) = self.pyramid.slot(keys.key(record));
         self.bucket_of[level][index]
+    }
+
+    /// The number of points in each bucket, of those that some counters of a pyramid like this one's count, level by level.
+    pub(super) fn counts_by_bucket(&self, counts: &[u64]) -> Vec<u64> {
+        let mut by_bucket = vec![0; self.buckets.len()];
+        for (count, &bucket) in counts.iter().zip(self.bucket_of.iter().flatten()).filter(|(c, _)| **c > 0) {
+            by_bucket[bucket as usize] += count;
+        }
+        by_bucket
+    }
+
+    /// For each bucket the first event that takes points of it, and after these the number of events.
+    pub(super) fn starts(&self) -> Vec<usize> {
+        let mut starts = vec![self.events.len(); self.buckets.len() + 1];
+        for (at, event) in self.events.iter().enumerate().rev() {
+            if let Event::Own { bucket, .. } | Event::Subtree { bucket, .. } = event {
+                starts[*bucket as usize] = at;
+            }
+        }
+        starts
     }
 
     fn visit(&mut self, own: &[Vec<u64>], total: &[Vec<u64>], level: usize, index: usize, cap: u64) {

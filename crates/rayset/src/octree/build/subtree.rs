@@ -1,10 +1,11 @@
 //! Converts sorted records in memory to encoded runs and draft nodes, in several threads at once.
 
-use super::ingest::Ingested;
 use super::options::Precision;
-use super::partition::{Pack, Sorted};
+use super::pieces::Pack;
 use super::plan::{Cell, LEAF_POINTS};
 use super::record::{self, KeyMaker, RecordLayout};
+use super::sorted::Sorted;
+use super::survey::Survey;
 use crate::cancel::CancelToken;
 use crate::geometry::curve::MAX_LEVEL;
 use crate::geometry::{Aabb, DVec3};
@@ -98,21 +99,16 @@ pub(super) struct Packer {
 
 impl Packer {
     /// If `cancel` is cancelled, the packed pieces are incomplete and must not be used.
-    pub(super) fn new(
-        ingested: &Ingested,
-        keys: KeyMaker,
-        precision: Precision,
-        cancel: &CancelToken,
-    ) -> Self {
-        let (radius, weight) = ingested.columns();
+    pub(super) fn new(survey: &Survey, precision: Precision, cancel: &CancelToken) -> Self {
+        let (radius, weight) = survey.columns();
         Self {
-            keys,
-            root: ingested.root,
-            layout: ingested.layout.clone(),
+            keys: survey.keys(),
+            root: survey.root,
+            layout: survey.layout.clone(),
             store_radius: radius.is_stored(),
             store_weight: weight.is_stored(),
-            weight: ingested.weight,
-            color_factors: ingested.depths.factors(),
+            weight: survey.weight,
+            color_factors: survey.depths.factors(),
             precision: if let Precision::Relative(p) = precision { p } else { 0.0 },
             cancel: cancel.clone(),
         }

@@ -3,7 +3,6 @@
 //! The `e57` crate interprets the XML. What could make it need much memory is checked before: the header against the file,
 //! the size of the text, and the number of its parts, of which a document is made in memory.
 
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
@@ -11,7 +10,7 @@ use e57::{E57Reader, PointCloud};
 
 use super::pages::{PAGE_BYTES, Pages};
 use crate::points::{Place, ReadError, quiet};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 const HEADER_BYTES: usize = 48;
 /// Longest XML in bytes. That of a scan takes some 5 kB.
@@ -34,14 +33,14 @@ pub(super) struct Contents {
 /// Opens a file, and reads what it says of its scans.
 pub(super) fn open(path: &Path) -> Result<(Contents, Pages), ReadError> {
     let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let mut file = regular_file::open(path).map_err(io)?;
-    let bytes = file.metadata().map_err(io)?.len();
+    let mut file = InputFile::open(path).map_err(io)?;
+    let bytes = file.length().map_err(io)?;
     let (xml_start, xml_bytes) = check_header(path, &mut file, bytes)?;
     let mut pages = Pages::new(path, file, bytes);
     check_xml(&mut pages, xml_start, xml_bytes)?;
 
     let bad = |what: String| ReadError::malformed(path, Place::Byte(xml_start), what);
-    let file = regular_file::open(path).map_err(io)?;
+    let file = InputFile::open(path).map_err(io)?;
     let contents = quiet::catch(|| interpret(file, xml_start));
     let contents = contents.ok_or_else(|| bad("the XML that begins here cannot be interpreted".into()))?;
     let contents = contents.map_err(|e| {
@@ -52,7 +51,7 @@ pub(super) fn open(path: &Path) -> Result<(Contents, Pages), ReadError> {
     Ok((contents, pages))
 }
 
-fn interpret(file: File, xml_start: u64) -> e57::Result<Contents> {
+fn interpret(file: InputFile, xml_start: u64) -> e57::Result<Contents> {
     let reader = E57Reader::new(BufReader::new(file))?;
     let words = |text: Option<&str>| text.unwrap_or_default().trim().to_owned();
     Ok(Contents {
@@ -64,7 +63,7 @@ fn interpret(file: File, xml_start: u64) -> e57::Result<Contents> {
 }
 
 /// Checks the header against the length of the file. Returns where the XML begins, and its length in bytes.
-fn check_header(path: &Path, file: &mut File, bytes: u64) -> Result<(u64, u64), ReadError> {
+fn check_header(path: &Path, file: &mut InputFile, bytes: u64) -> Result<(u64, u64), ReadError> {
     let bad = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
     let mut header = Vec::new();
     let read = file.take(HEADER_BYTES as u64).read_to_end(&mut header);

@@ -198,7 +198,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("p.e57");
         std::fs::write(&path, page(packets)).expect("a write");
-        let mut pages = Pages::new(&path, std::fs::File::open(&path).expect("a file"), 1024);
+        let mut pages =
+            Pages::new(&path, crate::storage::input_file::InputFile::open(&path).expect("a file"), 1024);
         let mut packets = Packets::open(&mut pages, 48, &[8], 0)?;
         let mut found = Vec::new();
         while found.len() < count {

@@ -1,10 +1,10 @@
 //! The pages of an E57 file: 1020 bytes of content and their checksum, over and over.
 
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use crate::points::{Place, ReadError};
+use crate::storage::input_file::InputFile;
 
 /// Size of a page in bytes; the standard allows no other.
 pub(super) const PAGE_BYTES: u64 = 1024;
@@ -20,7 +20,7 @@ pub(super) const BUFFER_BYTES: u64 = PAGES_AT_A_TIME * PAGE_BYTES;
 /// Positions in the stream count contents alone; places in messages are bytes of the file.
 pub(super) struct Pages {
     path: PathBuf,
-    file: File,
+    file: InputFile,
     /// Number of pages of the file.
     count: u64,
     /// Contents of pages from `first` on.
@@ -31,7 +31,7 @@ pub(super) struct Pages {
 
 impl Pages {
     /// The pages of a file of `bytes` bytes, which must be a multiple of [`PAGE_BYTES`].
-    pub(super) fn new(path: &Path, file: File, bytes: u64) -> Self {
+    pub(super) fn new(path: &Path, file: InputFile, bytes: u64) -> Self {
         let count = bytes / PAGE_BYTES;
         Self { path: path.to_owned(), file, count, buffer: Vec::new(), first: 0, at: 0 }
     }

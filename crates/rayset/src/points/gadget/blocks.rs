@@ -1,11 +1,12 @@
 //! The header and the blocks of a file in GADGET's own binary format.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::points::plain::Plain;
 use crate::points::{ColumnType, Place, ReadError};
-use crate::regular_file;
-use crate::storage::{FileStorage, Storage};
+use crate::storage::Storage;
+use crate::storage::input_file::InputFile;
 
 pub(super) const TYPES: usize = 6;
 const HEADER_BYTES: u64 = 256;
@@ -38,7 +39,7 @@ pub(super) struct Block {
 /// A file with its header and blocks.
 pub(super) struct GadgetFile {
     pub(super) path: PathBuf,
-    pub(super) file: FileStorage,
+    pub(super) file: Arc<dyn Storage>,
     pub(super) big_endian: bool,
     /// Whether blocks have names.
     pub(super) named: bool,
@@ -96,7 +97,7 @@ pub(super) fn byte_order(head: &[u8]) -> Option<(bool, bool)> {
 impl GadgetFile {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = FileStorage::from(regular_file::open(path).map_err(io)?);
+        let file = InputFile::open(path).map_err(io)?.into_storage();
         let bytes = file.length().map_err(io)?;
         let mut head = vec![0; bytes.min(280) as usize];
         file.read_exact_at(&mut head, 0).map_err(io)?;

@@ -118,7 +118,7 @@ impl GadgetSource {
         let row = self.row;
         let load = |block: &Block, bytes: &mut Vec<u8>| {
             let first = block.first[kind].unwrap_or(0) + row;
-            let read = block.plain.load(&file.file, first, count, bytes);
+            let read = block.plain.load(&*file.file, first, count, bytes);
             read.map_err(|source| ReadError::Io { path: file.path.clone(), source })
         };
         if let Some(block) = find(file, "POS", kind) {

@@ -1,8 +1,6 @@
 //! The chunk table that follows compressed points, decoded entry by entry.
 
-use std::fs::File;
 use std::io::Read;
-use std::sync::Arc;
 
 use laz::decoders::ArithmeticDecoder;
 use laz::decompressors::{IntegerDecompressor, IntegerDecompressorBuilder};
@@ -11,6 +9,7 @@ use super::header::Header;
 use super::method::{Chunking, Method};
 use super::trouble::Trouble;
 use crate::points::stretch::{Input, Stretch};
+use crate::storage::input_file::Shared;
 
 /// Size in bytes of the head of the table: version and number of entries.
 const HEAD_BYTES: u64 = 8;
@@ -46,7 +45,7 @@ pub(super) struct Survey {
 impl ChunkTable {
     /// Byte offset in the file at which the table begins; `None` if the file has no table, for example because it was
     /// written to a pipe.
-    pub(super) fn find(file: &Arc<File>, header: &Header) -> Result<Option<u64>, Trouble> {
+    pub(super) fn find(file: &Shared, header: &Header) -> Result<Option<u64>, Trouble> {
         let (first, end) = (header.points_start, header.file_bytes);
         let read = |at: u64| {
             let mut bytes = [0; 8];
@@ -77,7 +76,7 @@ impl ChunkTable {
     }
 
     /// Reads the head of the table at the place returned by [`find`](Self::find).
-    pub(super) fn open(file: &Arc<File>, place: u64, end: u64, has_points: bool) -> Result<Self, Trouble> {
+    pub(super) fn open(file: &Shared, place: u64, end: u64, has_points: bool) -> Result<Self, Trouble> {
         let mut input = Stretch::new(file, place, end).buffered();
         let mut head = [0; HEAD_BYTES as usize];
         let short = "the table of chunks is cut off";
@@ -113,7 +112,7 @@ impl ChunkTable {
 
     /// Reads the whole table, and checks it against the header and the length of the file.
     pub(super) fn survey(
-        file: &Arc<File>,
+        file: &Shared,
         header: &Header,
         place: u64,
         method: &Method,

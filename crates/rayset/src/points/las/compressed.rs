@@ -4,9 +4,7 @@
 //! nothing about the file: its input ends where the chunk ends, and the sizes by which it allocates are checked before. The
 //! chunk table is decoded along with the points, entry by entry, so that memory never depends on its number of entries.
 
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::sync::Arc;
 
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{DecompressionSelection, LazItem, LazItemType};
@@ -18,6 +16,7 @@ use super::method::{Chunking, Method};
 use super::point14::Point14;
 use super::trouble::Trouble;
 use crate::points::stretch::{BUFFER_BYTES, Input, Stretch};
+use crate::storage::input_file::Shared;
 
 /// Memory in bytes of the models of a point without extra bytes: 2.7 MB were measured for points that are compressed one by
 /// one (format 5), and 3.4 MB for layers (format 10, all four scanner channels).
@@ -86,7 +85,7 @@ struct Chunk {
 
 /// The compressed points of a file, in file order.
 pub(super) struct CompressedPoints {
-    file: Arc<File>,
+    file: Shared,
     method: Method,
     record_bytes: usize,
     decoder: Decoder,
@@ -108,7 +107,7 @@ pub(super) struct CompressedPoints {
 
 impl CompressedPoints {
     /// Reads and checks the chunk table, if there is one.
-    pub(super) fn open(file: &Arc<File>, header: &Header, method: Method) -> Result<Self, Trouble> {
+    pub(super) fn open(file: &Shared, header: &Header, method: Method) -> Result<Self, Trouble> {
         let (mut start, mut end) = (header.points_start, header.points_end());
         let mut table = None;
         let mut largest = 0;
@@ -189,6 +188,32 @@ impl CompressedPoints {
             decoded.map_err(|e| self.trouble(e))?;
             self.left -= 1;
             *done += 1;
+        }
+        Ok(())
+    }
+
+    /// Whether whole chunks can be passed over.
+    pub(super) fn can_skip(&self) -> bool {
+        self.table.is_some()
+    }
+
+    /// Passes over the next `count` points, of which only those are decoded that are in a chunk with others.
+    pub(super) fn skip(&mut self, mut count: u64) -> Result<(), Trouble> {
+        while count > 0 {
+            if self.left == 0 {
+                self.chunk = self.next_chunk()?;
+                if self.can_skip() && self.chunk.points <= count {
+                    count -= self.chunk.points;
+                    continue;
+                }
+                self.start()?;
+            }
+            for _ in 0..count.min(self.left) {
+                let decoded = self.decoder.next(&mut self.spare);
+                decoded.map_err(|e| self.trouble(e))?;
+                self.left -= 1;
+                count -= 1;
+            }
         }
         Ok(())
     }

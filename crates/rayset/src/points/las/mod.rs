@@ -23,10 +23,8 @@ mod records;
 mod trouble;
 mod words;
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use laz::DecompressionSelection as Layers;
 
@@ -38,6 +36,7 @@ use self::records::Records;
 use self::trouble::Trouble;
 use super::stretch::Stretch;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, quiet};
+use crate::storage::input_file::Shared;
 
 /// Bytes of records that are decoded at a time; a longer record is decoded on its own.
 const BLOCK_BYTES: usize = 128 << 10;
@@ -68,14 +67,8 @@ impl LasSource {
     /// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let failed = |source| ReadError::Io { path: path.to_owned(), source };
-        // Opening a pipe would wait for its writer.
-        let metadata = std::fs::metadata(path).map_err(failed)?;
-        if !metadata.is_file() {
-            let what = "it is no regular file, as LAS and LAZ must be";
-            return Err(failed(io::Error::new(io::ErrorKind::InvalidInput, what)));
-        }
-        let file = Arc::new(File::open(path).map_err(failed)?);
-        let file_bytes = file.metadata().map_err(failed)?.len();
+        let file = Shared::open(path).map_err(failed)?;
+        let file_bytes = file.length().map_err(failed)?;
         let header = Header::read(path, &mut Stretch::new(&file, 0, file_bytes))?;
         let records = Records::read(path, &file, &header)?;
         let points = if header.is_compressed {
@@ -140,16 +133,20 @@ impl LasSource {
             }
             Points::Compressed(compressed) => Some(damaged(compressed)),
         };
+        trouble.map_or(Ok(()), |trouble| Err(self.failed(trouble, done)))
+    }
+
+    /// The error of a block of which `done` points were read.
+    fn failed(&self, trouble: Trouble, done: usize) -> ReadError {
         match trouble {
-            None => Ok(()),
-            Some(Trouble::Io(source)) => Err(ReadError::Io { path: self.path.clone(), source }),
-            Some(Trouble::Damaged { byte, what }) => Err(ReadError::Las {
+            Trouble::Io(source) => ReadError::Io { path: self.path.clone(), source },
+            Trouble::Damaged { byte, what } => ReadError::Las {
                 path: self.path.clone(),
                 byte,
                 what,
                 read: self.next + done as u64,
                 count: self.header.count,
-            }),
+            },
         }
     }
 }
@@ -159,7 +156,7 @@ fn damaged(points: &CompressedPoints) -> Trouble {
 }
 
 /// The points of an uncompressed file, after a check that the file is long enough for them.
-fn plain_points(path: &Path, file: &Arc<File>, header: &Header) -> Result<Stretch, ReadError> {
+fn plain_points(path: &Path, file: &Shared, header: &Header) -> Result<Stretch, ReadError> {
     let (start, end) = (header.points_start, header.points_end());
     let most = (end - start) / header.record_bytes as u64;
     if header.count > most {
@@ -208,6 +205,32 @@ impl PointSource for LasSource {
                 Points::Plain(_) => 0,
                 Points::Compressed(points) => points.memory_needed(),
             }
+    }
+
+    fn can_skip(&self) -> bool {
+        match &self.points {
+            Points::Plain(_) => true,
+            Points::Compressed(points) => points.can_skip(),
+        }
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        let count = count.min(self.header.count - self.next);
+        let trouble = match &mut self.points {
+            Points::Plain(stretch) => {
+                let bytes = count.saturating_mul(self.header.record_bytes as u64) as i64;
+                stretch.seek(SeekFrom::Current(bytes)).map_err(Trouble::Io).err()
+            }
+            Points::Compressed(points) => match quiet::catch(|| points.skip(count)) {
+                Some(result) => result.err(),
+                None => {
+                    self.is_broken = true;
+                    Some(damaged(points))
+                }
+            },
+        };
+        self.next += count;
+        trouble.map_or(Ok(()), |trouble| Err(self.failed(trouble, 0)))
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {

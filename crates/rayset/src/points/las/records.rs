@@ -1,13 +1,12 @@
 //! Variable length records, and extended ones: the few that are needed are read, and all others are skipped.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
-use std::sync::Arc;
 
 use super::header::Header;
 use crate::points::stretch::Stretch;
 use crate::points::{Place, ReadError};
+use crate::storage::input_file::Shared;
 
 /// Longest record that is read, in bytes. Ordinary records cannot be longer.
 const LONGEST: u64 = 64 << 10;
@@ -31,7 +30,7 @@ pub(super) struct Records {
 
 impl Records {
     /// Reads the records of a file.
-    pub(super) fn read(path: &Path, file: &Arc<File>, header: &Header) -> Result<Self, ReadError> {
+    pub(super) fn read(path: &Path, file: &Shared, header: &Header) -> Result<Self, ReadError> {
         let mut records = Self::default();
         let ordinary = (header.header_bytes, header.records);
         records.walk(path, file, ordinary, header.points_start, false)?;
@@ -46,7 +45,7 @@ impl Records {
     fn walk(
         &mut self,
         path: &Path,
-        file: &Arc<File>,
+        file: &Shared,
         (start, number): (u64, u32),
         end: u64,
         extended: bool,

@@ -1,6 +1,5 @@
 //! Meshes in STL files, binary and ASCII. Each triangle has vertices of its own. Normals and colours are not read.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
@@ -8,7 +7,7 @@ use super::triangles::{Description, Sink};
 use crate::geometry::DVec3;
 use crate::points::lines::Lines;
 use crate::points::{ColorDepth, Place, ReadError, roles};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 const HEADER_BYTES: u64 = 84;
 const TRIANGLE_BYTES: usize = 50;
@@ -19,8 +18,8 @@ const MOST_TRIANGLES: u64 = u32::MAX as u64 / 3;
 pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, ReadError> {
     let io = |source| ReadError::Io { path: path.to_owned(), source };
     let fail = |byte: u64, what: String| Err(ReadError::malformed(path, Place::Byte(byte), what));
-    let mut file = regular_file::open(path).map_err(io)?;
-    let bytes = file.metadata().map_err(io)?.len();
+    let mut file = InputFile::open(path).map_err(io)?;
+    let bytes = file.length().map_err(io)?;
     let mut header = Vec::new();
     (&mut file).take(HEADER_BYTES).read_to_end(&mut header).map_err(io)?;
     let is_text = header.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
@@ -52,7 +51,7 @@ fn description(text: &str, place: Place) -> Description {
     Description { text: text.into(), depth: ColorDepth::Guess, place }
 }
 
-fn read_binary(path: &Path, file: File, count: u64, sink: &mut impl Sink) -> Result<(), ReadError> {
+fn read_binary(path: &Path, file: InputFile, count: u64, sink: &mut impl Sink) -> Result<(), ReadError> {
     let mut input = BufReader::with_capacity(256 << 10, file);
     let mut record = [0; TRIANGLE_BYTES];
     for index in 0..count {

@@ -93,6 +93,16 @@ impl Strand {
         Self { member: array.member.clone(), start, row_bytes, stream: None, bytes: Vec::new() }
     }
 
+    /// Whether a row is reached without reading those before it.
+    pub(super) fn can_skip(&self) -> bool {
+        self.member.can_seek()
+    }
+
+    /// Lets go of the stream; the next rows are sought when they are read.
+    pub(super) fn close(&mut self) {
+        self.stream = None;
+    }
+
     /// Reads `count` rows after the first `done`, which were read before, or not at all.
     pub(super) fn load(&mut self, path: &Path, done: u64, count: usize) -> io::Result<()> {
         if self.stream.is_none() {

@@ -58,8 +58,8 @@ impl NpySource {
             Fault::Io(source) => io(source),
             Fault::Wrong { at, what } => ReadError::malformed(path, Place::Byte(at), what),
         };
-        let mut file = crate::regular_file::open(path).map_err(io)?;
-        let bytes = file.metadata().map_err(io)?.len();
+        let mut file = crate::storage::input_file::InputFile::open(path).map_err(io)?;
+        let bytes = file.length().map_err(io)?;
         let mut magic = Vec::new();
         (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
         let layout = if magic == *MAGIC {
@@ -119,6 +119,17 @@ impl PointSource for NpySource {
 
     fn memory_needed(&self) -> u64 {
         STEP_BYTES as u64 + STRAND_BYTES * self.strands.len() as u64
+    }
+
+    fn can_skip(&self) -> bool {
+        self.strands.iter().all(Strand::can_skip)
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        self.next += count.min(self.rows - self.next);
+        // They begin again at the next row.
+        self.strands.iter_mut().for_each(Strand::close);
+        Ok(())
     }
 
     fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {

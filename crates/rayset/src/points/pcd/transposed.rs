@@ -3,16 +3,14 @@
 //! Every field has a decoder of its own, which starts where the field begins. To find these places all data are decoded once
 //! when the file is opened; memory then depends on the number of fields alone.
 
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
-use std::sync::Arc;
 
 use super::header::{Field, Header};
 use crate::points::lzf::{self, Damage, MOST_FOR_A_BYTE};
 use crate::points::stretch::Stretch;
 use crate::points::{Place, ReadError};
-use crate::regular_file;
+use crate::storage::input_file::Shared;
 
 /// Buffer of the input of a decoder, in bytes.
 const BUFFER_BYTES: usize = 8 << 10;
@@ -22,7 +20,7 @@ const DECODER_BYTES: usize = lzf::DECODER_BYTES + BUFFER_BYTES;
 type Lzf = lzf::Lzf<BufReader<Stretch>>;
 
 /// The bytes of a file from `start` to `end`.
-fn input(file: &Arc<File>, start: u64, end: u64) -> BufReader<Stretch> {
+fn input(file: &Shared, start: u64, end: u64) -> BufReader<Stretch> {
     BufReader::with_capacity(BUFFER_BYTES, Stretch::new(file, start, end))
 }
 
@@ -46,8 +44,8 @@ impl Transposed {
     pub(super) fn open(path: &Path, header: &Header) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let bad = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
-        let file = Arc::new(regular_file::open(path).map_err(io)?);
-        let file_bytes = file.metadata().map_err(io)?.len();
+        let file = Shared::open(path).map_err(io)?;
+        let file_bytes = file.length().map_err(io)?;
         let start = header.bytes + 8;
         if start > file_bytes {
             return Err(bad(file_bytes, "the file ends before the sizes of its compressed points".into()));

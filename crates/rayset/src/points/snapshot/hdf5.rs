@@ -13,8 +13,8 @@ use hdf5_reader::{ByteOrder, Storage as Bytes};
 
 use crate::numbers::{Stored, half};
 use crate::points::{Place, ReadError, lzf, quiet};
-use crate::regular_file;
-use crate::storage::{FileStorage, Storage};
+use crate::storage::Storage;
+use crate::storage::input_file::InputFile;
 
 /// Largest chunk of a dataset, in bytes. SWIFT's are up to 24 MiB.
 pub(super) const MOST_CHUNK_BYTES: usize = 64 << 20;
@@ -25,7 +25,7 @@ const LZF: u16 = 32000;
 
 /// A file that is read in pieces.
 struct Pieces {
-    file: FileStorage,
+    file: Arc<dyn Storage>,
     length: u64,
 }
 
@@ -58,7 +58,7 @@ pub(super) struct File {
 impl File {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = FileStorage::from(regular_file::open(path).map_err(io)?);
+        let file = InputFile::open(path).map_err(io)?.into_storage();
         let bytes = file.length().map_err(io)?;
         let storage: Arc<dyn Bytes> = Arc::new(Pieces { file, length: bytes });
         let mut filters = FilterRegistry::new();

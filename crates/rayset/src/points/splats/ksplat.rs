@@ -1,7 +1,6 @@
 //! Gaussian splats as `.ksplat`: sections of splats, at compression levels 1 and 2 in buckets that their positions are
 //! relative to. Sizes and centres of buckets, and splats, are read side by side.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -11,19 +10,19 @@ use super::ply::UP;
 use super::splat::floats;
 use crate::numbers::half;
 use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 const BUFFER_BYTES: usize = 64 << 10;
 
 /// A reader of a part of a section.
 struct Part {
-    input: BufReader<File>,
+    input: BufReader<InputFile>,
     at: u64,
 }
 
 impl Part {
     fn open(path: &Path) -> io::Result<Self> {
-        Ok(Self { input: BufReader::with_capacity(BUFFER_BYTES, regular_file::open(path)?), at: 0 })
+        Ok(Self { input: BufReader::with_capacity(BUFFER_BYTES, InputFile::open(path)?), at: 0 })
     }
 
     fn read(&mut self, path: &Path, at: u64, bytes: &mut [u8]) -> Result<(), ReadError> {
@@ -54,7 +53,7 @@ struct Bucket {
 pub(in crate::points) struct KsplatSource {
     path: PathBuf,
     header: KsplatHeader,
-    headers: File,
+    headers: InputFile,
     sizes: Part,
     centers: Part,
     records: Part,
@@ -74,8 +73,8 @@ impl KsplatSource {
     /// [`ReadError`] if it cannot be read, or its headers do not agree with each other and its size.
     pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut headers = regular_file::open(path).map_err(io)?;
-        let bytes = headers.metadata().map_err(io)?.len();
+        let mut headers = InputFile::open(path).map_err(io)?;
+        let bytes = headers.length().map_err(io)?;
         let header = KsplatHeader::read(path, &mut headers, bytes)?;
         let columns = GaussianColumns::new("ksplat 0.1", ColorDepth::Byte, header.is_view_dependent, UP);
         let part = || Part::open(path).map_err(io);

@@ -1,14 +1,13 @@
 //! Gaussian splats as `.splat` (antimatter15): records of 32 bytes without a header. Positions and deviations are floats,
 //! colours and opacity bytes, and so is the rotation, which is not read.
 
-use std::fs::File;
 use std::io::{self, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use super::gaussian::{Gaussian, GaussianColumns};
 use super::ply::UP;
 use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 const RECORD_BYTES: usize = 32;
 /// Gaussians decoded at a time.
@@ -20,7 +19,7 @@ const EXAMINED: usize = 256;
 #[derive(Debug)]
 pub(in crate::points) struct SplatSource {
     path: PathBuf,
-    file: File,
+    file: InputFile,
     count: u64,
     next: u64,
     columns: GaussianColumns,
@@ -35,8 +34,8 @@ impl SplatSource {
     pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
-        let mut file = regular_file::open(path).map_err(io)?;
-        let bytes = file.metadata().map_err(io)?.len();
+        let mut file = InputFile::open(path).map_err(io)?;
+        let bytes = file.length().map_err(io)?;
         if bytes == 0 || bytes % RECORD_BYTES as u64 != 0 {
             let what =
                 format!("{bytes} bytes are no whole number of splats, which have {RECORD_BYTES} bytes each");

@@ -13,7 +13,7 @@ use crate::cancel::CancelToken;
 use crate::numbers::half;
 use crate::points::packed::{WINDOW_LIMIT, zstd_window};
 use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 /// Gaussians decoded at a time.
 const CHUNK: usize = 1024;
@@ -65,7 +65,7 @@ impl SpzSource {
     pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
-        let mut file = regular_file::open(path).map_err(io)?;
+        let mut file = InputFile::open(path).map_err(io)?;
         let mut start = Vec::new();
         (&mut file).take(2).read_to_end(&mut start).map_err(io)?;
         let packing = if start == [0x1f, 0x8b] { Packing::Gzip } else { Packing::Plain };
@@ -78,7 +78,7 @@ impl SpzSource {
             if matches!(packing, Packing::Gzip) {
                 return Err(fail(0, "an SPZ file of version 4 in gzip; expected it as it is".into()));
             }
-            let bytes = file.metadata().map_err(io)?.len();
+            let bytes = file.length().map_err(io)?;
             let [positions, alphas, colors, scales, _, _] = header.streams(path, &mut file, bytes)?;
             Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales])?)
         } else {

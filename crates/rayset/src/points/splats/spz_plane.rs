@@ -3,7 +3,6 @@
 //! Attributes lie one behind the other, so each that is needed has its own reader of the file, positioned at the attribute's
 //! first byte. What is needed of the file at a time stays small this way, however large it is.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -13,7 +12,7 @@ use super::spz_header::StreamPlace;
 use crate::cancel::CancelToken;
 use crate::points::packed::Unpacked;
 use crate::points::{Place, ReadError};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 const BUFFER_BYTES: usize = 64 << 10;
 /// Memory of a reader: its buffer, and tables of the decoder.
@@ -21,13 +20,13 @@ pub(super) const READER_BYTES: u64 = 512 << 10;
 
 /// A file that knows how many of its bytes were used.
 struct Counted {
-    input: BufReader<File>,
+    input: BufReader<InputFile>,
     at: u64,
 }
 
 impl Counted {
     fn open(path: &Path, at: u64) -> io::Result<Self> {
-        let mut file = regular_file::open(path)?;
+        let mut file = InputFile::open(path)?;
         file.seek(SeekFrom::Start(at))?;
         Ok(Self { input: BufReader::with_capacity(BUFFER_BYTES, file), at })
     }

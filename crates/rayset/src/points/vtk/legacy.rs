@@ -3,7 +3,6 @@
 //! A file is a sequence of sections, each a line with a keyword and numbers, in text or in big-endian binary. Nothing says
 //! where a section is, so all before it are passed.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
@@ -12,6 +11,7 @@ use super::words::{decoded, type_of};
 use crate::points::roles::excerpt;
 use crate::points::{Place, ReadError};
 use crate::regular_file;
+use crate::storage::input_file::InputFile;
 
 pub(super) const MAGIC: &[u8] = b"# vtk DataFile";
 /// Longest line with a keyword.
@@ -31,7 +31,7 @@ enum Of {
 
 struct Scanner<'a> {
     path: &'a Path,
-    input: BufReader<File>,
+    input: BufReader<InputFile>,
     at: u64,
     bytes: u64,
     is_text: bool,
@@ -46,8 +46,8 @@ struct Scanner<'a> {
 /// Finds the points of a file and their arrays.
 pub(super) fn scan(path: &Path) -> Result<(Part, String), ReadError> {
     let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let file = regular_file::open(path).map_err(io)?;
-    let bytes = file.metadata().map_err(io)?.len();
+    let file = InputFile::open(path).map_err(io)?;
+    let bytes = file.length().map_err(io)?;
     let input = BufReader::with_capacity(1 << 16, file);
     let mut scanner = Scanner {
         path,

@@ -17,7 +17,7 @@ use self::part::{Part, Stored, VtkArray};
 use super::{
     ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values, roles,
 };
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 use crate::text_numbers::{Behind, TextNumbers};
 use crate::vtk_xml::Document;
 
@@ -62,7 +62,7 @@ impl VtkSource {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let mut magic = [0; legacy::MAGIC.len()];
         let mut file =
-            regular_file::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+            InputFile::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
         let is_legacy = match file.read_exact(&mut magic) {
             Ok(()) => magic == *legacy::MAGIC,
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => false,
@@ -111,7 +111,7 @@ impl VtkSource {
     fn stream(&self, part: &Part, array: Option<usize>) -> Result<Stream, ReadError> {
         let found = array.map_or(&part.positions, |index| &part.arrays[index]);
         let at = |start| {
-            let mut file = regular_file::open(&self.path).map_err(|source| self.io(source))?;
+            let mut file = InputFile::open(&self.path).map_err(|source| self.io(source))?;
             file.seek(SeekFrom::Start(start)).map_err(|source| self.io(source))?;
             Ok(BufReader::with_capacity(1 << 16, file))
         };

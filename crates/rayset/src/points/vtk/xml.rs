@@ -6,7 +6,7 @@ use std::path::Path;
 use super::part::{Part, Stored, VtkArray};
 use crate::points::roles::excerpt;
 use crate::points::{ColumnType, Place, ReadError};
-use crate::regular_file;
+use crate::storage::input_file::InputFile;
 use crate::vtk_xml::{self, DataArray, Document, Fault, Opened, Piece, Tag, Words};
 
 /// Whether a file begins as those of VTK in XML do.
@@ -120,11 +120,11 @@ pub(super) fn open(
         words,
         count,
         bytes: count.saturating_mul(array.kind.bytes() as u64),
-        file_bytes: std::fs::metadata(path).map_err(io)?.len(),
+        file_bytes: InputFile::open(path).and_then(|file| file.length()).map_err(io)?,
     };
     match data.open(array.kind).map_err(&fail)? {
         Opened::Plain(start) => {
-            let mut file = regular_file::open(path).map_err(io)?;
+            let mut file = InputFile::open(path).map_err(io)?;
             file.seek(SeekFrom::Start(start)).map_err(io)?;
             Ok((Box::new(BufReader::with_capacity(1 << 16, file)), words.big_endian))
         }

@@ -105,6 +105,23 @@ impl CloudPlacement {
         own.first_page..own.first_page.saturating_add(pages).saturating_add(1).min(self.first_node_page)
     }
 
+    /// The pages that may hold a node's own points: more than [`own_pages`](Self::own_pages) where pages of fewer runs than usual
+    /// could make a difference.
+    pub(in crate::trace) fn own_pages_at_most(&self, node: &Node) -> Range<u32> {
+        /// Pages that hold so much less than the mean, in parts of it, are rare.
+        const LESS: f64 = 0.25;
+        let usual = self.own_pages(node);
+        if usual.is_empty() {
+            return usual;
+        }
+        let header = self.header();
+        let runs_per_page = header.points as f64 / RUN_POINTS as f64 / f64::from(header.point_pages.max(1));
+        let runs = f64::from(node.own.first_run) + node.own.runs as f64;
+        let pages = (runs / (runs_per_page * (1.0 - LESS)).max(1.0)).ceil() as u32;
+        let end = usual.start.saturating_add(pages).min(self.first_node_page);
+        usual.start..end.max(usual.end)
+    }
+
     /// The pages needed to open a node: those of its own points and of its children's records.
     pub(in crate::trace) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
         let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);

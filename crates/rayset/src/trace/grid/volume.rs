@@ -93,6 +93,11 @@ impl GridVolume {
         Some(Self { pages, world_from_voxel, field, object: object.clone() })
     }
 
+    /// The pages of its file.
+    pub(in crate::trace) fn pages(&self) -> &Arc<Object> {
+        &self.pages
+    }
+
     /// Sets the names of the program's attributes.
     pub(in crate::trace) fn carry(&mut self, names: &[Arc<str>]) {
         self.field.value_number = names.iter().position(|name| **name == *GRID_ATTRIBUTE);

@@ -2,9 +2,15 @@
 
 use std::sync::Arc;
 
+mod deferral;
+mod found;
 mod lookahead;
+mod pace;
 mod probe;
+mod view;
+mod window;
 
+pub(super) use deferral::Deferral;
 pub use lookahead::Lookahead;
 pub(super) use lookahead::LookaheadState;
 
@@ -99,7 +105,7 @@ impl Predictor for LinePredictor {
 /// the pages of its own next slabs, and its tile is deferred until the missing page has been read.
 #[derive(Clone, Copy, Debug)]
 pub struct PacketPredictor {
-    /// Look-ahead tiles of 32×32 pixels examined ahead of the current one; 0 for the current one only.
+    /// Look-ahead tiles of 32×32 pixels examined at least ahead of the current one; 0 for the current one only.
     pub tiles_ahead: u32,
     /// Following slabs whose pages a packet requests with one it misses; 0 to wait for each page when it is needed.
     pub slabs_on_a_miss: u64,

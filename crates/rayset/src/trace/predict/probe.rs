@@ -18,6 +18,8 @@ pub(super) struct ProbeRays {
     gap: (f64, f64),
     /// Distance at which each ray is expected to end.
     ends: [f32; LANES],
+    /// Distance at which the rays around each, up to the next ones of the lattice, are expected to have ended.
+    all_end: [f32; LANES],
     /// Expected optical depth that each ray has accumulated.
     optical_depth: [f32; LANES],
 }
@@ -33,6 +35,7 @@ impl ProbeRays {
             beam,
             gap: (half_gap(|r| r.origin), half_gap(|r| r.direction)),
             ends: [f32::INFINITY; LANES],
+            all_end: [f32::INFINITY; LANES],
             optical_depth: [0.0; LANES],
         }
     }
@@ -48,7 +51,7 @@ impl ProbeRays {
         let mut crossing = self.rays.cross(bounds, self.gap.0 + self.gap.1 * distance);
         let mut before_their_ends = 0;
         for lane in 0..LANES {
-            before_their_ends |= u64::from(crossing.enter_near[lane] < self.ends[lane]) << lane;
+            before_their_ends |= u64::from(crossing.enter_near[lane] < self.all_end[lane]) << lane;
         }
         crossing.near &= before_their_ends;
         crossing.through &= before_their_ends;
@@ -56,15 +59,36 @@ impl ProbeRays {
     }
 
     /// Advances rays through a box of points; those that are then expected to be opaque end behind it.
-    fn absorb(&mut self, crossing: &Crossing, extinction: f64, opaque_optical_depth: f32) {
-        let mut lanes = crossing.through;
+    fn absorb(&mut self, crossing: &Crossing, extinction: f64, expected: &Expected) {
+        let opaque_optical_depth = expected.opaque_optical_depth;
+        let (mut lanes, mut ended) = (crossing.through, false);
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
             self.optical_depth[lane] += extinction as f32 * crossing.length[lane];
             if self.optical_depth[lane] >= opaque_optical_depth {
                 self.ends[lane] = self.ends[lane].min(crossing.exit[lane]);
+                ended = true;
             }
+        }
+        if ended {
+            self.end_all(expected.careful);
+        }
+    }
+
+    /// Updates where all rays around each have ended. Rays between those of the lattice may pass an edge that these meet: with
+    /// `careful`, each goes on as far as any of its neighbours.
+    fn end_all(&mut self, careful: bool) {
+        if !careful {
+            self.all_end = self.ends;
+            return;
+        }
+        for lane in 0..LANES {
+            let (column, row) = (lane % 8, lane / 8);
+            let columns = column.saturating_sub(1)..=(column + 1).min(7);
+            let rows = row.saturating_sub(1)..=(row + 1).min(7);
+            let around = rows.flat_map(|row| columns.clone().map(move |column| row * 8 + column));
+            self.all_end[lane] = around.map(|other| self.ends[other]).fold(0.0, f32::max);
         }
     }
 
@@ -85,7 +109,7 @@ impl ProbeRays {
             }
             terrain.want(&node);
             if node.child_mask == 0 {
-                self.absorb(&crossing, expected.extinction(&node, &bounds), expected.opaque_optical_depth);
+                self.absorb(&crossing, expected.extinction(&node, &bounds), expected);
             } else {
                 terrain.children(&node, &mut found);
             }
@@ -138,19 +162,24 @@ pub(super) struct Expected {
     normalised: bool,
     /// Optical depth behind which nothing is expected to be visible.
     opaque_optical_depth: f32,
+    /// Whether a page that has to be waited for costs far more than one that is read in vain.
+    careful: bool,
 }
 
 impl Expected {
-    pub(super) fn new(shading: &CloudShading, stop_transmittance: f32) -> Self {
-        /// Safety factor on the optical depth: densities vary, and a page that is read in vain costs less than one that
-        /// has to be waited for.
+    /// The effect with a safety factor on the optical depth: densities vary, and a page that is read in vain costs less than one
+    /// that has to be waited for, the more so if it is far away.
+    pub(super) fn new(shading: &CloudShading, stop_transmittance: f32, far: bool) -> Self {
         const MARGIN: f32 = 1.2;
+        const MARGIN_FAR: f32 = 1.5;
+        let margin = if far { MARGIN_FAR } else { MARGIN };
         Self {
             transfer: shading.opacity.clone(),
             unit_distance: shading.unit_distance,
             point_integral: shading.kernel.integral(),
             normalised: shading.normalised,
-            opaque_optical_depth: -stop_transmittance.ln() * MARGIN,
+            opaque_optical_depth: -stop_transmittance.ln() * margin,
+            careful: far,
         }
     }
 

@@ -88,9 +88,12 @@ impl<'a> DeepShadowLookups<'a> {
                 };
                 if last.as_ref().is_none_or(|(number, _)| *number != texel.tile) {
                     drop(last.take());
+                    // Whoever comes first makes the tile: what it takes is of no pixel in particular.
+                    let asked_bytes = access.asked_bytes.get();
                     let compute =
                         |bytes: &mut [u8]| self.maker.make(access, table, texel.tile, bytes, counts);
                     let guard = access.pages.retain_computed(&table.tiles, texel.tile, compute)?;
+                    access.asked_bytes.set(asked_bytes);
                     last = Some((texel.tile, guard));
                 }
                 let Some((_, guard)) = &last else { continue };

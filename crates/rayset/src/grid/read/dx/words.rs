@@ -1,12 +1,12 @@
 //! The words of a header, between which numbers may stand.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use super::super::data::{data_at, io_error, regular_file_bytes};
 use super::super::error::ReadError;
 use crate::regular_file::held;
+use crate::storage::input_file::InputFile;
 
 /// Longest header in bytes, without the numbers in it.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
@@ -28,7 +28,7 @@ impl Word {
 /// Reads words, and counts lines.
 pub(super) struct Words<'a> {
     pub(super) path: &'a Path,
-    file: BufReader<File>,
+    file: BufReader<InputFile>,
     /// The line of the last word, and the offset behind it.
     line: u64,
     at: u64,

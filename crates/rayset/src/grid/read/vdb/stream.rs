@@ -1,11 +1,11 @@
 //! The numbers and texts of a file, in order.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::super::data::{data_at, regular_file_bytes};
 use super::super::error::ReadError;
+use crate::storage::input_file::InputFile;
 
 /// What is wrong with a file, and where.
 pub(super) struct Wrong {
@@ -27,7 +27,7 @@ impl From<Wrong> for io::Error {
 
 /// Little-endian data.
 pub(super) struct Stream {
-    file: BufReader<File>,
+    file: BufReader<InputFile>,
     at: u64,
     length: u64,
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::{Read, ReadBackend};
+use super::transport::{Read, Transport};
 
 #[derive(Default)]
 struct Queue {
@@ -15,7 +15,7 @@ struct Queue {
 
 /// Adds a latency to another backend, like distant storage; any number of reads wait at the same time.
 pub struct Delayed {
-    inner: Arc<dyn ReadBackend>,
+    inner: Arc<dyn Transport>,
     delay: Duration,
     shared: Arc<(Mutex<Queue>, Condvar)>,
     thread: Vec<JoinHandle<()>>,
@@ -26,7 +26,7 @@ impl Delayed {
     ///
     /// # Errors
     /// The system's error, if the thread that keeps time cannot be started.
-    pub fn new(inner: Arc<dyn ReadBackend>, delay: Duration) -> std::io::Result<Self> {
+    pub fn new(inner: Arc<dyn Transport>, delay: Duration) -> std::io::Result<Self> {
         let shared: Arc<(Mutex<Queue>, Condvar)> = Arc::default();
         let (queue, target) = (shared.clone(), inner.clone());
         let thread = std::thread::Builder::new()
@@ -37,7 +37,7 @@ impl Delayed {
     }
 }
 
-fn forward(shared: &(Mutex<Queue>, Condvar), target: &dyn ReadBackend) {
+fn forward(shared: &(Mutex<Queue>, Condvar), target: &dyn Transport) {
     let (mutex, filled) = shared;
     let mut queue = mutex.lock().unwrap_or_else(PoisonError::into_inner);
     loop {
@@ -62,7 +62,7 @@ fn forward(shared: &(Mutex<Queue>, Condvar), target: &dyn ReadBackend) {
     }
 }
 
-impl ReadBackend for Delayed {
+impl Transport for Delayed {
     fn submit(&self, batch: Vec<Read>) {
         let due = Instant::now() + self.delay;
         self.shared.0.lock().unwrap_or_else(PoisonError::into_inner).reads.push_back((due, batch));

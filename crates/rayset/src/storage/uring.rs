@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use io_uring::{IoUring, opcode, types};
 use rustix::event::{EventfdFlags, eventfd};
 
-use super::{Read, ReadBackend};
+use super::transport::{Read, Transport};
 
 #[derive(Default)]
 struct Queue {
@@ -196,7 +196,7 @@ impl Drop for Driver {
     }
 }
 
-impl ReadBackend for Uring {
+impl Transport for Uring {
     fn submit(&self, batch: Vec<Read>) {
         let mut queue = self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner);
         queue.reads.extend(batch);
@@ -237,8 +237,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::working_set::PageBuffer;
-    use crate::working_set::read::FileStorage;
+    use crate::storage::{FileStorage, PageBuffer};
 
     #[test]
     fn a_read_that_ends_with_the_file_is_an_error_and_no_whole_page() {

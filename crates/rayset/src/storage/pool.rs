@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use super::{Read, ReadBackend};
+use super::transport::{Read, Transport};
 
 /// Reading threads mostly call the kernel; checks of a page need little stack.
 const STACK_BYTES: usize = 128 << 10;
@@ -62,7 +62,7 @@ fn serve(shared: &Shared) {
     }
 }
 
-impl ReadBackend for Pool {
+impl Transport for Pool {
     fn submit(&self, batch: Vec<Read>) {
         if self.threads.is_empty() {
             // The system could not start a thread: read on this one.

@@ -1,0 +1,58 @@
+//! Joining the parts of a picture.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result, anyhow, ensure};
+use rayset::CancelToken;
+use rayset::parts::{Joined, Part, PartError};
+
+use super::args::MergeArgs;
+use crate::memory::{PROCESS_BYTES, peak_rss};
+use crate::outputs::Outputs;
+use crate::part_note::Note;
+use crate::render::{Format, PictureSink};
+use crate::report::{bytes, say};
+
+pub(super) fn run(args: &MergeArgs) -> Result<()> {
+    let started = Instant::now();
+    let output = Outputs::beside(&args.parts).add(&args.output, None)?;
+    let format = Format::of(&output)?;
+    let parts = args.parts.iter().map(|path| Part::open(path));
+    let joined = Joined::join(parts, args.memory.saturating_sub(PROCESS_BYTES))
+        .map_err(|error| name_smallest_budget(error, args.memory))?;
+    ensure!(
+        format == Format::Png || joined.has_layers(),
+        "{} is to have layers, and the parts have none: render them with --layers, or merge them to a .png",
+        args.output.display()
+    );
+    let note = Note::decode(joined.note())
+        .with_context(|| format!("{} is no part of a render by this program", args.parts[0].display()))?;
+    let mut sink = PictureSink::create(&output, &joined.region(), joined.size(), note.display_transform)?
+        .doing("merging")
+        .under(note.overlay);
+    joined.bands(&CancelToken::new(), &mut sink)?;
+    sink.finish()?;
+    say(format_args!(
+        "{}: {} parts, {:.2} s{}",
+        args.output.display(),
+        args.parts.len(),
+        started.elapsed().as_secs_f64(),
+        peak_rss().map_or_else(String::new, |peak| format!(", peak memory {}", bytes(peak)))
+    ));
+    Ok(())
+}
+
+/// The library is given the budget less the memory of the process itself; its error must state the whole budget.
+fn name_smallest_budget(error: PartError, memory: u64) -> anyhow::Error {
+    match error {
+        PartError::Memory { needed, .. } => {
+            let least = needed + PROCESS_BYTES;
+            anyhow!(
+                "--memory {} is too small for these parts; the smallest that would do is {least} bytes ({})",
+                bytes(memory),
+                bytes(least)
+            )
+        }
+        other => other.into(),
+    }
+}

@@ -1,0 +1,67 @@
+//! What a part of a picture has besides pixels: how they are displayed, and what is drawn over them.
+
+use rayset::image::{DisplayTransform, ToneMapping};
+
+use crate::annotate::Overlay;
+
+/// What whoever merges needs besides pixels.
+pub(crate) struct Note {
+    pub(crate) display_transform: DisplayTransform,
+    pub(crate) overlay: Option<Overlay>,
+}
+
+impl Note {
+    /// As bytes: the exposure, the tone mapping, and the pixels that are laid over the picture, if any.
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut bytes = self.display_transform.exposure.to_le_bytes().to_vec();
+        bytes.push(u8::from(self.display_transform.tone_mapping == ToneMapping::Filmic));
+        bytes.push(u8::from(self.overlay.is_some()));
+        bytes.extend(self.overlay.as_ref().map(Overlay::encode).unwrap_or_default());
+        bytes
+    }
+
+    /// What [`encode`](Self::encode) made bytes of; `None` if they are anything else.
+    pub(crate) fn decode(mut bytes: &[u8]) -> Option<Self> {
+        let exposure = f64::from_le_bytes(bytes.split_off(..8)?.try_into().ok()?);
+        let tone_mapping = match bytes.split_off_first()? {
+            0 => ToneMapping::None,
+            1 => ToneMapping::Filmic,
+            _ => return None,
+        };
+        let overlay = match (bytes.split_off_first()?, bytes) {
+            (0, []) => None,
+            (1, rest) => Some(Overlay::decode(rest)?),
+            _ => return None,
+        };
+        Some(Self { display_transform: DisplayTransform { exposure, tone_mapping }, overlay })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn notes_come_back_and_anything_else_is_none() {
+        let display_transform = DisplayTransform { exposure: -1.3, tone_mapping: ToneMapping::Filmic };
+        let note = Note { display_transform, overlay: None };
+        let back = Note::decode(&note.encode()).expect("a note");
+        assert_eq!(back.display_transform, display_transform);
+        assert!(back.overlay.is_none());
+        let overlay = Overlay::decode(&[]);
+        let mut bytes = Note { overlay, ..note }.encode();
+        assert!(Note::decode(&bytes).expect("a note").overlay.is_some());
+        // A raster of two by one pixels, whole and cut off.
+        for number in [3_u32, 4, 2, 1] {
+            bytes.extend(number.to_le_bytes());
+        }
+        assert!(Note::decode(&bytes).is_none());
+        bytes.extend([7; 8]);
+        let again = Note::decode(&bytes).expect("a note").encode();
+        assert_eq!(again, bytes);
+        for length in [0, 8, 9, bytes.len() - 1] {
+            assert!(Note::decode(&bytes[..length]).is_none(), "{length}");
+        }
+        assert!(Note::decode(&[0, 0, 0, 0, 0, 0, 0, 0, 2, 0]).is_none());
+    }
+}

@@ -1,0 +1,73 @@
+//! `--part`: a share of a picture instead of all of it.
+
+use std::hash::{DefaultHasher, Hasher};
+use std::io::{BufWriter, Read, Write};
+
+use anyhow::{Context, Result, ensure};
+use rayset::output::{Destination, OutputFile};
+use rayset::parts::{PartOptions, Share};
+use rayset::{CancelToken, Region, RenderCounts, View};
+
+use super::shot::Shot;
+use crate::annotate::Overlay;
+use crate::part_note::Note;
+use crate::progress::Meter;
+
+/// Refuses names of pictures.
+pub(super) fn check_name(to: &Destination) -> Result<()> {
+    let extension = to.path().extension().map(|e| e.to_string_lossy().to_lowercase());
+    ensure!(
+        !matches!(extension.as_deref(), Some("png" | "exr")),
+        "--output {}: a part is no picture yet, which `rayset merge` makes; name it picture.1.part, for example",
+        to.path().display()
+    );
+    Ok(())
+}
+
+/// What is written into a part besides pixels.
+pub(super) fn options(share: Share, shot: &Shot, overlay: Option<Overlay>) -> Result<PartOptions> {
+    let note = Note { display_transform: shot.display_transform, overlay };
+    Ok(PartOptions::new(share).with_note(note.encode()).with_build(build()?))
+}
+
+/// Renders a share into a file that appears under its name only when it is complete.
+pub(super) fn write(
+    view: &View,
+    region: &Region,
+    options: &PartOptions,
+    to: &Destination,
+) -> Result<RenderCounts> {
+    let file = OutputFile::create(to)?;
+    let meter = Meter::new("pixels", false);
+    let mut writer = BufWriter::new(file.writer());
+    let mut progress = |done, total| meter.show("tracing", done, total);
+    let doing = || format!("cannot write {}", to.path().display());
+    let counts = view
+        .render_part(region, options, &CancelToken::new(), &mut progress, &mut writer)
+        .with_context(doing)?;
+    meter.finish();
+    writer.flush().with_context(doing)?;
+    drop(writer);
+    file.publish()?;
+    Ok(counts)
+}
+
+/// A hash of this program's file: two versions of one number may differ.
+fn build() -> Result<String> {
+    let path = if cfg!(target_os = "linux") {
+        // Also if the file has been replaced since.
+        "/proc/self/exe".into()
+    } else {
+        std::env::current_exe().context("where is this program?")?
+    };
+    let reading = || format!("cannot read this program, {}", path.display());
+    let mut file = std::fs::File::open(&path).with_context(reading)?;
+    let (mut hasher, mut buffer) = (DefaultHasher::new(), vec![0; 1 << 16]);
+    loop {
+        let count = file.read(&mut buffer).with_context(reading)?;
+        if count == 0 {
+            return Ok(format!("build {:016x}", hasher.finish()));
+        }
+        hasher.write(&buffer[..count]);
+    }
+}

@@ -1,0 +1,211 @@
+//! A web server of ranges of objects that is as slow, and as wrong, as a test or a measurement wants.
+
+use std::collections::{HashMap, HashSet};
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, Method, Response, StatusCode};
+use bytes::Bytes;
+use futures_util::stream;
+use rayset::storage::{FileStorage, MemoryStorage, Storage};
+
+/// How the server behaves.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Behaviour {
+    /// Time before every answer.
+    pub latency: Duration,
+    /// Part of the latency by which it is longer or shorter, at random.
+    pub jitter: f64,
+    /// Share of the requests that are answered by 503.
+    pub failing: f64,
+    /// Share of the requests that take so much longer.
+    pub slow: (f64, Duration),
+    /// Share of the answers that are cut off in the middle.
+    pub cut: f64,
+    /// What every request is answered by, instead of what it asks for.
+    pub refuses: Option<u16>,
+    /// Names of deviations: `no-tags` (and no dates), `weak-tags`, `no-ranges`, `no-head`, `short` and `long` (the length that is
+    /// announced is not that of what is sent), `other-range` (another range than the one asked for is sent).
+    pub odd: HashSet<&'static str>,
+}
+
+/// An object, and the number of those that were there before it.
+type Versioned = (Arc<dyn Storage>, u64);
+
+/// The objects of a server, and how it behaves; both may be changed while it serves.
+#[derive(Default)]
+pub(crate) struct Objects {
+    objects: Mutex<HashMap<String, Versioned>>,
+    folder: Option<PathBuf>,
+    behaviour: Mutex<Behaviour>,
+    random: AtomicU64,
+    /// Requests that were answered, those for the head alone left out.
+    pub reads: AtomicU64,
+    /// Bytes of the bodies of answers.
+    pub bytes: AtomicU64,
+}
+
+/// A server that runs until it is dropped.
+pub(crate) struct RangeServer {
+    /// The objects.
+    pub objects: Arc<Objects>,
+    /// Where it listens.
+    pub address: SocketAddr,
+    _runtime: tokio::runtime::Runtime,
+}
+
+impl RangeServer {
+    /// Serves objects of memory, and the files of a folder, at a port of this machine.
+    pub(crate) fn start(folder: Option<PathBuf>, port: u16, behaviour: Behaviour) -> std::io::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let objects = Arc::new(Objects { folder, behaviour: Mutex::new(behaviour), ..Objects::default() });
+        let listener = runtime.block_on(tokio::net::TcpListener::bind(("127.0.0.1", port)))?;
+        let address = listener.local_addr()?;
+        let routes = Router::new().route("/{*name}", axum::routing::get(answer).head(answer));
+        let service = routes.with_state(objects.clone());
+        runtime.spawn(async move { axum::serve(listener, service).await });
+        Ok(Self { objects, address, _runtime: runtime })
+    }
+
+    /// The address of an object.
+    pub(crate) fn address_of(&self, name: &str) -> String {
+        format!("http://{}/{name}", self.address)
+    }
+
+    /// Adds an object, or puts another one in its place.
+    pub(crate) fn put(&self, name: &str, content: Vec<u8>) {
+        let mut objects = self.objects.objects.lock().expect("no panic");
+        let version = objects.get(name).map_or(1, |(_, version)| version + 1);
+        objects.insert(name.to_owned(), (Arc::new(MemoryStorage::new(Arc::new(content))), version));
+    }
+
+    /// Behaves otherwise from now on.
+    pub(crate) fn behave(&self, behaviour: Behaviour) {
+        *self.objects.behaviour.lock().expect("no panic") = behaviour;
+    }
+}
+
+impl Objects {
+    fn find(&self, name: &str) -> Option<Versioned> {
+        if let Some(found) = self.objects.lock().expect("no panic").get(name) {
+            return Some(found.clone());
+        }
+        let is_plain = !name.split('/').any(|part| part == "..");
+        let path = self.folder.as_ref().filter(|_| is_plain)?.join(name);
+        let changed = path.metadata().ok()?.modified().ok()?;
+        let version = changed.duration_since(std::time::UNIX_EPOCH).ok()?.as_nanos() as u64;
+        Some((Arc::new(FileStorage::open(&path, false).ok()?), version))
+    }
+
+    /// A number from 0 to 1: the same sequence in every run.
+    fn random(&self) -> f64 {
+        let mut bits = self.random.fetch_add(0x9e37_79b9_7f4a_7c15, Ordering::Relaxed);
+        for shift in [30, 27, 31] {
+            bits = (bits ^ bits >> shift).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        }
+        (bits >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+async fn answer(
+    State(objects): State<Arc<Objects>>,
+    Path(name): Path<String>,
+    method: Method,
+    headers: HeaderMap,
+) -> Response<Body> {
+    let behaviour = objects.behaviour.lock().expect("no panic").clone();
+    let shaken = 1.0 + behaviour.jitter * (2.0 * objects.random() - 1.0);
+    let mut pause = behaviour.latency.mul_f64(shaken);
+    if objects.random() < behaviour.slow.0 {
+        pause += behaviour.slow.1;
+    }
+    tokio::time::sleep(pause).await;
+    let status = |code: u16| {
+        let status = StatusCode::from_u16(code).expect("a status");
+        Response::builder().status(status).body(Body::from(format!("{status}"))).expect("an answer")
+    };
+    if let Some(code) = behaviour.refuses {
+        return status(code);
+    }
+    let is_head = method == Method::HEAD;
+    if is_head && behaviour.odd.contains("no-head") {
+        return status(405);
+    }
+    if objects.random() < behaviour.failing {
+        return status(503);
+    }
+    let Some((object, version)) = objects.find(&name) else { return status(404) };
+    let (weak, none) = (behaviour.odd.contains("weak-tags"), behaviour.odd.contains("no-tags"));
+    let tag = format!("{}\"{version}\"", if weak { "W/" } else { "" });
+    let wanted = headers.get("if-match").and_then(|value| value.to_str().ok());
+    if wanted.is_some_and(|wanted| weak || none || wanted != tag) {
+        return status(412);
+    }
+    let length = object.length().expect("a length");
+    let range =
+        headers.get("range").and_then(|value| value.to_str().ok()).and_then(|text| parse(text, length));
+    let range = range.filter(|_| !behaviour.odd.contains("no-ranges"));
+    if range.as_ref().is_some_and(|range| range.start >= length) {
+        return status(416);
+    }
+    let mut response = Response::builder().header("accept-ranges", "bytes");
+    if !none {
+        response = response.header("etag", tag);
+    }
+    let mut sent = range.clone().unwrap_or(0..length);
+    if range.is_some() {
+        if behaviour.odd.contains("other-range") {
+            sent = sent.start + 1..sent.end.min(length - 1) + 1;
+        }
+        let said = format!("bytes {}-{}/{length}", sent.start, sent.end - 1);
+        response = response.status(StatusCode::PARTIAL_CONTENT).header("content-range", said);
+    }
+    if is_head {
+        return response.header("content-length", length).body(Body::empty()).expect("an answer");
+    }
+    objects.reads.fetch_add(1, Ordering::Relaxed);
+    body(&objects, &behaviour, &*object, sent, response)
+}
+
+fn body(
+    objects: &Objects,
+    behaviour: &Behaviour,
+    object: &dyn Storage,
+    range: Range<u64>,
+    response: axum::http::response::Builder,
+) -> Response<Body> {
+    let mut content = vec![0; (range.end - range.start) as usize];
+    object.read_exact_at(&mut content, range.start).expect("its bytes");
+    objects.bytes.fetch_add(content.len() as u64, Ordering::Relaxed);
+    let announced = content.len();
+    if behaviour.odd.contains("long") {
+        content.extend_from_slice(&[0xab; 100]);
+        return response.body(Body::from(content)).expect("an answer");
+    }
+    if objects.random() < behaviour.cut || behaviour.odd.contains("short") {
+        content.truncate(announced / 2);
+        // A stream that ends early: the connection is closed.
+        let parts =
+            [Ok::<_, std::io::Error>(Bytes::from(content)), Err(std::io::ErrorKind::ConnectionReset.into())];
+        let body = Body::from_stream(stream::iter(parts));
+        return response.header("content-length", announced).body(body).expect("an answer");
+    }
+    let parts: Vec<Result<Bytes, Infallible>> =
+        content.chunks(256 << 10).map(|part| Ok(Bytes::copy_from_slice(part))).collect();
+    let body = Body::from_stream(stream::iter(parts));
+    response.header("content-length", announced).body(body).expect("an answer")
+}
+
+fn parse(text: &str, length: u64) -> Option<Range<u64>> {
+    let (start, end) = text.strip_prefix("bytes=")?.split_once('-')?;
+    let end = end.parse::<u64>().map_or(length, |last| last.saturating_add(1));
+    Some(start.parse().ok()?..end.min(length))
+}

@@ -1,0 +1,127 @@
+//! What went wrong, in words, and whether it may pass.
+
+use std::io;
+
+use object_store::Error;
+use rayset::storage::RangeError;
+
+/// Whether another attempt may succeed.
+pub(super) fn may_pass(error: &Error) -> bool {
+    match error {
+        Error::Generic { .. } => match status(error) {
+            Some(code) => (code >= 500 && code != 501) || matches!(code, 408 | 425 | 429),
+            // A connection that was cut or not made; an answer that was not what was asked for, as of a proxy.
+            None => !is_expired(&error.to_string()),
+        },
+        Error::JoinError { .. } => true,
+        _ => false,
+    }
+}
+
+/// The error of a read.
+pub(super) fn of_range(error: &Error, name: &str) -> RangeError {
+    let passes = may_pass(error);
+    let error = in_words(error, name);
+    if passes { RangeError::passing(error) } else { RangeError::lasting(error) }
+}
+
+/// The error as it is said to the user: of which object, what, and what to do.
+pub(super) fn in_words(error: &Error, name: &str) -> io::Error {
+    let text = without_secrets(&error.to_string());
+    let (kind, what) = match error {
+        Error::NotFound { .. } => {
+            (io::ErrorKind::NotFound, "there is no such object, or it may not be seen".to_owned())
+        }
+        Error::Precondition { .. } => replaced(),
+        _ if is_expired(&text) => {
+            let what = "the credentials have expired: renew them, as by `aws sso login`, and run this again";
+            (io::ErrorKind::PermissionDenied, what.to_owned())
+        }
+        Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => {
+            let what = format!(
+                "access is denied: no or other credentials are needed (docs/far.md says where they are looked for; for \
+                 public buckets set AWS_SKIP_SIGNATURE=true or GOOGLE_SKIP_SIGNATURE=true) ({text})"
+            );
+            (io::ErrorKind::PermissionDenied, what)
+        }
+        _ if text.contains("non-partial response") || text.contains("Range request not supported") => {
+            let what = "the server sends whole files only, and no ranges of them (HTTP 206 was expected): copy the file to a \
+                        disk, or to a server that knows ranges";
+            (io::ErrorKind::Unsupported, what.to_owned())
+        }
+        Error::NotSupported { .. } => (io::ErrorKind::Unsupported, text),
+        _ => match status(error) {
+            Some(416) => replaced(),
+            _ => (io::ErrorKind::Other, text),
+        },
+    };
+    io::Error::new(kind, format!("{name}: {what}"))
+}
+
+/// The error for an object that is not the one that was opened.
+pub(super) fn has_changed(name: &str) -> RangeError {
+    let (kind, what) = replaced();
+    RangeError::lasting(io::Error::new(kind, format!("{name}: {what}")))
+}
+
+fn replaced() -> (io::ErrorKind, String) {
+    let what = "another object has taken its place since it was opened; run this again";
+    (io::ErrorKind::InvalidData, what.to_owned())
+}
+
+fn is_expired(text: &str) -> bool {
+    ["ExpiredToken", "RequestExpired", "TokenRefreshRequired", "token has expired"]
+        .iter()
+        .any(|word| text.contains(word))
+}
+
+/// The status of HTTP that an error is about. `object_store` tells it only in words.
+fn status(error: &Error) -> Option<u16> {
+    let text = error.to_string();
+    let (_, rest) = text.split_once("status code: ")?;
+    rest.get(..3)?.parse().ok()
+}
+
+/// A message without the queries of addresses, which may grant access, and of bearable length.
+fn without_secrets(text: &str) -> String {
+    let words: Vec<&str> = text
+        .split_whitespace()
+        .map(|word| if word.contains("://") { word.split('?').next().unwrap_or(word) } else { word })
+        .collect();
+    let text = words.join(" ").replace(char::is_control, " ");
+    match text.char_indices().nth(600) {
+        Some((end, _)) => format!("{} …", &text[..end]),
+        None => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn generic(text: &str) -> Error {
+        Error::Generic { store: "S3", source: text.to_owned().into() }
+    }
+
+    #[test]
+    fn overload_passes_and_refusals_last() {
+        for (text, passes) in [
+            ("Server returned non-2xx status code: 503 Slow Down: ", true),
+            ("Server returned non-2xx status code: 429 Too Many: ", true),
+            ("error sending request", true),
+            ("Server returned non-2xx status code: 400 Bad Request: <Code>ExpiredToken</Code>", false),
+            ("Server returned non-2xx status code: 416 Range Not Satisfiable: ", false),
+        ] {
+            assert_eq!(may_pass(&generic(text)), passes, "{text}");
+        }
+    }
+
+    #[test]
+    fn messages_name_the_object_and_keep_secrets() {
+        let error = generic("Error performing GET https://host/a?X-Amz-Signature=secret in 1s - cut");
+        let said = in_words(&error, "https://host/a").to_string();
+        assert_eq!(said, "https://host/a: Generic S3 error: Error performing GET https://host/a in 1s - cut");
+        let error = generic("status code: 400 Bad Request: <Code>ExpiredToken</Code>");
+        assert!(in_words(&error, "s3://b/a").to_string().contains("credentials have expired"));
+    }
+}

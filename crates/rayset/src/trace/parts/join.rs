@@ -1,0 +1,277 @@
+//! Joining all parts of a picture.
+
+use std::sync::Arc;
+
+use super::block::Contents;
+use super::error::PartError;
+use super::header::About;
+use super::part::{Part, Source, StoredBlock};
+use super::share::{Blocks, Share};
+use crate::cancel::CancelToken;
+use crate::image::{Band, LayerPixel};
+use crate::storage::Storage;
+use crate::trace::ambient_occlusion::{AmbientOcclusion, ROWS_SENT, apron};
+use crate::trace::memory::{EXR_BYTES, PIXEL_BYTES};
+use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region};
+use crate::trace::{BandSink, Picture, RenderError};
+
+/// Most parts whose files stay open while they are read.
+const OPEN_FILES: usize = 128;
+/// Memory for each part besides its blocks: names, open files.
+const PART_BYTES: u64 = 1024;
+/// Memory for reading and unpacking blocks, and for the stack and the buffers of an encoder that is a row of blocks behind.
+const READING_BYTES: u64 = 5 << 19;
+/// One part in this many of the rows' memory is set aside for gaps between them.
+const GAPS_PART: u64 = 32;
+/// Rows of the picture in an encoder, as a render counts them.
+const ENCODER_ROWS: u64 = 8;
+
+/// All parts of one picture.
+pub struct Joined {
+    /// In the order of their shares.
+    sources: Vec<Source>,
+    about: About,
+    blocks: Blocks,
+    /// Row after row.
+    entries: Vec<Entry>,
+    note: Vec<u8>,
+    memory_bytes: u64,
+}
+
+/// Where a block is.
+#[derive(Clone, Copy, Default)]
+struct Entry {
+    part: u32,
+    stored: StoredBlock,
+}
+
+impl std::fmt::Debug for Joined {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Joined({} parts)", self.sources.len())
+    }
+}
+
+impl Joined {
+    /// Joins parts, in any order, in `memory_bytes` of memory: for the parts, for the rows of the picture on their way to a sink, and for
+    /// those in an encoder. The iterator may open them one by one.
+    ///
+    /// # Errors
+    /// [`PartError`] if one of them is an error, damaged, of another picture or there twice, if one is missing, or if the memory is too
+    /// small; then it says how much is needed.
+    pub fn join(
+        parts: impl IntoIterator<Item = Result<Part, PartError>>,
+        memory_bytes: u64,
+    ) -> Result<Self, PartError> {
+        let mut parts = parts.into_iter();
+        let first = parts.next().ok_or(PartError::None)??;
+        let of = first.share().of();
+        let blocks = first.about.blocks();
+        let needed = needed_bytes(&first, &blocks);
+        if needed > memory_bytes {
+            return Err(PartError::Memory { given: memory_bytes, needed });
+        }
+        let mut gathered =
+            Gathered { sources: vec![None; of as usize], indices: vec![Vec::new(); of as usize] };
+        gathered.add(&first)?;
+        for part in parts {
+            let part = part?;
+            check_same(&part, &first)?;
+            gathered.add(&part)?;
+        }
+        let (sources, indices) = gathered.complete(of)?;
+        let mut entries = vec![Entry::default(); blocks.count() as usize];
+        let mut next: Vec<_> = indices.iter().map(|index| index.iter()).collect();
+        for (number, block) in blocks.dealt(of) {
+            let part = number - 1;
+            if let Some(&stored) = next[part as usize].next() {
+                entries[blocks.number(block)] = Entry { part, stored };
+            }
+        }
+        let note = first.note()?;
+        Ok(Self { sources, about: first.about, blocks, entries, note, memory_bytes: needed })
+    }
+
+    /// What the picture shows of the whole.
+    #[must_use]
+    pub fn region(&self) -> Region {
+        self.about.region()
+    }
+
+    /// Width and height of the whole picture in pixels.
+    #[must_use]
+    pub fn size(&self) -> (u32, u32) {
+        self.about.size()
+    }
+
+    /// Whether pixels have layers.
+    #[must_use]
+    pub fn has_layers(&self) -> bool {
+        self.about.contents == Contents::Layers
+    }
+
+    /// The note that is in each of the parts.
+    #[must_use]
+    pub fn note(&self) -> &[u8] {
+        &self.note
+    }
+
+    /// An upper bound of the bytes that [`bands`](Self::bands) and an encoder take.
+    #[must_use]
+    pub fn memory_bytes(&self) -> u64 {
+        self.memory_bytes
+    }
+
+    /// Hands the picture to a sink, band by band from the top: bit for bit what a render of the region hands on. Bands may begin and end
+    /// at other rows.
+    ///
+    /// # Errors
+    /// [`PartError`] if a part cannot be read or is damaged, the sink refuses a band, or `cancel` is cancelled.
+    pub fn bands(&self, cancel: &CancelToken, sink: &mut (impl BandSink + ?Sized)) -> Result<(), PartError> {
+        match self.about.surroundings() {
+            None => self.rendered(cancel, sink),
+            Some(of) => self.rendered(cancel, &mut AmbientOcclusion::new(&of, &self.region(), sink)),
+        }
+    }
+
+    /// The whole picture, in memory.
+    ///
+    /// # Errors
+    /// As [`bands`](Self::bands).
+    pub fn picture(&self) -> Result<Picture, PartError> {
+        let mut picture = Picture::default();
+        self.bands(&CancelToken::new(), &mut picture)?;
+        Ok(picture)
+    }
+
+    /// What was rendered, a row of blocks at a time.
+    fn rendered(&self, cancel: &CancelToken, sink: &mut (impl BandSink + ?Sized)) -> Result<(), PartError> {
+        let rendered = self.about.rendered();
+        let mut open: Vec<Option<Arc<dyn Storage>>> = vec![None; self.sources.len().min(OPEN_FILES)];
+        let mut done = 0;
+        for j in 0..self.blocks.rows {
+            if cancel.is_cancelled() {
+                return Err(RenderError::Cancelled.into());
+            }
+            let rows = self.blocks.region((0, j)).rows;
+            let has_layers = self.about.contents.has_layers();
+            let width = rendered.columns.len() as u32;
+            let mut band = Band::new(rows.start, width, rows.len() as u32, has_layers);
+            for i in 0..self.blocks.columns {
+                self.read(&mut open, (i, j), &rendered, &mut band)?;
+            }
+            sink.band(&band).map_err(PartError::Sink)?;
+            done += band.pixels.len() as u64;
+            sink.progress(done, rendered.pixels());
+        }
+        Ok(())
+    }
+
+    /// Reads a block into its place in a band.
+    fn read(
+        &self,
+        open: &mut [Option<Arc<dyn Storage>>],
+        block: (u32, u32),
+        rendered: &Region,
+        band: &mut Band,
+    ) -> Result<(), PartError> {
+        let contents = self.about.contents;
+        let region = self.blocks.region(block);
+        let Entry { part, stored: StoredBlock { at, length, crc } } = self.entries[self.blocks.number(block)];
+        let source = &self.sources[part as usize];
+        let damaged = |what: String| {
+            let Region { columns, rows } = &region;
+            PartError::damaged(&source.name, at, format!("columns {columns:?}, rows {rows:?}: {what}"))
+        };
+        let count = region.pixels() as usize;
+        if length as usize > count * contents.pixel_bytes() {
+            return Err(damaged(format!("{length} bytes for {count} pixels")));
+        }
+        let storage = match open.get_mut(part as usize) {
+            None => source.open()?,
+            Some(Some(storage)) => storage.clone(),
+            Some(closed) => closed.insert(source.open()?).clone(),
+        };
+        let mut bytes = vec![0; length as usize];
+        source.read(&*storage, &mut bytes, at)?;
+        if crc32c::crc32c_append(source.seed, &bytes) != crc {
+            return Err(damaged("the checksum is wrong".into()));
+        }
+        let mut pixels = vec![[0.0; 4]; count];
+        let mut layers = vec![LayerPixel::default(); if contents.has_layers() { count } else { 0 }];
+        contents.decode(&bytes, &mut pixels, &mut layers).map_err(damaged)?;
+        let width = region.columns.len();
+        let left = (region.columns.start - rendered.columns.start) as usize;
+        for y in 0..region.rows.len() {
+            let to = y * band.width as usize + left;
+            band.pixels[to..to + width].copy_from_slice(&pixels[y * width..][..width]);
+            if contents.has_layers() {
+                band.layers[to..to + width].copy_from_slice(&layers[y * width..][..width]);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An upper bound of the bytes that joining the parts of a picture takes, given one of them.
+fn needed_bytes(part: &Part, blocks: &Blocks) -> u64 {
+    let about = &part.about;
+    let width = about.rendered().columns.len() as u64;
+    let pixel = PIXEL_BYTES + if about.contents.has_layers() { size_of::<LayerPixel>() as u64 } else { 0 };
+    let block_rows = u64::from(LOOKAHEAD_TILE_PIXELS);
+    // Rows that come in, and those that ambient occlusion keeps and sends on.
+    let kept = |height| 2 * u64::from(apron(height)) + 1 + block_rows;
+    let shading = about.surroundings().map_or(0, |of| kept(of.size.1) + u64::from(ROWS_SENT));
+    let encoder = if about.contents == Contents::Layers { EXR_BYTES * width } else { 0 };
+    // The index of a part, and of all.
+    let index = blocks.count() * 2 * size_of::<Entry>() as u64;
+    let parts = u64::from(part.share().of()) * PART_BYTES;
+    let rows = (block_rows + shading + ENCODER_ROWS) * width * pixel;
+    rows + rows / GAPS_PART + encoder + index + parts + part.note_bytes() + READING_BYTES
+}
+
+/// Refuses a part of another picture than the first.
+fn check_same(part: &Part, first: &Part) -> Result<(), PartError> {
+    let (part, first) = ((&part.about, &part.source.name), (&first.about, &first.source.name));
+    let foreign =
+        |what, advice| Err(PartError::Foreign { part: part.1.clone(), first: first.1.clone(), what, advice });
+    if let Some(difference) = part.0.same.difference(&first.0.same) {
+        return foreign(difference.what, difference.advice);
+    }
+    match part.0.other_picture(first.0) {
+        Some(what) => foreign(what, "render all parts with the same options, and as many parts"),
+        None => Ok(()),
+    }
+}
+
+/// Parts by their numbers, as they come.
+struct Gathered {
+    sources: Vec<Option<Source>>,
+    indices: Vec<Vec<StoredBlock>>,
+}
+
+impl Gathered {
+    fn add(&mut self, part: &Part) -> Result<(), PartError> {
+        let share: Share = part.share();
+        let place = share.number() as usize - 1;
+        if let Some(known) = &self.sources[place] {
+            let (first, second) = (known.name.clone(), part.source.name.clone());
+            return Err(PartError::Double { first, second, share });
+        }
+        self.indices[place] = part.index()?;
+        self.sources[place] = Some(part.source.clone());
+        Ok(())
+    }
+
+    /// All sources and their indices, unless some are missing.
+    fn complete(self, of: u32) -> Result<(Vec<Source>, Vec<Vec<StoredBlock>>), PartError> {
+        let missing: Vec<u32> = (1..)
+            .zip(&self.sources)
+            .filter(|(_, source)| source.is_none())
+            .map(|(number, _)| number)
+            .collect();
+        if !missing.is_empty() {
+            return Err(PartError::Missing { missing, of });
+        }
+        Ok((self.sources.into_iter().flatten().collect(), self.indices))
+    }
+}

@@ -1,0 +1,203 @@
+//! Objects that are far away: faults, time-outs, joined requests, and pictures that do not notice.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use proptest::prelude::*;
+use rayset::build::{self, BuildControl, BuildOptions};
+use rayset::points::Workload;
+use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
+use rayset::storage::{
+    Behaviour, FarOptions, FarStorage, MemoryStorage, RangeError, RangeReader, RangeSink, SimulatedObject,
+    Storage,
+};
+use rayset::working_set::Limits;
+use rayset::{Cloud, Prediction, Session};
+
+fn bytes(count: usize) -> Vec<u8> {
+    (0..count).map(|i| (i * 7 + i / 251) as u8).collect()
+}
+
+fn quick() -> FarOptions {
+    let mut options = FarOptions::default();
+    (options.first_pause, options.longest_pause) = (Duration::from_millis(1), Duration::from_millis(4));
+    options.timeout = Duration::from_millis(300);
+    options.attempts = 20;
+    options
+}
+
+fn far(content: &[u8], behaviour: Behaviour, options: FarOptions) -> (Arc<SimulatedObject>, FarStorage) {
+    let near = MemoryStorage::new(Arc::new(content.to_vec()));
+    let object = Arc::new(SimulatedObject::new(Arc::new(near), behaviour, 42).expect("a thread"));
+    let storage = FarStorage::new(object.clone(), content.len() as u64, options).expect("a thread");
+    (object, storage)
+}
+
+#[test]
+fn every_byte_is_right_though_requests_fail_are_cut_are_slow_and_are_never_answered() {
+    let content = bytes(3_000_000);
+    let behaviour = Behaviour {
+        latency: Duration::from_millis(1),
+        jitter: 0.5,
+        failing: 0.1,
+        cut: 0.1,
+        slow: (0.05, Duration::from_millis(20)),
+        silent: 0.02,
+    };
+    let mut options = quick();
+    options.most_bytes = 50_000;
+    let (object, storage) = far(&content, behaviour, options);
+    let mut found = vec![0; content.len()];
+    storage.read_exact_at(&mut found, 0).expect("it is read in the end");
+    assert!(found == content);
+    assert!(object.counts().faults > 5, "{:?}", object.counts());
+    assert!(storage.counts().retries >= 5, "{:?}", storage.counts());
+}
+
+#[test]
+fn a_read_beyond_the_end_is_an_error_without_a_request() {
+    let (object, storage) = far(&bytes(1000), Behaviour::default(), quick());
+    let error = storage.read_exact_at(&mut [0; 10], 995).expect_err("5 bytes are missing");
+    assert_eq!(error.kind(), io::ErrorKind::UnexpectedEof);
+    assert_eq!(object.counts().requests, 0);
+}
+
+#[test]
+fn a_storage_that_always_fails_gives_up_with_the_reason_and_the_number_of_attempts() {
+    let behaviour = Behaviour { failing: 1.0, ..Behaviour::default() };
+    let mut options = quick();
+    options.attempts = 3;
+    let (object, storage) = far(&bytes(1000), behaviour, options);
+    let error = storage.read_exact_at(&mut [0; 10], 0).expect_err("it fails").to_string();
+    assert!(error.contains("503") && error.contains("tried 3 times"), "{error}");
+    assert_eq!(object.counts().requests, 3);
+}
+
+#[test]
+fn a_storage_that_never_answers_is_given_up_in_bounded_time() {
+    let behaviour = Behaviour { silent: 1.0, ..Behaviour::default() };
+    let mut options = quick();
+    (options.attempts, options.timeout) = (2, Duration::from_millis(100));
+    let (_, storage) = far(&bytes(1000), behaviour, options);
+    let started = Instant::now();
+    let error = storage.read_exact_at(&mut [0; 10], 0).expect_err("nobody answers");
+    assert_eq!(error.kind(), io::ErrorKind::TimedOut, "{error}");
+    assert!(started.elapsed() < Duration::from_secs(5), "{:?}", started.elapsed());
+}
+
+/// Refuses everything, for good.
+#[derive(Default)]
+struct Denied(AtomicU64);
+
+impl RangeReader for Denied {
+    fn start(&self, _: std::ops::Range<u64>, sink: RangeSink) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+        let reason =
+            io::Error::new(io::ErrorKind::PermissionDenied, "403: no permission to read this object");
+        sink.end(Err(RangeError::lasting(reason)));
+    }
+
+    fn name(&self) -> String {
+        "a locked door".into()
+    }
+}
+
+#[test]
+fn what_another_attempt_would_meet_again_is_not_tried_again() {
+    let reader = Arc::new(Denied::default());
+    let storage = FarStorage::new(reader.clone(), 1000, quick()).expect("a thread");
+    let error = storage.read_exact_at(&mut [0; 10], 0).expect_err("no permission");
+    assert_eq!(error.kind(), io::ErrorKind::PermissionDenied);
+    assert!(error.to_string().contains("403"), "{error}");
+    assert_eq!(reader.0.load(Ordering::Relaxed), 1);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn any_range_is_read_whatever_the_limits_of_requests(
+        start in 0_usize..5000, length in 0_usize..5000, most in 1_u64..3000, in_flight in 0_usize..5,
+    ) {
+        let content = bytes(10_000);
+        let mut options = quick();
+        (options.most_bytes, options.in_flight) = (most, in_flight);
+        let (_, storage) = far(&content, Behaviour::default(), options);
+        let mut found = vec![0; length];
+        storage.read_exact_at(&mut found, start as u64).expect("it is there");
+        prop_assert!(found == content[start..start + length]);
+    }
+}
+
+/// A cloud's file, and a picture of it with all of it at hand.
+fn cloud() -> (Vec<u8>, Vec<[f32; 4]>) {
+    let workload: Workload = "sphere-100k".parse().expect("a workload");
+    let radius = workload.radius().map(build::Rule::Number);
+    let options = BuildOptions::default().with_radius(radius).with_page_bytes(Some(16384));
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("sphere.rset");
+    build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a build");
+    let file = std::fs::read(&path).expect("the file");
+    let near = Arc::new(Cloud::open(&path).expect("a cloud"));
+    let session = Session::builder().threads(2).build().expect("a session");
+    let picture = render(&session, near);
+    (file, picture)
+}
+
+fn render(session: &Session, cloud: Arc<Cloud>) -> Vec<[f32; 4]> {
+    let scene = Scene::of_cloud(CloudObject::plain(cloud));
+    let bounds = scene.root.bounds();
+    let camera = Camera::framing(&bounds, [0.2, -0.3, -1.0].into(), [0.0, 1.0, 0.0].into(), 0.8, 1.0, false);
+    let settings = RenderSettings::default().with_size(64, 64);
+    let prepared = session.prepare(&scene, &settings).expect("a scene");
+    prepared.view(&camera).expect("a view").picture().expect("a picture").pixels
+}
+
+#[test]
+fn a_picture_of_a_far_cloud_is_the_same_for_every_budget_predictor_thread_count_and_fault() {
+    let (file, expected) = cloud();
+    let behaviour = Behaviour {
+        latency: Duration::from_millis(2),
+        jitter: 0.2,
+        failing: 0.02,
+        cut: 0.02,
+        ..Behaviour::default()
+    };
+    let small = 12 * 16384;
+    for (predictor, threads, budget) in [
+        (Prediction::Packet, 1, 1 << 30),
+        (Prediction::Packet, 3, small),
+        (Prediction::Packet, 1, small),
+        (Prediction::Line, 2, 2 * small),
+        (Prediction::None, 2, 1 << 30),
+    ] {
+        let (object, storage) = far(&file, behaviour, quick());
+        let cloud = Arc::new(Cloud::from_storage("far", Arc::new(storage)).expect("a cloud"));
+        let session = Session::builder()
+            .page_limits(Limits::total(budget))
+            .threads(threads)
+            .prediction(predictor)
+            .build()
+            .expect("a session");
+        let case = format!("{}, {threads} threads, {budget} bytes", predictor.name());
+        assert!(render(&session, cloud.clone()) == expected, "{case}");
+        assert!(session.statistics().peak_bytes <= budget, "{case}");
+        // A second picture, with what the first has left in memory.
+        assert!(render(&session, cloud) == expected, "{case}, again");
+        assert!(object.counts().requests > 0, "{case}");
+    }
+}
+
+#[test]
+fn with_room_for_all_pages_far_ones_are_joined_to_few_requests() {
+    let (file, _) = cloud();
+    let behaviour = Behaviour { latency: Duration::from_millis(5), ..Behaviour::default() };
+    let (object, storage) = far(&file, behaviour, quick());
+    let cloud = Arc::new(Cloud::from_storage("far", Arc::new(storage)).expect("a cloud"));
+    let session = Session::builder().threads(1).build().expect("a session");
+    object.reset_counts();
+    render(&session, cloud);
+    let (requests, pages) = (object.counts().requests, session.statistics().total(|kind| kind.reads));
+    assert!(requests as f64 <= 0.6 * pages as f64, "{requests} requests for {pages} pages");
+}

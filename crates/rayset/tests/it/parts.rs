@@ -1,0 +1,126 @@
+//! Parts in memory, as a caller of the library has them: rendered into bytes, joined to a picture, stopped, refused.
+
+use std::sync::Arc;
+
+use rayset::geometry::DVec3;
+use rayset::parts::{Joined, Part, PartError, PartOptions, Share};
+use rayset::scene::{Camera, Form, LightKind, Node, Operator, RenderSettings, Scene, Step};
+use rayset::storage::MemoryStorage;
+use rayset::{CancelToken, RenderError, Session, View};
+
+use crate::common::{Random, settings};
+use crate::graph::{light, scene, solid};
+
+const MEMORY: u64 = 64 << 20;
+
+/// A solid that appears twice.
+fn pair(radius: f64) -> Scene {
+    let ball = solid(Form::Sphere { radius }, [0.6, 0.3, 0.2]);
+    let block = solid(Form::Box { size: DVec3::new(3.0, 0.2, 3.0) }, [0.5; 3]);
+    let lights = vec![light(LightKind::Headlight, [1.0; 3], false)];
+    scene(Node::operator(Operator::Union, [ball, block]), lights)
+}
+
+fn view(scene: &Scene, settings: &RenderSettings) -> View {
+    let session = Session::builder().threads(2).build().expect("a session");
+    let camera = Camera::look_at(DVec3::new(1.0, 2.0, 4.0), DVec3::ZERO, DVec3::Y, 0.8);
+    session.prepare(scene, settings).expect("a scene").view(&camera).expect("a view")
+}
+
+fn small() -> RenderSettings {
+    RenderSettings { step: Step::Fixed(0.05), ..settings(80, 70) }
+}
+
+fn rendered(view: &View, options: &PartOptions) -> Vec<u8> {
+    let (mut bytes, mut last) = (Vec::new(), (0, 0));
+    let mut progress = |done, total| last = (done, total);
+    view.render_part(&view.region(), options, &CancelToken::new(), &mut progress, &mut bytes)
+        .expect("a part");
+    assert_eq!(last.0, last.1, "all pixels are reported");
+    bytes
+}
+
+fn opened(bytes: Vec<u8>) -> Result<Part, PartError> {
+    Part::from_storage("bytes", Arc::new(MemoryStorage::new(Arc::new(bytes))))
+}
+
+#[test]
+fn parts_in_memory_make_the_picture_whatever_is_held_at_a_time_and_keep_the_note() {
+    for (layers, ambient_occlusion) in [(false, 0.0), (true, 0.0), (false, 1.0), (true, 1.0)] {
+        let settings = RenderSettings { layers, ambient_occlusion, ..small() };
+        let view = view(&pair(0.9), &settings);
+        let expected = view.picture().expect("a picture");
+        for held_pixels in [0, 1500, 1 << 20] {
+            let part = |share| {
+                let options =
+                    PartOptions::new(share).with_held_pixels(held_pixels).with_note(b"a note".to_vec());
+                opened(rendered(&view, &options))
+            };
+            let joined = Joined::join(Share::all(3).map(part), MEMORY).expect("all parts");
+            assert_eq!(joined.note(), b"a note");
+            assert_eq!(
+                (joined.size(), joined.region(), joined.has_layers()),
+                ((80, 70), view.region(), layers)
+            );
+            let picture = joined.picture().expect("a picture");
+            assert!(format!("{picture:?}") == format!("{expected:?}"), "{layers} {ambient_occlusion}");
+        }
+    }
+}
+
+#[test]
+fn the_bytes_of_a_part_depend_on_the_picture_alone() {
+    let options = PartOptions::new(Share::new(2, 3).expect("a share"));
+    let again = options.clone().with_held_pixels(1);
+    assert!(rendered(&view(&pair(0.9), &small()), &options) == rendered(&view(&pair(0.9), &small()), &again));
+    let part = |scene: &Scene, number| {
+        opened(rendered(&view(scene, &small()), &PartOptions::new(Share::new(number, 2).expect("a share"))))
+    };
+    let other = Joined::join([part(&pair(0.9), 1), part(&pair(0.900_000_1), 2)], MEMORY);
+    assert!(
+        matches!(other.expect_err("another scene"), PartError::Foreign { what, .. } if what.contains("scene"))
+    );
+    let missing = Joined::join([part(&pair(0.9), 2)], MEMORY).expect_err("a part is missing");
+    assert!(matches!(missing, PartError::Missing { missing, of: 2 } if missing == [1]));
+    assert!(matches!(Joined::join([], MEMORY), Err(PartError::None)));
+    let poor = Joined::join([part(&pair(0.9), 1)], 1000).expect_err("no memory");
+    assert!(matches!(poor, PartError::Memory { given: 1000, needed } if needed < MEMORY));
+}
+
+#[test]
+fn a_part_stops_when_it_is_cancelled_or_cannot_be_written() {
+    struct Full;
+    impl std::io::Write for Full {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(std::io::ErrorKind::StorageFull.into())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let (view, options) = (view(&pair(0.9), &small()), PartOptions::new(Share::new(1, 1).expect("a share")));
+    let cancel = CancelToken::new();
+    let full = view.render_part(&view.region(), &options, &cancel, &mut |_, _| {}, &mut Full);
+    assert!(matches!(full, Err(PartError::Write(error)) if error.kind() == std::io::ErrorKind::StorageFull));
+    cancel.cancel();
+    let stopped = view.render_part(&view.region(), &options, &cancel, &mut |_, _| {}, &mut Vec::new());
+    assert!(matches!(stopped, Err(PartError::Render(RenderError::Cancelled))));
+}
+
+#[test]
+fn no_byte_of_a_part_can_be_wrong_unseen() {
+    let view = view(&pair(0.9), &small());
+    let whole = rendered(&view, &PartOptions::new(Share::new(1, 1).expect("a share")).with_note(vec![7; 99]));
+    let outcome = |bytes: Vec<u8>| Joined::join([opened(bytes)], MEMORY).and_then(|joined| joined.picture());
+    assert!(outcome(whole.clone()).is_ok());
+    let mut random = Random(5);
+    for _ in 0..300 {
+        let mut bytes = whole.clone();
+        let at = (random.unit() * bytes.len() as f64) as usize;
+        bytes[at] ^= 1 << (random.unit() * 8.0) as u32;
+        assert!(outcome(bytes).is_err(), "byte {at}");
+    }
+    for length in 0..whole.len().min(400) {
+        assert!(outcome(whole[..length].to_vec()).is_err(), "{length} bytes");
+    }
+}
