@@ -3,7 +3,8 @@
 //! The storage is simulated: each request is answered after 50 ms, 20 % more or less, and at most 64 are in flight. Of each case the
 //! time is compared with 1.3 times the larger of the time with all pages in memory and that of the distinct pages needed, 50 ms
 //! each and 64 at a time; plus ten round trips. `figure=FOLDER` adds a scene `fig10.json` with its data, as
-//! `rayset figure 10 --data FOLDER` writes it; `predictors` adds those without look-ahead.
+//! `rayset figure 10 --data FOLDER` writes it; `predictors` adds those without look-ahead; `parts=10,40` has room for a tenth of the pages,
+//! and for a fortieth.
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
 
 use std::path::Path;
@@ -51,6 +52,9 @@ fn main() {
     println!("| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
     let predictors = words.iter().any(|word| word == "predictors");
     let figure = words.iter().find_map(|word| word.strip_prefix("figure="));
+    let parts = words.iter().find_map(|word| word.strip_prefix("parts="));
+    let parts: Option<Vec<u64>> =
+        parts.map(|parts| parts.split(',').map(|part| part.parse().expect("a number")).collect());
     let mut cases = Vec::new();
     for translucent in [false, true] {
         cases.push(sphere(&folder, "sphere-10m", translucent));
@@ -63,7 +67,7 @@ fn main() {
             continue;
         }
         let in_core = case.in_core();
-        for &part in &case.parts {
+        for &part in parts.as_ref().unwrap_or(&case.parts) {
             case.measure(Prediction::Packet, part, in_core, 5);
             if predictors {
                 case.measure(Prediction::Line, part, in_core, 1);
