@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use pyo3::prelude::*;
 use rayset::CancelToken;
 use rayset::build::{self, BuildControl, BuildOptions};
 use rayset::output::Destination;
 use rayset::points::{PointSource, ReadOptions};
+use rayset::storage::address_of;
 
 use crate::build::Options;
 use crate::errors;
@@ -66,6 +67,9 @@ pub(crate) fn expand(py: Python<'_>, paths: Vec<PathBuf>, output: Option<PathBuf
     let found = py.detach(|| {
         let (progress, cancel) = (Progress::default(), CancelToken::new());
         let files = rayset_inputs::expand(&paths, &host(&progress, &cancel))?;
+        for file in files.iter().filter(|file| address_of(file).is_none()) {
+            std::fs::metadata(file).with_context(|| format!("cannot read {}", file.display()))?;
+        }
         if rayset_inputs::has_volume(&files)? {
             anyhow::bail!("{}: a volume, which makes a grid; rs.open builds it", files[0].display());
         }

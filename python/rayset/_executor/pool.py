@@ -38,6 +38,7 @@ class Pool:
             raise TypeError("executor: this client is asynchronous; rayset waits for results: distributed.Client(address)")
         self.client = executor
         self.timeout = timeout
+        self.is_lost = False
         #: Where the scheduler is, for messages.
         self.where = str(getattr(executor.scheduler, "address", "the scheduler"))
         self.workers = self._asked(look)
@@ -57,7 +58,8 @@ class Pool:
         return address if known is None or known.name in ("", address) else f"{known.name} ({address})"
 
     def gone(self, what: str) -> ExecutorError:
-        """The error of a scheduler that does not answer."""
+        """The error of a scheduler that does not answer. It is not asked any more."""
+        self.is_lost = True
         return ExecutorError(f"the scheduler at {self.where} {what}; start it again, connect a client, and begin again")
 
     def within(self, what: str, call: Callable[[], T], seconds: float | None = None) -> T:

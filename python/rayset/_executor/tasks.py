@@ -106,8 +106,8 @@ class Tasks:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         left, self._futures = list(self._futures), {}
         try:
-            if left and self.pool.client.status == "running":
-                # A scheduler that does not answer any more must not keep the caller.
+            if left and not self.pool.is_lost and self.pool.client.status == "running":
+                # What goes wrong here must not hide why the run ends.
                 with contextlib.suppress(ExecutorError):
                     self.pool.within("to cancel tasks", lambda: self.pool.client.cancel(left), _PATIENCE)
                     self._wait_for_workers()
