@@ -208,8 +208,8 @@ class _Own:
     def __init__(self, folder: Path, workers: int = 1) -> None:
         self.folder = folder
         self.file = folder / "scheduler.json"
-        seen = os.pathsep.join([str(Path(__file__).parent), *os.environ.get("PYTHONPATH", "").split(os.pathsep)])
-        environment = {**os.environ, "PYTHONPATH": seen.rstrip(os.pathsep), "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s"}
+        seen = os.pathsep.join(map(str, (Path(__file__).parent, Path(rs.__file__).parents[1])))
+        environment = {**os.environ, "PYTHONPATH": seen, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s"}
         self.scheduler = self._start(environment, "scheduler", "--port", "0", "--no-dashboard")
         self.workers = [self._start(environment, "worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "20") for _ in range(workers)]
 
