@@ -109,12 +109,12 @@ def test_frames_are_not_begun_far_ahead_and_stop_when_they_are_left(client: Any,
 
 
 def test_pages_and_sessions_stay_between_tasks(two: Any, folder: Path) -> None:
-    def read() -> dict[str, int]:
-        def of_worker() -> int:
+    def read() -> dict[str, tuple[int, int]]:
+        def of_worker() -> tuple[int, int]:
             from rayset._executor import worker
 
             (_, session), = worker._sessions.values()
-            return int(session.statistics()["points"]["bytes_read"])
+            return id(session), int(session.statistics()["points"]["bytes_read"])
 
         return two.run(of_worker)
 
@@ -122,7 +122,7 @@ def test_pages_and_sessions_stay_between_tasks(two: Any, folder: Path) -> None:
     rs.render(scene, executor=two)
     before = read()
     rs.render(scene, executor=two)
-    assert read() == before and sum(before.values()) > 0
+    assert read() == before and any(count for _, count in before.values())
 
 
 def test_a_build_has_the_bytes_of_one_process(client: Any, folder: Path, tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def test_no_workers_are_an_error_in_time(folder: Path) -> None:
     with _cluster(0) as cluster, distributed.Client(cluster) as client:
         with pytest.raises(rs.ExecutorError, match="no workers for 1 s"):
             rs.render(_scene("opaque", folder), executor=client, timeout=1)
-    assert time.monotonic() - begun < 20
+    assert time.monotonic() - begun < 10
 
 
 BUILD = """
@@ -304,19 +304,20 @@ def test_stopping_ends_tasks_and_leaves_nothing(client: Any, folder: Path, tmp_p
         if doing in ("tracing", "count"):
             raise RuntimeError("enough")
 
-    large = rs.Scene(rs.open(folder / "cloud.rset"), look="gas", size=(1000, 1000), samples=8)
-    begun = time.monotonic()
+    cloud = rs.open(folder / "cloud.rset")
     with pytest.raises(RuntimeError, match="enough"):
-        rs.render(large, executor=client, progress=enough)
+        rs.render(cloud, look="gas", size=500, samples=4, executor=client, progress=enough)
+    # Shares of this take many seconds each, and are ended from within.
     threading.Timer(1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        rs.render(large, executor=client)
+        rs.render(cloud, look="gas", size=1500, samples=16, executor=client)
+    assert time.monotonic() - begun < 5
     assert _is_soon(lambda: not any(client.processing().values()))
     with pytest.raises(RuntimeError, match="enough"):
         rs.build(folder / "a.npy", columns=["x", "y", "z"], path=tmp_path / "out.rset", executor=client, progress=enough)
     assert os.listdir(tmp_path) == []
-    assert time.monotonic() - begun < 60
-    # Threads of workers have heard of it, and are free.
+    # Threads of workers are free.
     assert set(client.run(_is_idle).values()) == {True}
 
 
