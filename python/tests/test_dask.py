@@ -129,7 +129,8 @@ def test_a_build_has_the_bytes_of_one_process(client: Any, folder: Path, tmp_pat
     files, told = [folder / "a.npy", folder / "b.npy"], list[Any]()
     for radius in (None, 0.05):
         here = rs.build(files, columns=["x", "y", "z"], radius=radius, path=tmp_path / "here.rset")
-        there = rs.build(files, columns=["x", "y", "z"], radius=radius, path=tmp_path / "there.rset", executor=client, progress=lambda *s: told.append(s))
+        options: dict[str, Any] = {"columns": ["x", "y", "z"], "radius": radius, "executor": client, "progress": lambda *step: told.append(step)}
+        there = rs.build(files, path=tmp_path / "there.rset", **options)
         assert len(there) == len(here) == 400_000
         assert (tmp_path / "there.rset").read_bytes() == (tmp_path / "here.rset").read_bytes()
         assert sorted(os.listdir(tmp_path)) == ["here.rset", "there.rset"]
@@ -211,7 +212,8 @@ class _Own:
         seen = os.pathsep.join(map(str, (Path(__file__).parent, Path(rs.__file__).parents[1])))
         environment = {**os.environ, "PYTHONPATH": seen, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s"}
         self.scheduler = self._start(environment, "scheduler", "--port", "0", "--no-dashboard")
-        self.workers = [self._start(environment, "worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "20") for _ in range(workers)]
+        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "20"]
+        self.workers = [self._start(environment, "worker", *options) for _ in range(workers)]
 
     def _start(self, environment: dict[str, str], *arguments: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], "--scheduler-file", str(self.file), *arguments[1:]]

@@ -64,7 +64,9 @@ def _looking(files: Sequence[str], folder: str) -> Callable[[], Sequence[str]]:
 
     def look() -> Sequence[str]:
         if not os.path.isdir(folder):
-            raise InputError(f"{os.path.dirname(folder)}: what is written there by the process that began is not seen; path= has to be in a folder that all workers see")
+            raise InputError(
+                f"{os.path.dirname(folder)}: what the process that began writes there is not seen; path= has to be in a folder that all workers see"
+            )
         _native.expand(files, None)
         return files
 

@@ -62,6 +62,10 @@ class Pool:
         self.is_lost = True
         return ExecutorError(f"the scheduler at {self.where} {what}; start it again, connect a client, and begin again")
 
+    def unstaffed(self) -> ExecutorError:
+        """The error of a scheduler without workers."""
+        return ExecutorError(f"the scheduler at {self.where} has had no workers for {self.timeout:g} s (timeout=); start some, and begin again")
+
     def within(self, what: str, call: Callable[[], T], seconds: float | None = None) -> T:
         """What a call to the scheduler returns, if it does so in time."""
         answer: list[T] = []
@@ -98,18 +102,20 @@ class Pool:
             found = self.within("what its workers are", lambda: _everywhere(self.client, ask))
             if not found:
                 if time.monotonic() >= end:
-                    raise ExecutorError(f"the scheduler at {self.where} has had no workers for {self.timeout:g} s (timeout=); start some, and begin again")
+                    raise self.unstaffed()
                 time.sleep(0.2)
         for address, one in found.items():
             if isinstance(one, ImportError):
-                raise ExecutorError(f"worker {address} cannot load rayset: {one}; install rayset {_native.__version__} where the workers are") from one
+                own = _native.__version__
+                raise ExecutorError(f"worker {address} cannot load rayset: {one}; install rayset {own} where the workers are") from one
             if isinstance(one, BaseException):
                 raise ExecutorError(f"worker {address} cannot say what it is: {one}; the version of rayset there may be another than here") from one
         return found
 
     def _agreed(self) -> bool:
         """Checks that all workers are of one kind, and returns their lowest common class of vector instructions."""
-        self._require_one("versions of rayset", {self.name(at): one.version for at, one in self.workers.items()} | {"this process": _native.__version__})
+        versions = {self.name(at): one.version for at, one in self.workers.items()}
+        self._require_one("versions of rayset", versions | {"this process": _native.__version__})
         systems: dict[str, dict[str, str]] = {}
         for at, one in self.workers.items():
             system, _, build = one.build.rpartition(" ")
@@ -176,7 +182,7 @@ class Pulse:
         if now - self._answered > pool.timeout:
             raise pool.gone(f"has not answered for {pool.timeout:g} s (timeout=)")
         if now - self._staffed > pool.timeout:
-            raise ExecutorError(f"the scheduler at {pool.where} has had no workers for {pool.timeout:g} s (timeout=); start some, and begin again")
+            raise pool.unstaffed()
 
     def end(self) -> None:
         """Ends the thread."""

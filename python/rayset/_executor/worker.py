@@ -165,7 +165,8 @@ def _done(terms: Terms, work: Callable[[Any, Callable[[str, int, int], None]], t
     with _counted(terms.run):
         try:
             if terms.version != _native.__version__:
-                raise ExecutorError(f"this worker has rayset {_native.__version__}, and the task is of {terms.version}; install one version everywhere")
+                own = _native.__version__
+                raise ExecutorError(f"this worker has rayset {own}, and the task is of {terms.version}; install one version everywhere")
             if terms.fused not in classes():
                 raise ExecutorError("this worker came later, and has none of the vector instructions that the others agreed on; begin again")
             value, remarks = work(worker, _watch(worker))
