@@ -16,6 +16,7 @@ from ._build import build, build_grid
 from ._errors import (
     BuildError,
     Cancelled,
+    ExecutorError,
     InputError,
     MemoryBudgetError,
     RaysetError,
@@ -23,6 +24,7 @@ from ._errors import (
     RenderError,
     SceneError,
 )
+from ._frames import render_frames
 from ._image import Image
 from ._native import __version__, colormaps
 from ._objects import (
@@ -71,6 +73,7 @@ __all__ = [
     "Cylinder",
     "DirectionalLight",
     "Ellipsoid",
+    "ExecutorError",
     "Grid",
     "HalfSpace",
     "Headlight",
@@ -103,5 +106,6 @@ __all__ = [
     "intersection",
     "open",
     "render",
+    "render_frames",
     "union",
 ]

@@ -60,6 +60,11 @@ def number(value: Any, name: str, least: float = -1e18, most: float = 1e18) -> f
     return found
 
 
+def seconds(value: Any) -> float:
+    """A time to wait."""
+    return number(value, "timeout", 1e-3, 1e9)
+
+
 def whole(value: Any, name: str, least: int, most: int) -> int:
     """A whole number within bounds."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral):

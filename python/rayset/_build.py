@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _arguments, _arrays, _native
+from . import _arguments, _arrays, _native, _points
 from ._errors import RaysetWarning
 from ._objects import Cloud, Grid
 from ._progress import Progress, Told
@@ -27,7 +27,7 @@ def build(
     radius: Any = None,
     weight: Any = None,
     color: Any = None,
-    attributes: Mapping[str, Any] | None = None,
+    attributes: Mapping[str, Any] | Sequence[str] | None = None,
     classes: Sequence[str] = (),
     path: _arguments.PathLike | None = None,
     memory: int | str | None = None,
@@ -38,6 +38,9 @@ def build(
     radius_scale: float = 1.0,
     length_scale: float = 1.0,
     temp_dir: _arguments.PathLike | None = None,
+    columns: Sequence[str] | None = None,
+    executor: Any = None,
+    timeout: float = 60,
 ) -> Cloud:
     """Builds a cloud of points.
 
@@ -48,16 +51,18 @@ def build(
         dictionary) with columns ``x``, ``y``, ``z`` whose other columns become radii, weights, colours and attributes by their
         names; or an *iterator* of such arrays and tables, which is built a chunk at a time and may hold more than memory does. It is
         asked from another thread.
+        Or *files* of points of any kind that the program reads: a path, a pattern, a folder, or a list of these.
         Arrays of ``float32`` and ``float64`` are read where they lie; do not change them meanwhile.
     radius
         Radius of influence: a number, an array, or ``"auto"`` (the default): 0.85 times the distance of each point's eighth neighbour.
-        Quantities (astropy, unyt) are converted to the unit of the positions.
+        Quantities (astropy, unyt) are converted to the unit of the positions. Of files, a number or the name of a column.
     weight
-        A number or an array; 1 by default.
+        A number or an array; 1 by default. Of files, a number or the name of a column.
     color
         N rows of red, green and blue: bytes, ``uint16``, or floating-point numbers from 0 to 1, as screens show them.
     attributes
-        Arrays by name, of whole or floating-point numbers; units of quantities are kept.
+        Arrays by name, of whole or floating-point numbers; units of quantities are kept. Of files, names of the columns that are kept; by
+        default those that the program keeps.
     classes
         Names of attributes that are labels, which are never averaged. Those of booleans are.
     path
@@ -74,6 +79,13 @@ def build(
         Factors of all radii; of all coordinates and radii.
     precision
         How exactly positions are stored: a fraction of the radius (1/4096), or ``"exact"``.
+    columns
+        Names of the columns of text files and of arrays in files, as in ``["x", "y", "z", "-", "intensity"]``; ``"-"`` leaves one out.
+    executor
+        A client of ``dask.distributed``: its workers build the cloud of files, the very same, to a `path`; all of them see both. `memory` is then
+        for each worker; half of what it may use, by default. See ``docs/python.md``, "Many machines".
+    timeout
+        Seconds for which the scheduler, or all workers, may be gone before there is an :class:`ExecutorError`.
 
     Raises
     ------
@@ -83,8 +95,16 @@ def build(
         raise ValueError(f"invalid={invalid!r}: expected \"skip\", \"skip-all\" or \"raise\"")
     if isinstance(classes, str):
         raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
-    rule, radii = _rule(radius, "radius", _arrays.unit_of(positions))
-    constant, weights = _rule(weight, "weight", None)
+    is_of_files = _points.are_files(positions)
+    _points.refuse(executor, is_of_files, path, threads, temp_dir)
+    radii, weights = None, None
+    if is_of_files:
+        rule, constant = _points.rule(radius, "radius"), _points.rule(weight, "weight")
+    else:
+        rule, radii = _rule(radius, "radius", _arrays.unit_of(positions))
+        constant, weights = _rule(weight, "weight", None)
+        if columns is not None:
+            raise TypeError("columns: for files; arrays have the names by which they are given")
     options = {
         "path": None if path is None else str(_arguments.path(path, "path")),
         "radius": rule,
@@ -99,21 +119,24 @@ def build(
     }
     names = tuple(classes)
     with Told(progress) as told:
-        if isinstance(positions, Iterator):
+        if is_of_files:
+            points = _points.described(positions, columns, attributes, options["path"], {"color": color, "classes": classes})
+            built, skipped = _points.built(points, options | {"attributes": []}, executor, timeout, told)
+        elif isinstance(positions, Iterator):
             if radii is not None or weights is not None or color is not None or attributes:
                 raise TypeError("chunks bring their own columns: yield {\"positions\": ..., \"radius\": ..., \"T\": ...} instead of arrays")
             built, skipped = _from_chunks(positions, names, options, told)
         else:
-            points = _points(positions, radii, weights, color, attributes, names)
-            options["attributes"] = [one.name for one in points.columns if one.name not in _arrays.OWN]
-            columns = [(one.named(), one.values) for one in points.columns]
-            built, skipped = _native.build_arrays(points.positions, columns, options, told)
+            gathered = _gathered(positions, radii, weights, color, attributes, names)
+            options["attributes"] = [one.name for one in gathered.columns if one.name not in _arrays.OWN]
+            arrays = [(one.named(), one.values) for one in gathered.columns]
+            built, skipped = _native.build_arrays(gathered.positions, arrays, options, told)
     _warn_of(skipped)
     return Cloud(built)
 
 
-def _points(
-    where: Any, radius: Any, weight: Any, color: Any, attributes: Mapping[str, Any] | None, classes: tuple[str, ...]
+def _gathered(
+    where: Any, radius: Any, weight: Any, color: Any, attributes: Any, classes: tuple[str, ...]
 ) -> _arrays.Points:
     is_plain = isinstance(where, np.ndarray) and not where.dtype.names
     table = None if is_plain or isinstance(where, (list, tuple)) else _arrays.table(where)

@@ -29,5 +29,9 @@ class Cancelled(RaysetError):
     """Something was stopped before it was finished."""
 
 
+class ExecutorError(RaysetError):
+    """The workers of an ``executor=`` cannot do the work: the scheduler is gone, there are no workers, or they do not fit together."""
+
+
 class RaysetWarning(UserWarning):
     """Something that a person should look at: points that were skipped, caps that were left out."""

@@ -46,6 +46,8 @@ def render(
     threads: int | None = None,
     progress: Progress = False,
     progressive: bool = False,
+    executor: Any = None,
+    timeout: float = 60,
     **look_options: Any,
 ) -> Any:
     """Renders a picture.
@@ -72,6 +74,11 @@ def render(
         ``True`` for a bar, or a callable of what is being done, how much of it is done, and how much there is.
     progressive
         Returns an iterator instead: pictures of the whole size, coarse first, the last of which is the picture.
+    executor
+        A client of ``dask.distributed``: its workers render the picture, the very same, from files that all of them see. `memory` is then
+        for each worker; half of what it may use, by default. See ``docs/python.md``, "Many machines".
+    timeout
+        Seconds for which the scheduler, or all workers, may be gone before there is an :class:`ExecutorError`.
     look_options
         For clouds and grids without a transfer function: ``look`` (``"surface"``, ``"classes"``, ``"height"``, ``"intensity"``, ``"gas"``,
         ``"splats"``, ``"density"``, ``"volume"``), ``color_by``, ``colormap``, ``value_range``, ``log``, ``opacity``, ``color``, ``kernel``,
@@ -85,6 +92,9 @@ def render(
         raise TypeError("memory and threads belong to the session: rs.Session(memory=..., threads=...)")
     if camera is not None and not isinstance(camera, Camera):
         raise TypeError(f"camera={camera!r}: expected a Camera, as Camera.fit(cloud) makes it")
+    if executor is not None and (session is not None or threads is not None or progressive):
+        name = "session" if session is not None else "threads" if threads is not None else "progressive"
+        raise TypeError(f"{name} is for this process; the workers of an executor have their own threads and sessions, and return whole pictures")
     changes = {
         "size": size,
         "lights": lights,
@@ -96,6 +106,13 @@ def render(
         "rendering": rendering,
     }
     scene = _scene_of(target, changes, view, up, look_options)
+    if executor is not None:
+        from ._executor import pictures
+
+        job = scene._job(crop, layers)
+        with Told(progress) as told:
+            budget = _arguments.memory_bytes(memory)
+            return Image(pictures.render(executor, scene, job["crop"], layers, budget, _arguments.seconds(timeout), told), scene)
     engine = session if session is not None else _session.shared(_arguments.memory_bytes(memory), _arguments.thread_count(threads))
     job = scene._job(crop, layers)
     if progressive:

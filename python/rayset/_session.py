@@ -21,8 +21,8 @@ class Session:
     may be used from several threads at once. They do not survive a fork, and cannot be pickled.
     """
 
-    def __init__(self, *, memory: int | str | None = None, threads: int | None = None) -> None:
-        self._native = _native.Session(_arguments.memory_bytes(memory), _arguments.thread_count(threads))
+    def __init__(self, *, memory: int | str | None = None, threads: int | None = None, _simd: str | None = None) -> None:
+        self._native = _native.Session(_arguments.memory_bytes(memory), _arguments.thread_count(threads), _simd)
 
     def render(self, target: Any, **options: Any) -> Any:
         """As :func:`render`, in this session."""

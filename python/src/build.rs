@@ -19,12 +19,13 @@ use crate::wait::{self, Progress, lock};
 #[derive(FromPyObject)]
 pub(crate) struct Options {
     #[pyo3(item)]
-    path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// A number, `auto`, or `None` for a column of that name, or `auto` without one.
     #[pyo3(item)]
     radius: Option<RuleArgument>,
+    /// A number, the name of a column, or `None` for the column of that name, or 1 without one.
     #[pyo3(item)]
-    weight: Option<f64>,
+    weight: Option<RuleArgument>,
     #[pyo3(item)]
     radius_scale: f64,
     #[pyo3(item)]
@@ -50,18 +51,24 @@ enum RuleArgument {
     Word(String),
 }
 
+impl RuleArgument {
+    fn rule(&self) -> Rule {
+        match self {
+            Self::Number(number) => Rule::Number(*number),
+            Self::Word(word) if word == "auto" => Rule::Auto,
+            Self::Word(name) => Rule::Attribute(name.clone()),
+        }
+    }
+}
+
 impl Options {
-    fn of_library(&self) -> BuildOptions {
+    /// As the library has them.
+    pub(crate) fn of_library(&self) -> BuildOptions {
         let defaults = BuildOptions::default();
         let (memory, threads) = (defaults.memory_bytes, defaults.threads);
-        let radius = self.radius.as_ref().map(|rule| match rule {
-            RuleArgument::Number(radius) => Rule::Number(*radius),
-            RuleArgument::Word(word) if word == "auto" => Rule::Auto,
-            RuleArgument::Word(name) => Rule::Attribute(name.clone()),
-        });
         defaults
-            .with_radius(radius)
-            .with_weight(self.weight.map(Rule::Number))
+            .with_radius(self.radius.as_ref().map(RuleArgument::rule))
+            .with_weight(self.weight.as_ref().map(RuleArgument::rule))
             .with_radius_scale(self.radius_scale)
             .with_length_scale(self.length_scale)
             .with_attributes(self.attributes.clone())
@@ -135,8 +142,17 @@ fn run(
     if let Some(error) = lock(raised).take() {
         return Err(error);
     }
-    let (cloud, report): (Option<Cloud>, BuildReport) =
-        outcome?.map_err(|error| errors::of_build(py, error))?;
+    let (cloud, report) = outcome?.map_err(|error| errors::of_build(py, error))?;
+    opened(py, cloud, &report, options)
+}
+
+/// Opens what was built. Returns it with the numbers of records that were skipped.
+pub(crate) fn opened(
+    py: Python<'_>,
+    cloud: Option<Cloud>,
+    report: &BuildReport,
+    options: &Options,
+) -> PyResult<(CloudFile, [u64; 3])> {
     let cloud = match (cloud, &options.path) {
         (Some(cloud), _) => CloudFile::in_memory(&cloud).map_err(|error| errors::of_open(py, &error))?,
         (None, Some(path)) => {

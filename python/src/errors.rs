@@ -4,6 +4,7 @@ use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 use rayset::build::{BuildError, GridBuildError};
+use rayset::parts::PartError;
 use rayset::scene_file::SceneFileError;
 use rayset::{OpenError, RenderError};
 
@@ -93,6 +94,13 @@ pub(crate) fn of_render(py: Python<'_>, error: RenderError) -> PyErr {
         _ => Kind::Render,
     };
     self::error(py, kind, words)
+}
+
+pub(crate) fn of_part(py: Python<'_>, error: PartError) -> PyErr {
+    match error {
+        PartError::Render(error) => of_render(py, error),
+        other => self::error(py, Kind::Render, other.to_string()),
+    }
 }
 
 /// The key and what is wrong with it: the line in a text that nobody has written means nothing.

@@ -252,12 +252,12 @@ pub(crate) enum AnyFile {
 }
 
 /// The package as the host of inputs.
-struct Package<'a> {
-    remarks: Mutex<Vec<String>>,
-    progress: &'a Progress,
-    cancel: &'a CancelToken,
+pub(crate) struct Package<'a> {
+    pub(crate) remarks: Mutex<Vec<String>>,
+    pub(crate) progress: &'a Progress,
+    pub(crate) cancel: &'a CancelToken,
     /// Of temporary files.
-    folder: Option<PathBuf>,
+    pub(crate) folder: Option<PathBuf>,
 }
 
 struct Folder(tempfile::TempDir);

@@ -8,7 +8,10 @@ mod errors;
 mod files;
 mod image;
 mod looks;
+mod parts;
+mod points;
 mod render;
+mod steps;
 mod voxels;
 mod wait;
 
@@ -25,7 +28,17 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<render::Passes>()?;
     module.add_function(wrap_pyfunction!(build::build_arrays, module)?)?;
     module.add_function(wrap_pyfunction!(build::build_chunks, module)?)?;
+    module.add_function(wrap_pyfunction!(points::expand, module)?)?;
+    module.add_function(wrap_pyfunction!(points::build_files, module)?)?;
+    module.add_function(wrap_pyfunction!(steps::next_step, module)?)?;
+    module.add_function(wrap_pyfunction!(steps::read_part, module)?)?;
+    module.add_function(wrap_pyfunction!(steps::run_step, module)?)?;
+    module.add_function(wrap_pyfunction!(steps::merge_parts, module)?)?;
     module.add_function(wrap_pyfunction!(voxels::build_grid, module)?)?;
+    module.add_function(wrap_pyfunction!(parts::cameras, module)?)?;
+    module.add_function(wrap_pyfunction!(parts::render_part, module)?)?;
+    module.add_function(wrap_pyfunction!(parts::join_parts, module)?)?;
+    module.add_function(wrap_pyfunction!(parts::instructions, module)?)?;
     module.add_function(wrap_pyfunction!(files::open_files, module)?)?;
     module.add_function(wrap_pyfunction!(files::open_bytes, module)?)?;
     module.add_function(wrap_pyfunction!(looks::colormap, module)?)?;

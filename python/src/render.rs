@@ -8,9 +8,13 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayset::image::{Band, DisplayTransform};
 use rayset::memory::Kind as PageKind;
+use rayset::parts::PartError;
 use rayset::scene::Camera;
 use rayset::scene_file::{SceneFile, SceneFileError};
-use rayset::{BandSink, CancelToken, Cloud, Grid, PreparedScene, Region, RenderError, SinkError, View};
+use rayset::{
+    BandSink, CancelToken, Cloud, Grid, ParseError, PreparedScene, Region, RenderError, SimdLevel, SinkError,
+    View,
+};
 
 use crate::errors::{self, Kind};
 use crate::files::{CloudFile, GridFile};
@@ -58,7 +62,7 @@ pub(crate) struct Job {
 }
 
 /// The same without Python.
-struct Wanted {
+pub(crate) struct Wanted {
     scene: String,
     key: String,
     folder: PathBuf,
@@ -69,9 +73,10 @@ struct Wanted {
 }
 
 /// Why there is no picture.
-enum Failure {
+pub(crate) enum Failure {
     Scene(Box<SceneFileError>),
     Render(RenderError),
+    Part(PartError),
     Crop(String),
 }
 
@@ -81,16 +86,23 @@ impl From<RenderError> for Failure {
     }
 }
 
-fn raised(py: Python<'_>, failure: Failure) -> PyErr {
+impl From<PartError> for Failure {
+    fn from(error: PartError) -> Self {
+        Self::Part(error)
+    }
+}
+
+pub(crate) fn raised(py: Python<'_>, failure: Failure) -> PyErr {
     match failure {
         Failure::Scene(error) => errors::of_scene(py, &error),
         Failure::Render(error) => errors::of_render(py, error),
+        Failure::Part(error) => errors::of_part(py, error),
         Failure::Crop(words) => errors::value(words),
     }
 }
 
 impl Job {
-    fn without_python(self) -> Wanted {
+    pub(crate) fn without_python(self) -> Wanted {
         Wanted {
             clouds: self.clouds.iter().map(|file| file.get().cloud.clone()).collect(),
             grids: self.grids.iter().map(|file| file.get().grid.clone()).collect(),
@@ -103,18 +115,27 @@ impl Job {
     }
 }
 
+impl Wanted {
+    /// Reads the scene, and opens the files that are not open.
+    pub(crate) fn parsed(&self) -> Result<SceneFile, Failure> {
+        let path = self.folder.join("scene");
+        let file = SceneFile::parse_using(&path, &self.scene, &self.clouds, &self.grids);
+        file.map_err(|error| Failure::Scene(Box::new(error)))
+    }
+}
+
 /// A scene that is compiled and seen from somewhere.
-struct Shot {
+pub(crate) struct Shot {
     prepared: PreparedScene,
     camera: Camera,
-    display: DisplayTransform,
+    pub(crate) display: DisplayTransform,
     size: (u32, u32),
     samples: u32,
-    region: Region,
+    pub(crate) region: Region,
 }
 
 impl Shot {
-    fn view(&self) -> Result<View, RenderError> {
+    pub(crate) fn view(&self) -> Result<View, RenderError> {
         self.prepared.view(&self.camera)
     }
 
@@ -156,7 +177,7 @@ impl BandSink for Told<'_> {
 
 impl Session {
     /// The engine, if it can be used: `None` after `close`.
-    fn engine(&self, py: Python<'_>) -> PyResult<rayset::Session> {
+    pub(crate) fn engine(&self, py: Python<'_>) -> PyResult<rayset::Session> {
         if self.process != std::process::id() {
             return Err(errors::error(
                 py,
@@ -172,10 +193,8 @@ impl Session {
     }
 
     /// Compiles a scene, unless it is the last one seen from elsewhere.
-    fn shot(&self, engine: &rayset::Session, wanted: &Wanted) -> Result<Shot, Failure> {
-        let path = wanted.folder.join("scene");
-        let file = SceneFile::parse_using(&path, &wanted.scene, &wanted.clouds, &wanted.grids);
-        let mut file = file.map_err(|error| Failure::Scene(Box::new(error)))?;
+    pub(crate) fn shot(&self, engine: &rayset::Session, wanted: &Wanted) -> Result<Shot, Failure> {
+        let mut file = wanted.parsed()?;
         file.settings.layers = wanted.layers;
         let key = format!("{} {}", wanted.key, wanted.layers);
         let known =
@@ -215,15 +234,26 @@ fn region(crop: Option<[u32; 4]>, (width, height): (u32, u32)) -> Result<Region,
 
 #[pymethods]
 impl Session {
-    /// `memory` bounds what it allocates, in bytes.
+    /// `memory` bounds what it allocates, in bytes. `simd` is the class of vector instructions, by default the best.
     #[new]
-    fn new(py: Python<'_>, memory: Option<u64>, threads: Option<usize>) -> PyResult<Self> {
+    #[pyo3(signature = (memory, threads, simd = None))]
+    fn new(
+        py: Python<'_>,
+        memory: Option<u64>,
+        threads: Option<usize>,
+        simd: Option<&str>,
+    ) -> PyResult<Self> {
         let mut builder = rayset::Session::builder();
         if let Some(memory) = memory {
             builder = builder.memory(memory);
         }
         if let Some(threads) = threads {
             builder = builder.threads(threads);
+        }
+        if let Some(simd) = simd {
+            let level: SimdLevel =
+                simd.parse().map_err(|error: ParseError| errors::value(error.to_string()))?;
+            builder = builder.simd(level);
         }
         let session = py.detach(|| builder.build()).map_err(|error| errors::of_render(py, error))?;
         Ok(Self { open: Mutex::new(Some(Open { session, last: None })), process: std::process::id() })

@@ -30,6 +30,7 @@ use self::work::Work;
 use crate::annotate::Overlay;
 use crate::outputs::{self, Outputs};
 use crate::report::{bytes, remark};
+use rayset_inputs::look::turned;
 use rayset_inputs::values::Frames;
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
@@ -92,7 +93,10 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
         (Some(turns), frames) => frames
             .unwrap_or(Frames::All)
             .among((0, turns - 1), "turntable")?
-            .map(|frame| (numbered(frame), shot.turned(f64::from(frame) / f64::from(turns))))
+            .map(|frame| {
+                let turn = f64::from(frame) / f64::from(turns);
+                (numbered(frame), turned(&shot.camera, &shot.scene, turn))
+            })
             .collect(),
         (None, Some(frames)) => {
             let path = shot.path.as_ref().with_context(|| {

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
-use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::image::DisplayTransform;
 use rayset::output::Destination;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
@@ -103,20 +102,6 @@ impl Shot {
     pub(super) fn write_scene(&self, to: &Destination) -> Result<()> {
         let text = self.chosen.as_ref().context("--write-scene: the input is a scene file already")?;
         outputs::write(to, text.as_bytes())
-    }
-
-    /// The camera, turned about the centre of the scene.
-    pub(super) fn turned(&self, turns: f64) -> Camera {
-        let bounds = self.scene.root.bounds();
-        let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
-        let axis = self.camera.up.normalize_or(DVec3::Y);
-        let turn = DAffine3::from_quat(DQuat::from_axis_angle(axis, turns * std::f64::consts::TAU));
-        Camera {
-            position: center + turn.transform_vector3(self.camera.position - center),
-            direction: turn.transform_vector3(self.camera.direction),
-            up: self.camera.up,
-            ..self.camera
-        }
     }
 }
 

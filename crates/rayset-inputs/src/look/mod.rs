@@ -12,10 +12,12 @@ mod options;
 mod palettes;
 mod ranges;
 mod statistics;
+mod turntable;
 mod upright;
 mod view;
 mod voxels;
 
 pub use self::choose::{Chosen, Looks, of_cloud, of_grid};
 pub use self::options::LookArgs;
+pub use self::turntable::turned;
 pub use self::view::CameraArgs;

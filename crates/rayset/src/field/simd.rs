@@ -61,7 +61,9 @@ impl SimdLevel {
     }
 
     /// Whether it multiplies and adds with one rounding: all sets that do give the same bits, and so do all that do not.
-    pub(crate) fn is_fused(self) -> bool {
+    #[doc(hidden)]
+    #[must_use]
+    pub fn is_fused(self) -> bool {
         matches!(self.name(), "avx512" | "avx2" | "neon")
     }
 
