@@ -31,7 +31,7 @@ def _put_program() -> None:
         shutil.copy2(given, scripts / name)
         return
     folder = Path(os.environ.setdefault("CARGO_TARGET_DIR", str(HERE / "target"))).resolve()
-    command = ["cargo", "build", "--release", "--locked", "--package", "rayset-cli"]
+    command = ["cargo", "build", "--release", "--locked", "--package", "rayset-cli", "--features", "far"]
     subprocess.run(command, cwd=HERE.parent, check=True)
     shutil.copy2(folder / target / "release" / name, scripts / name)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 import os
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, Union
@@ -117,11 +118,35 @@ def size(value: Any) -> tuple[int, int]:
 
 
 def path(value: Any, name: str) -> Path:
-    """The path of a file."""
+    """The path of a file or a folder on this machine."""
+    text = file(value, name)
+    if is_address(text):
+        raise ValueError(f"{name}={text!r}: expected a path on this machine, and got an address")
+    return Path(text)
+
+
+def file(value: Any, name: str) -> str:
+    """The path or the address of a file. A `Path` cannot hold an address: it makes one slash of two."""
     try:
-        return Path(os.fspath(value))
+        text = os.fspath(value)
     except TypeError:
         raise TypeError(f"{name}={value!r}: expected the path of a file") from None
+    return os.fsdecode(text)
+
+
+def is_address(text: str) -> bool:
+    """Whether it is an address, as in ``s3://bucket/scan.rset``, and not a path."""
+    return re.match(r"[A-Za-z][A-Za-z0-9+.-]*://.", text) is not None
+
+
+def absolute(text: str) -> str:
+    """The whole path; addresses are whole."""
+    return text if is_address(text) else os.path.abspath(text)
+
+
+def beside(folder: str, text: str) -> str:
+    """A path that stands in a file of a folder, which may be an address itself."""
+    return _native.beside(folder, text)
 
 
 def choice(value: Any, name: str, known: Sequence[str]) -> str:

@@ -82,8 +82,8 @@ def build(
     columns
         Names of the columns of text files and of arrays in files, as in ``["x", "y", "z", "-", "intensity"]``; ``"-"`` leaves one out.
     executor
-        A client of ``dask.distributed``: its workers build the cloud of files, the very same, to a `path`; all of them see both. `memory` is then
-        for each worker; half of what it may use, by default. See ``docs/python.md``, "Many machines".
+        A client of ``dask.distributed``: its workers build the cloud of files or arrays, the very same, to a `path`; all of them see it and the
+        files, and arrays are put beside it meanwhile. `memory` is then for each worker; half of what it may use, by default. See ``docs/python.md``, "Many machines".
     timeout
         Seconds for which the scheduler, or all workers, may be gone before there is an :class:`ExecutorError`.
 
@@ -96,7 +96,7 @@ def build(
     if isinstance(classes, str):
         raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
     is_of_files = _points.are_files(positions)
-    _points.refuse(executor, is_of_files, path, threads, temp_dir)
+    _points.refuse(executor, isinstance(positions, Iterator), path, threads, temp_dir)
     radii, weights = None, None
     if is_of_files:
         rule, constant = _points.rule(radius, "radius"), _points.rule(weight, "weight")
@@ -106,7 +106,7 @@ def build(
         if columns is not None:
             raise TypeError("columns: for files; arrays have the names by which they are given")
     options = {
-        "path": None if path is None else str(_arguments.path(path, "path")),
+        "path": None if path is None else _arguments.file(path, "path"),
         "radius": rule,
         "weight": constant,
         "radius_scale": _arguments.number(radius_scale, "radius_scale", 1e-18),
@@ -129,6 +129,12 @@ def build(
         else:
             gathered = _gathered(positions, radii, weights, color, attributes, names)
             options["attributes"] = [one.name for one in gathered.columns if one.name not in _arrays.OWN]
+            if executor is not None:
+                from ._executor import builds
+
+                made = builds.build_arrays(executor, gathered, options, options["memory"], _arguments.seconds(timeout), told)
+                _warn_of(made[1])
+                return Cloud(made[0])
             arrays = [(one.named(), one.values) for one in gathered.columns]
             built, skipped = _native.build_arrays(gathered.positions, arrays, options, told)
     _warn_of(skipped)
@@ -241,7 +247,7 @@ def build_grid(
     budget = _arguments.memory_bytes(memory)
     # Goes with the grid, or with what is raised.
     kept = TemporaryFile() if path is None else None
-    where = str(_arguments.path(path, "path")) if kept is None else kept.name
+    where = _arguments.file(path, "path") if kept is None else kept.name
     with Told(progress) as told:
         made = _native.build_grid(_slabs(voxels, shape, stored), size, stored, rows, where, budget, told)
     return Grid(made, kept)

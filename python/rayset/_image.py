@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -84,12 +85,13 @@ class Image:
 
     def save(self, path: _arguments.PathLike) -> None:
         """Writes a PNG (``.png``), or an OpenEXR with all layers (``.exr``): the files of the program."""
-        where = _arguments.path(path, "path")
-        if where.suffix.lower() not in (".png", ".exr"):
-            raise ValueError(f"path={str(where)!r}: the name of a picture ends in .png or .exr")
-        if where.suffix.lower() == ".exr" and not self._picture.has_layers:
+        where = _arguments.file(path, "path")
+        suffix = os.path.splitext(where)[1].lower()
+        if suffix not in (".png", ".exr"):
+            raise ValueError(f"path={where!r}: the name of a picture ends in .png or .exr")
+        if suffix == ".exr" and not self._picture.has_layers:
             raise ValueError("an OpenEXR holds the layers; render with layers=True")
-        self._picture.save(str(where))
+        self._picture.save(where)
 
     def to_pil(self) -> Any:
         """As an image of Pillow."""

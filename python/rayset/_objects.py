@@ -168,7 +168,7 @@ class _Data(Object):
         self._file = file
         #: Lives as long as this does.
         self._keep = keep
-        name = str(file.path)
+        name = file.address
         super().__init__({"type": kind, "file": name})
         if file.is_in_memory:
             _in_memory[name] = self  # type: ignore[assignment]
@@ -182,7 +182,7 @@ class _Data(Object):
     @property
     def path(self) -> str | None:
         """The file; ``None`` in memory."""
-        return None if self._file.is_in_memory else str(self._file.path)
+        return None if self._file.is_in_memory else self._file.path
 
     @property
     def in_memory(self) -> bool:
@@ -211,7 +211,7 @@ class _Data(Object):
 
     def save(self, path: _arguments.PathLike) -> None:
         """Writes the file of it, which :func:`open` and the program open."""
-        self._file.save(str(_arguments.path(path, "path")))
+        self._file.save(_arguments.file(path, "path"))
 
     def styled(self, transfer_function: TransferFunction | Mapping[str, Any] | None = None, **style: Any) -> Object:
         """The same, with a :class:`TransferFunction` of its own instead of a look: ``opacity``, ``color``, ``input``, ``value_range``,
@@ -232,7 +232,7 @@ class _Data(Object):
             raise TypeError("a cloud or grid in memory cannot be pickled; save it, and open the file in the other process")
         from ._open import open as opened
 
-        return opened, (str(self._file.path),)
+        return opened, (self._file.address,)
 
     def _repr_png_(self) -> bytes:
         from ._render import render

@@ -34,7 +34,8 @@ def open(
     Parameters
     ----------
     source
-        A path, a pattern (``"tiles/*.laz"``), a folder, a list of files of points that are one cloud, or the bytes of a file.
+        A path, an address (``"s3://bucket/scan.rset"``), a pattern (``"tiles/*.laz"``), a folder, a list of files of points that are one
+        cloud, or the bytes of a file.
     cache
         Where what is built is kept: ``True`` for the user's folder for caches, a folder, or ``False`` for a temporary file.
     columns
@@ -53,7 +54,7 @@ def open(
         raise TypeError(f"open: expected a path, a list of paths or bytes, and got {type(source).__name__}")
     if not files:
         raise ValueError("open: the list of files is empty")
-    paths = [str(_arguments.path(one, "source")) for one in files]
+    paths = [_arguments.file(one, "source") for one in files]
     keeps = cache is not False
     folder = None if isinstance(cache, bool) else str(_arguments.path(cache, "cache"))
     budget = _arguments.memory_bytes(memory) or _MEMORY
@@ -74,7 +75,7 @@ def open(
 
 def _is_built(paths: list[str], found: Any) -> bool:
     """Whether the file is one that was given, and not one that goes with the object."""
-    return paths == [str(found.path)]
+    return paths == [found.address]
 
 
 def _of_bytes(data: bytes, columns: Any, memory: Any, threads: Any, progress: Progress, temp_dir: Any) -> Any:

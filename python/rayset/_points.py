@@ -38,9 +38,9 @@ def described(positions: Any, columns: Sequence[str] | None, attributes: Any, ou
     if isinstance(columns, str) or isinstance(attributes, (str, Mapping)):
         raise TypeError("files: expected columns and attributes as lists of names, as in [\"intensity\"]")
     paths = [positions] if isinstance(positions, (str, os.PathLike)) else positions
-    files = _native.expand([str(_arguments.path(one, "positions")) for one in paths], output)
+    files = _native.expand([_arguments.file(one, "positions") for one in paths], output)
     return {
-        "files": [str(one) for one in files],
+        "files": files,
         "columns": None if columns is None else [str(name) for name in columns],
         "attributes": None if attributes is None else [str(name) for name in attributes],
     }
@@ -61,13 +61,13 @@ def built(
     return made, skipped
 
 
-def refuse(executor: Any, is_of_files: bool, path: Any, threads: Any, temp_dir: Any) -> None:
+def refuse(executor: Any, is_of_chunks: bool, path: Any, threads: Any, temp_dir: Any) -> None:
     """Refuses what workers cannot do."""
     if executor is None:
         return
-    if not is_of_files:
+    if is_of_chunks:
         raise TypeError(
-            "executor: these points are in the memory of this process, where workers do not see them; build them here, or write them to files that "
+            "executor: an iterator of chunks is in this process, where workers do not see it; build it here, or write the chunks to files that "
             "all workers see, and give the names of these: rs.build([\"a.npy\", \"b.npy\"], path=..., executor=client)"
         )
     if path is None:

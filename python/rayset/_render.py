@@ -73,7 +73,8 @@ def render(
     progress
         ``True`` for a bar, or a callable of what is being done, how much of it is done, and how much there is.
     progressive
-        Returns an iterator instead: pictures of the whole size, coarse first, the last of which is the picture.
+        Returns an iterator instead: pictures of the whole size, coarse first, the last of which is the picture. With `executor`, shares of
+        the picture take the place of squares as they come.
     executor
         A client of ``dask.distributed``: its workers render the picture, the very same, from files that all of them see. `memory` is then
         for each worker; half of what it may use, by default. See ``docs/python.md``, "Many machines".
@@ -92,9 +93,9 @@ def render(
         raise TypeError("memory and threads belong to the session: rs.Session(memory=..., threads=...)")
     if camera is not None and not isinstance(camera, Camera):
         raise TypeError(f"camera={camera!r}: expected a Camera, as Camera.fit(cloud) makes it")
-    if executor is not None and (session is not None or threads is not None or progressive):
-        name = "session" if session is not None else "threads" if threads is not None else "progressive"
-        raise TypeError(f"{name} is for this process; the workers of an executor have their own threads and sessions, and return whole pictures")
+    if executor is not None and (session is not None or threads is not None):
+        name = "session" if session is not None else "threads"
+        raise TypeError(f"{name} is for this process; the workers of an executor have their own threads and sessions")
     changes = {
         "size": size,
         "lights": lights,
@@ -110,13 +111,15 @@ def render(
         from ._executor import pictures
 
         job = scene._job(crop, layers)
+        budget, wait = _arguments.memory_bytes(memory), _arguments.seconds(timeout)
+        if progressive:
+            return _Passes(pictures.passes(executor, scene, job["crop"], layers, budget, wait), scene)
         with Told(progress) as told:
-            budget = _arguments.memory_bytes(memory)
-            return Image(pictures.render(executor, scene, job["crop"], layers, budget, _arguments.seconds(timeout), told), scene)
+            return Image(pictures.render(executor, scene, job["crop"], layers, budget, wait, told), scene)
     engine = session if session is not None else _session.shared(_arguments.memory_bytes(memory), _arguments.thread_count(threads))
     job = scene._job(crop, layers)
     if progressive:
-        return _Passes(engine, job, scene)
+        return _Passes(engine._native.begin(job), scene)
     with Told(progress) as told:
         picture = engine._native.render(job, told)
     for remark in engine._native.remarks():
@@ -147,19 +150,19 @@ def _scene_of(target: Any, changes: dict[str, Any], view: Any, up: Any, look_opt
 class _Passes:
     """Pictures, coarse first. What is left is stopped when it is closed, or nobody has it any more."""
 
-    def __init__(self, engine: Session, job: dict[str, Any], scene: Scene) -> None:
-        self._native = engine._native.begin(job)
+    def __init__(self, pictures: Any, scene: Scene) -> None:
+        self._pictures = pictures
         self._scene = scene
 
     def __iter__(self) -> _Passes:
         return self
 
     def __next__(self) -> Image:
-        return Image(next(self._native), self._scene)
+        return Image(next(self._pictures), self._scene)
 
     def close(self) -> None:
         """Stops what is left."""
-        self._native.close()
+        self._pictures.close()
 
     def __enter__(self) -> _Passes:
         return self

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from . import _arguments, _compose
+from . import _arguments, _compose, _native
 from ._objects import Cloud, Grid, Object, held_in_memory
 from ._parts import Camera
 
@@ -60,7 +60,7 @@ class Scene:
         made = _compose.compose(root, look_options, camera, _arguments.size(size), said)
         self._json = made.scene
         self._data = made.data
-        self._folder = Path.cwd()
+        self._folder = os.getcwd()
         #: What was chosen for the look, and why.
         self.line = made.line
         self._override(None, lights, background, None, samples, exposure, tone_mapping, rendering)
@@ -79,15 +79,18 @@ class Scene:
         made._json = copy.deepcopy(dict(scene))
         names = {str(node["file"]) for node in _nodes(made._json) if str(node.get("file", "")).startswith("memory:")}
         made._data = {name: held_in_memory(name) for name in names}
-        made._folder = Path.cwd() if folder is None else _arguments.path(folder, "folder")
+        made._folder = os.getcwd() if folder is None else _arguments.file(folder, "folder")
         made.line = ""
         return made
 
     @classmethod
     def load(cls, path: _arguments.PathLike) -> Scene:
-        """Reads a scene file."""
-        where = _arguments.path(path, "path")
-        return cls.from_json(where.read_text(encoding="utf-8"), where.parent)
+        """Reads a scene file; one at an address names its clouds beside it."""
+        where = _arguments.file(path, "path")
+        if _arguments.is_address(where):
+            return cls.from_json(_native.read_text(where), where.partition("?")[0].rpartition("/")[0])
+        file = Path(where)
+        return cls.from_json(file.read_text(encoding="utf-8"), file.parent)
 
     def to_json(self) -> dict[str, Any]:
         """The dictionary."""
@@ -108,7 +111,7 @@ class Scene:
                 held.save(file)
                 names[name] = file.name
             else:
-                names[name] = os.path.abspath(name)
+                names[name] = _arguments.absolute(name)
         scene = self.to_json()
         for node in _nodes(scene):
             if node.get("file") in names:
@@ -170,8 +173,8 @@ class Scene:
         data = self._data.values()
         return {
             "scene": text,
-            "key": json.dumps([key, files, str(self._folder)]),
-            "folder": str(self._folder),
+            "key": json.dumps([key, files, self._folder]),
+            "folder": self._folder,
             "clouds": [held._file for held in data if isinstance(held, Cloud)],
             "grids": [held._file for held in data if isinstance(held, Grid)],
             "crop": None if crop is None else [_arguments.whole(v, "crop", 0, 1 << 20) for v in _four(crop)],
@@ -210,9 +213,9 @@ def _nodes(value: Any) -> Iterator[dict[str, Any]]:
             yield from _nodes(inner)
 
 
-def _stat(folder: Path, name: str) -> list[int]:
+def _stat(folder: str, name: str) -> list[int]:
     try:
-        found = os.stat(folder / name)
+        found = os.stat(_arguments.beside(folder, name))
     except OSError:
         return []
     return [found.st_size, found.st_mtime_ns, found.st_ino]
@@ -230,8 +233,8 @@ class Viewer:
         where = json.loads(text)
         for node in _nodes(where):
             name = node.get("file")
-            if isinstance(name, str) and not os.path.isabs(name) and not (file.parent / name).exists():
-                node["file"] = str((scene._folder / name).resolve())
+            if isinstance(name, str) and not (file.parent / name).exists():
+                node["file"] = _arguments.absolute(_arguments.beside(scene._folder, name))
         file.write_text(json.dumps(where), encoding="utf-8")
         budget = _arguments.memory_bytes(memory)
         options = [] if budget is None else ["--memory", str(budget)]

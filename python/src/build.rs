@@ -93,14 +93,22 @@ pub(crate) fn build_arrays(
     told: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<(CloudFile, [u64; 3])> {
     let py = positions.py();
+    with_arrays(positions, columns, |source| run(py, source, &options, told, &Raised::default()))
+}
+
+/// Hands arrays, which are read where they lie, to whoever reads their points.
+pub(crate) fn with_arrays<T>(
+    positions: &Bound<'_, PyUntypedArray>,
+    columns: Vec<(Named, Bound<'_, PyUntypedArray>)>,
+    read: impl FnOnce(Box<dyn PointSource + '_>) -> PyResult<T>,
+) -> PyResult<T> {
     let held = HeldPositions::new(positions)?;
     let held_columns = columns
         .into_iter()
         .map(|(named, array)| Ok((HeldColumn::new(&named.name, &array)?, named)))
         .collect::<PyResult<Vec<_>>>()?;
     let views = held_columns.iter().map(|(held, named)| (named.clone(), held.view())).collect();
-    let source = ArraySource::new(held.view(), views)?;
-    run(py, Box::new(source), &options, told, &Raised::default())
+    read(Box::new(ArraySource::new(held.view(), views)?))
 }
 
 /// Builds a cloud of an iterator of chunks, as [`build_arrays`].
@@ -155,9 +163,9 @@ pub(crate) fn opened(
 ) -> PyResult<(CloudFile, [u64; 3])> {
     let cloud = match (cloud, &options.path) {
         (Some(cloud), _) => CloudFile::in_memory(&cloud).map_err(|error| errors::of_open(py, &error))?,
-        (None, Some(path)) => {
-            CloudFile::on_disk(Arc::new(Cloud::open(path).map_err(|error| errors::of_open(py, &error))?))
-        }
+        (None, Some(path)) => CloudFile::on_disk(Arc::new(
+            py.detach(|| Cloud::open(path)).map_err(|error| errors::of_open(py, &error))?,
+        )),
         (None, None) => return Err(errors::error(py, Kind::Build, "nothing was built")),
     };
     let skipped = report.skipped;

@@ -1,5 +1,6 @@
 //! Clouds and grids that are open, in memory or on disk.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -15,6 +16,7 @@ use rayset_inputs::look::{self, Looks};
 use rayset_inputs::{CacheArgs, Host, Input, Opened, Resources};
 
 use crate::errors::{self, Kind};
+use crate::far;
 use crate::looks::{self, ChosenLook};
 use crate::wait::{self, Progress, lock};
 
@@ -76,8 +78,20 @@ fn triple(v: DVec3) -> (f64, f64, f64) {
 impl CloudFile {
     /// The path, or the name of what is in memory.
     #[getter]
-    fn path(&self) -> PathBuf {
-        self.cloud.path().to_owned()
+    fn path(&self) -> OsString {
+        self.cloud.path().into()
+    }
+
+    /// What opens it again: the path, with the query of a signed address.
+    #[getter]
+    fn address(&self) -> OsString {
+        self.cloud.address().into()
+    }
+
+    /// What tells an object from others at its address; `None` for files.
+    #[getter]
+    fn version(&self) -> Option<String> {
+        far::version(self.cloud.storage())
     }
 
     #[getter]
@@ -160,8 +174,20 @@ impl GridFile {
 impl GridFile {
     /// The path, or the name of what is in memory.
     #[getter]
-    fn path(&self) -> PathBuf {
-        self.grid.path().to_owned()
+    fn path(&self) -> OsString {
+        self.grid.path().into()
+    }
+
+    /// What opens it again: the path, with the query of a signed address.
+    #[getter]
+    fn address(&self) -> OsString {
+        self.grid.address().into()
+    }
+
+    /// What tells an object from others at its address; `None` for files.
+    #[getter]
+    fn version(&self) -> Option<String> {
+        far::version(self.grid.storage())
     }
 
     #[getter]
@@ -248,7 +274,7 @@ fn copy(from: &Path, storage: Option<&dyn rayset::storage::Storage>, to: &Path) 
 pub(crate) enum AnyFile {
     Cloud(Py<CloudFile>),
     Grid(Py<GridFile>),
-    Scene(PathBuf),
+    Scene(OsString),
 }
 
 /// The package as the host of inputs.
@@ -315,17 +341,19 @@ pub(crate) fn open_files(
     let cache = if keep { CacheArgs::in_folder(cache) } else { CacheArgs::none() };
     let cache = cache.with_columns(columns);
     let host = Package { remarks: Mutex::default(), progress: &progress, cancel: &cancel, folder: temp_dir };
+    rayset::storage::look_again();
     let work = || rayset_inputs::open(&paths, &cache, Resources { memory, threads, host: &host });
     let opened =
         wait::run(py, &cancel, &progress, told, work)?.map_err(|error| errors::of_input(py, error))?;
     let file = match &opened.input {
-        Input::Scene(path) => AnyFile::Scene(path.clone()),
+        Input::Scene(path) => AnyFile::Scene(path.clone().into()),
         Input::Cloud(cloud) => {
             let file = CloudFile::on_disk(cloud.clone());
             AnyFile::Cloud(Py::new(py, CloudFile { _opened: Some(opened), ..file })?)
         }
         Input::Grid(grid) => {
-            let grid = Arc::new(Grid::open(grid.path()).map_err(|error| errors::of_open(py, &error))?);
+            let again = py.detach(|| Grid::open(grid.address()));
+            let grid = Arc::new(again.map_err(|error| errors::of_open(py, &error))?);
             AnyFile::Grid(Py::new(py, GridFile { _opened: Some(opened), ..GridFile::new(grid) })?)
         }
     };

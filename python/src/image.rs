@@ -137,6 +137,7 @@ impl Picture {
             "albedo" => vectors(|layer| layer.albedo)?,
             "instance" => counts(|layer| layer.instance)?,
             "samples" => counts(|layer| layer.samples)?,
+            "bytes" => numbers(|layer| layer.bytes)?,
             _ => return Err(errors::value(format!("no layer is called {name}"))),
         }))
     }

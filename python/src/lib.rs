@@ -5,6 +5,7 @@ mod arrays;
 mod build;
 mod chunks;
 mod errors;
+mod far;
 mod files;
 mod image;
 mod looks;
@@ -20,7 +21,11 @@ use pyo3::prelude::*;
 /// Classes and functions of the engine.
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    far::open_addresses(module.py())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_function(wrap_pyfunction!(far::read_text, module)?)?;
+    module.add_function(wrap_pyfunction!(far::beside, module)?)?;
+    module.add_function(wrap_pyfunction!(far::versions, module)?)?;
     module.add_class::<files::CloudFile>()?;
     module.add_class::<files::GridFile>()?;
     module.add_class::<image::Picture>()?;
@@ -32,12 +37,15 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(points::build_files, module)?)?;
     module.add_function(wrap_pyfunction!(steps::next_step, module)?)?;
     module.add_function(wrap_pyfunction!(steps::read_part, module)?)?;
+    module.add_function(wrap_pyfunction!(steps::read_arrays_part, module)?)?;
     module.add_function(wrap_pyfunction!(steps::run_step, module)?)?;
     module.add_function(wrap_pyfunction!(steps::merge_parts, module)?)?;
     module.add_function(wrap_pyfunction!(voxels::build_grid, module)?)?;
     module.add_function(wrap_pyfunction!(parts::cameras, module)?)?;
     module.add_function(wrap_pyfunction!(parts::render_part, module)?)?;
     module.add_function(wrap_pyfunction!(parts::join_parts, module)?)?;
+    module.add_function(wrap_pyfunction!(parts::join_coarse, module)?)?;
+    module.add_function(wrap_pyfunction!(parts::share_costs, module)?)?;
     module.add_function(wrap_pyfunction!(parts::instructions, module)?)?;
     module.add_function(wrap_pyfunction!(files::open_files, module)?)?;
     module.add_function(wrap_pyfunction!(files::open_bytes, module)?)?;

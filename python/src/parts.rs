@@ -9,8 +9,8 @@ use pyo3::types::PyBytes;
 use rayset::image::{DisplayTransform, ToneMapping};
 use rayset::parts::{Joined, Part, PartError, PartOptions, Share};
 use rayset::scene::{Camera, Projection};
-use rayset::storage::{MemoryStorage, Storage};
-use rayset::{CancelToken, SimdLevel};
+use rayset::storage::{self, MemoryStorage, Storage};
+use rayset::{CancelToken, Region, SimdLevel};
 use rayset_inputs::look::turned;
 
 use crate::errors;
@@ -44,14 +44,16 @@ fn display(note: &[u8]) -> Option<DisplayTransform> {
     Some(DisplayTransform { exposure: f64::from_le_bytes(exposure.try_into().ok()?), tone_mapping })
 }
 
-/// Renders share `number` of `of` of a picture. Returns the bytes of the part.
+/// Renders share `number` of `of` of a picture, or of a smaller one whose pixels are squares of `edge` pixels. Returns the bytes of the part.
 #[pyfunction]
+#[pyo3(signature = (session, job, share, told, edge = 1))]
 pub(crate) fn render_part<'py>(
     py: Python<'py>,
     session: &Session,
     job: Job,
     share: (u32, u32),
     told: Option<&Bound<'py, PyAny>>,
+    edge: u32,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let (number, of) = share;
     let share = Share::new(number, of);
@@ -64,32 +66,96 @@ pub(crate) fn render_part<'py>(
         let options = PartOptions::new(share).with_note(note(shot.display)).with_held_pixels(HELD_PIXELS);
         let mut bytes = Vec::new();
         let mut tell = |done, total| progress.set("tracing", done, total);
-        shot.view()?.render_part(&shot.region, &options, &cancel, &mut tell, &mut bytes)?;
+        let (view, region) = if edge <= 1 { (shot.view()?, shot.region.clone()) } else { shot.coarse(edge)? };
+        view.render_part(&region, &options, &cancel, &mut tell, &mut bytes)?;
         Ok(bytes)
     };
     let bytes = wait::run(py, &cancel, &progress, told, work)?;
     bytes.map(|bytes| PyBytes::new(py, &bytes)).map_err(|failure| render::raised(py, failure))
 }
 
-/// Joins the parts of a picture, each with a name for messages.
-#[pyfunction]
-pub(crate) fn join_parts(py: Python<'_>, parts: Vec<(String, PyBackedBytes)>) -> PyResult<Picture> {
-    let joined = py.detach(|| {
-        let parts = parts.into_iter().map(|(name, bytes)| {
-            let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(Arc::new(bytes)));
-            Part::from_storage(&name, storage)
-        });
-        // Pictures are the caller's, and no budget counts them.
-        let joined = Joined::join(parts, u64::MAX)?;
-        let region = joined.region();
-        Ok(Picture {
-            picture: joined.picture()?,
-            display: display(joined.note()).unwrap_or_default(),
-            corner: (region.columns.start, region.rows.start),
-            whole: joined.size(),
-        })
+/// A part of a picture with a name for messages.
+type Named = (String, PyBackedBytes);
+
+/// The parts of a picture; of those that are missing there is nothing, if `partly`. Pictures are the caller's, and no budget counts them.
+fn joined(parts: Vec<Named>, partly: bool) -> Result<(Joined, Picture), PartError> {
+    let parts = parts.into_iter().map(|(name, bytes)| {
+        let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(Arc::new(bytes)));
+        Part::from_storage(&name, storage)
     });
-    joined.map_err(|error: PartError| errors::of_part(py, error))
+    let joined = if partly { Joined::join_partly(parts, u64::MAX)? } else { Joined::join(parts, u64::MAX)? };
+    let region = joined.region();
+    let picture = Picture {
+        picture: joined.picture()?,
+        display: display(joined.note()).unwrap_or_default(),
+        corner: (region.columns.start, region.rows.start),
+        whole: joined.size(),
+    };
+    Ok((joined, picture))
+}
+
+/// Joins the parts of a picture. Those that are missing are an error, unless there is a picture below them.
+#[pyfunction]
+#[pyo3(signature = (parts, below = None))]
+pub(crate) fn join_parts(py: Python<'_>, parts: Vec<Named>, below: Option<&Picture>) -> PyResult<Picture> {
+    let picture = py.detach(|| {
+        let (joined, mut picture) = joined(parts, below.is_some())?;
+        let size = |of: &Picture| (of.picture.width, of.picture.height, of.picture.layers.is_empty());
+        if let Some(below) = below.filter(|below| size(below) == size(&picture)) {
+            let (x, y) = picture.corner;
+            for region in joined.missing() {
+                for row in region.rows {
+                    let from = (row - y) as usize * picture.picture.width as usize;
+                    let from = from + (region.columns.start - x) as usize;
+                    let places = from..from + region.columns.len();
+                    picture.picture.pixels[places.clone()]
+                        .copy_from_slice(&below.picture.pixels[places.clone()]);
+                    if !picture.picture.layers.is_empty() {
+                        picture.picture.layers[places.clone()].copy_from_slice(&below.picture.layers[places]);
+                    }
+                }
+            }
+        }
+        Ok(picture)
+    });
+    picture.map_err(|error: PartError| errors::of_part(py, error))
+}
+
+/// The picture of parts whose pixels are squares, as part `crop` of a picture of size `whole`.
+#[pyfunction]
+pub(crate) fn join_coarse(
+    py: Python<'_>,
+    parts: Vec<Named>,
+    crop: [u32; 4],
+    whole: (u32, u32),
+) -> PyResult<Picture> {
+    let [x, y, width, height] = crop;
+    let picture = py.detach(|| {
+        let (_, picture) = joined(parts, false)?;
+        Ok(Picture { corner: (x, y), whole, ..picture.enlarged(width, height) })
+    });
+    picture.map_err(|error: PartError| errors::of_part(py, error))
+}
+
+/// What each of `of` shares of part `crop` of a picture is expected to cost. `costs` are those of the pixels of a coarse picture, row after
+/// row, each of which stands for a square of pixels with this `edge`.
+#[pyfunction]
+pub(crate) fn share_costs(costs: Vec<f64>, crop: [u32; 4], edge: u32, of: u32) -> Vec<f64> {
+    let [x, y, width, height] = crop;
+    let region = Region { columns: x..x.saturating_add(width), rows: y..y.saturating_add(height) };
+    let edge = edge.max(1);
+    let (first, row) = (region.columns.start / edge, region.rows.start / edge);
+    let columns = region.columns.end.div_ceil(edge) - first;
+    // Of a square as many pixels as the coarse picture has there.
+    let of_square = |square: Region| -> f64 {
+        let (left, right) = (square.columns.start / edge, square.columns.end.div_ceil(edge));
+        let (above, below) = (square.rows.start / edge, square.rows.end.div_ceil(edge));
+        let places = (above..below).flat_map(|j| (left..right).map(move |i| (i, j)));
+        let at = |(i, j)| costs.get((j - row) as usize * columns as usize + (i - first) as usize);
+        let count = u64::from(right - left) * u64::from(below - above);
+        places.filter_map(at).sum::<f64>() / count.max(1) as f64 * square.pixels() as f64
+    };
+    Share::all(of).map(|share| share.squares(&region).map(of_square).sum()).collect()
 }
 
 /// The numbers of a camera by the keys that scenes have for them; those of one number have a list of one.
@@ -115,7 +181,11 @@ pub(crate) fn cameras(
     turntable: Option<u32>,
 ) -> PyResult<Vec<HashMap<&'static str, Vec<f64>>>> {
     let wanted = job.without_python();
-    let file = py.detach(|| wanted.parsed()).map_err(|failure| render::raised(py, failure))?;
+    let parse = || {
+        storage::look_again();
+        wanted.parsed()
+    };
+    let file = py.detach(parse).map_err(|failure| render::raised(py, failure))?;
     if let Some(turns) = turntable {
         let turn = |k| turned(&file.camera, &file.scene, f64::from(k) / f64::from(turns));
         return Ok((0..turns).map(|k| numbers(&turn(k))).collect());

@@ -1,5 +1,6 @@
 //! Files of points: which they are, what is kept of them, and the clouds that are built of them.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
@@ -63,9 +64,14 @@ impl Points {
 
 /// The files of points that paths, patterns and folders name. None of them may be that which is written.
 #[pyfunction]
-pub(crate) fn expand(py: Python<'_>, paths: Vec<PathBuf>, output: Option<PathBuf>) -> PyResult<Vec<PathBuf>> {
+pub(crate) fn expand(
+    py: Python<'_>,
+    paths: Vec<PathBuf>,
+    output: Option<PathBuf>,
+) -> PyResult<Vec<OsString>> {
     let found = py.detach(|| {
         let (progress, cancel) = (Progress::default(), CancelToken::new());
+        rayset::storage::look_again();
         let files = rayset_inputs::expand(&paths, &host(&progress, &cancel))?;
         for file in files.iter().filter(|file| address_of(file).is_none()) {
             std::fs::metadata(file).with_context(|| format!("cannot read {}", file.display()))?;
@@ -78,7 +84,7 @@ pub(crate) fn expand(py: Python<'_>, paths: Vec<PathBuf>, output: Option<PathBuf
             destination.require_file()?;
             destination.refuse_inputs(&files)?;
         }
-        Ok(files)
+        Ok(files.into_iter().map(PathBuf::into_os_string).collect())
     });
     found.map_err(|error| errors::of_input(py, error))
 }

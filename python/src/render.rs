@@ -11,12 +11,14 @@ use rayset::memory::Kind as PageKind;
 use rayset::parts::PartError;
 use rayset::scene::Camera;
 use rayset::scene_file::{SceneFile, SceneFileError};
+use rayset::storage;
 use rayset::{
     BandSink, CancelToken, Cloud, Grid, ParseError, PreparedScene, Region, RenderError, SimdLevel, SinkError,
     View,
 };
 
 use crate::errors::{self, Kind};
+use crate::far::FarFiles;
 use crate::files::{CloudFile, GridFile};
 use crate::image::Picture;
 use crate::wait::{self, Closing, Mailbox, PATIENCE, Progress, Waited, lock};
@@ -36,8 +38,17 @@ pub(crate) struct Session {
 
 struct Open {
     session: rayset::Session,
-    /// The last scene, compiled, with what it was compiled of.
-    last: Option<(String, PreparedScene)>,
+    last: Option<Last>,
+}
+
+/// The last scene.
+#[derive(Clone)]
+struct Last {
+    /// What it was compiled of.
+    key: String,
+    prepared: PreparedScene,
+    /// What it has open of objects that are far away.
+    far: FarFiles,
 }
 
 /// What is to be rendered: a scene as JSON, what distinguishes it but for its camera, the folder that its paths are relative to, and
@@ -118,8 +129,17 @@ impl Job {
 impl Wanted {
     /// Reads the scene, and opens the files that are not open.
     pub(crate) fn parsed(&self) -> Result<SceneFile, Failure> {
+        self.parsed_using(FarFiles::default())
+    }
+
+    /// The same, with far files that are open, as far as they are still what is at their addresses.
+    fn parsed_using(&self, far: FarFiles) -> Result<SceneFile, Failure> {
         let path = self.folder.join("scene");
-        let file = SceneFile::parse_using(&path, &self.scene, &self.clouds, &self.grids);
+        let (mut clouds, mut grids) = far.current();
+        // The caller's own come before others of their names.
+        clouds.extend_from_slice(&self.clouds);
+        grids.extend_from_slice(&self.grids);
+        let file = SceneFile::parse_using(&path, &self.scene, &clouds, &grids);
         file.map_err(|error| Failure::Scene(Box::new(error)))
     }
 }
@@ -137,6 +157,19 @@ pub(crate) struct Shot {
 impl Shot {
     pub(crate) fn view(&self) -> Result<View, RenderError> {
         self.prepared.view(&self.camera)
+    }
+
+    /// The same as a smaller picture of one ray a pixel, each of which stands for a square of pixels with this edge: its view and region.
+    pub(crate) fn coarse(&self, edge: u32) -> Result<(View, Region), RenderError> {
+        let (width, height) = self.size;
+        let (small_width, small_height) = (width.div_ceil(edge), height.div_ceil(edge));
+        let view = self.prepared.view_of_size(&self.camera, small_width, small_height)?.with_samples(1)?;
+        let Region { columns, rows } = &self.region;
+        let part = Region {
+            columns: columns.start / edge..columns.end.div_ceil(edge),
+            rows: rows.start / edge..rows.end.div_ceil(edge),
+        };
+        Ok((view, part))
     }
 
     fn picture(
@@ -194,17 +227,21 @@ impl Session {
 
     /// Compiles a scene, unless it is the last one seen from elsewhere.
     pub(crate) fn shot(&self, engine: &rayset::Session, wanted: &Wanted) -> Result<Shot, Failure> {
-        let mut file = wanted.parsed()?;
+        let last = lock(&self.open).as_ref().and_then(|open| open.last.clone());
+        // Of a scene that names no address nobody is asked.
+        let names_some = wanted.scene.contains("://") || storage::address_of(&wanted.folder).is_some();
+        let far =
+            last.as_ref().filter(|_| names_some).map_or_else(FarFiles::default, |last| last.far.clone());
+        let mut file = wanted.parsed_using(far)?;
         file.settings.layers = wanted.layers;
-        let key = format!("{} {}", wanted.key, wanted.layers);
-        let known =
-            lock(&self.open).as_ref().and_then(|open| open.last.clone()).filter(|(last, _)| *last == key);
-        let prepared = match known {
-            Some((_, prepared)) => prepared,
+        let far = FarFiles::of(&file.scene.root);
+        let key = format!("{} {} {}", wanted.key, wanted.layers, far.text());
+        let prepared = match last.filter(|last| last.key == key) {
+            Some(last) => last.prepared,
             None => {
                 let prepared = engine.prepare(&file.scene, &file.settings)?;
                 if let Some(open) = &mut *lock(&self.open) {
-                    open.last = Some((key, prepared.clone()));
+                    open.last = Some(Last { key, prepared: prepared.clone(), far });
                 }
                 prepared
             }
@@ -265,6 +302,7 @@ impl Session {
         let wanted = job.without_python();
         let (cancel, progress) = (CancelToken::new(), Progress::default());
         let work = || {
+            storage::look_again();
             let shot = self.shot(&engine, &wanted)?;
             Ok(shot.picture(&shot.view()?, &shot.region, &cancel, &progress)?)
         };
@@ -282,9 +320,7 @@ impl Session {
     fn remarks(&self) -> Vec<String> {
         let open = lock(&self.open);
         let last = open.as_ref().and_then(|open| open.last.as_ref());
-        last.map_or_else(Vec::new, |(_, prepared)| {
-            prepared.remarks().iter().map(ToString::to_string).collect()
-        })
+        last.map_or_else(Vec::new, |last| last.prepared.remarks().iter().map(ToString::to_string).collect())
     }
 
     /// What the working set has done since the session was made or this was asked with `reset`.
@@ -353,6 +389,7 @@ impl Passes {
         let (stop, done) = (cancel.clone(), finished.clone());
         let work = move || {
             let _closing = Closing(&done);
+            storage::look_again();
             let shot = match session.get().shot(&engine, &wanted) {
                 Ok(shot) => shot,
                 Err(failure) => return done.put(Err(failure)),
@@ -392,15 +429,9 @@ fn coarse(
         let view = if one_ray { shot.view()?.with_samples(1)? } else { shot.view()? };
         return shot.picture(&view, &shot.region, cancel, &progress).map(Some);
     }
-    let (width, height) = shot.size;
-    let (small_width, small_height) = (width.div_ceil(edge), height.div_ceil(edge));
-    let view = shot.prepared.view_of_size(&shot.camera, small_width, small_height)?.with_samples(1)?;
-    let Region { columns, rows } = &shot.region;
-    let part = Region {
-        columns: columns.start / edge..columns.end.div_ceil(edge),
-        rows: rows.start / edge..rows.end.div_ceil(edge),
-    };
+    let (view, part) = shot.coarse(edge)?;
     let picture = shot.picture(&view, &part, cancel, &progress)?;
+    let Region { columns, rows } = &shot.region;
     let enlarged = picture.enlarged(columns.len() as u32, rows.len() as u32);
     Ok(Some(Picture { corner: (columns.start, rows.start), whole: shot.size, ..enlarged }))
 }

@@ -2,11 +2,13 @@
 
 use std::path::PathBuf;
 
+use numpy::PyUntypedArray;
 use pyo3::prelude::*;
 use rayset::CancelToken;
 use rayset::build::{self, BuildControl, BuildError, BuildParts, BuildStep};
 
-use crate::build::Options;
+use crate::arrays::Named;
+use crate::build::{Options, with_arrays};
 use crate::errors;
 use crate::points::Points;
 use crate::wait::{self, Progress};
@@ -53,6 +55,28 @@ pub(crate) fn read_part(
         Ok(open.remarks)
     };
     wait::run(py, &cancel, &progress, told, work)?.map_err(|error| errors::of_input(py, error))
+}
+
+/// Reads the points of a part that are in arrays, which no other part has.
+#[pyfunction]
+pub(crate) fn read_arrays_part(
+    parts: Parts,
+    part: u32,
+    positions: &Bound<'_, PyUntypedArray>,
+    columns: Vec<(Named, Bound<'_, PyUntypedArray>)>,
+    options: Options,
+    told: Option<&Bound<'_, PyAny>>,
+) -> PyResult<()> {
+    let py = positions.py();
+    let (cancel, progress) = (CancelToken::new(), Progress::default());
+    let of_library = options.of_library();
+    with_arrays(positions, columns, |source| {
+        let work = || {
+            let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
+            parts.of_library()?.read_own(part, vec![source], &of_library, &control)
+        };
+        wait::run(py, &cancel, &progress, told, work)?.map_err(|error| errors::of_build(py, error))
+    })
 }
 
 /// Does any other step of a part.

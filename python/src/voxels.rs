@@ -88,6 +88,6 @@ pub(crate) fn build_grid(
         return Err(error);
     }
     outcome?.map_err(|error| errors::of_grid_build(py, error))?;
-    let grid = Grid::open(&path).map_err(|error| errors::of_open(py, &error))?;
+    let grid = py.detach(|| Grid::open(&path)).map_err(|error| errors::of_open(py, &error))?;
     Ok(GridFile::new(Arc::new(grid)))
 }

@@ -1,111 +1,135 @@
-"""Work by the workers of dask.distributed: the same bytes as here, whoever dies meanwhile, and nothing left behind."""
+"""Work by the workers of dask.distributed: the same bytes as here, and nothing left behind."""
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from clusters import SIZE, are_same, client, distributed, folder, is_soon, scene_of, two  # noqa: F401
 from conftest import points
 
 import rayset as rs
 
-distributed = pytest.importorskip("distributed")
-
-SIZE = (96, 72)
-
-
-@pytest.fixture(scope="module", params=[1, 2], ids=["one worker", "two workers"])
-def client(request: pytest.FixtureRequest) -> Iterator[Any]:
-    with _cluster(request.param) as cluster, distributed.Client(cluster) as connected:
-        yield connected
-
-
-@pytest.fixture
-def two() -> Iterator[Any]:
-    """Two workers of one test's own, which it may change and kill."""
-    with _cluster(2) as cluster, distributed.Client(cluster) as connected:
-        yield connected
-
-
-def _cluster(workers: int) -> Any:
-    return distributed.LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What all see: a cloud, a grid, and files of points."""
-    made = tmp_path_factory.mktemp("seen")
-    where = points(3000)
-    rs.build(where, radius=0.2, attributes={"T": where[:, 0].astype("f4")}, path=made / "cloud.rset")
-    z, y, x = np.mgrid[-1:1:24j, -1:1:24j, -1:1:24j]
-    rs.build_grid(np.exp(-3 * (x**2 + y**2 + z**2)).astype("f4"), spacing=2 / 23, origin=(-1, -1, -1), path=made / "grid.rset")
-    np.save(made / "a.npy", points(300_000, 2))
-    np.save(made / "b.npy", points(100_000, 3) + 4)
-    return made
-
-
-def _scene(kind: str, folder: Path) -> rs.Scene:
-    cloud = rs.open(folder / "cloud.rset")
-    if kind == "opaque":
-        return rs.Scene(cloud, look="surface", color_by="T", ambient_occlusion=0.5, size=SIZE)
-    if kind == "translucent":
-        return rs.Scene(cloud, look="gas", color_by="T", size=SIZE)
-    if kind == "solids":
-        root = (cloud - rs.Box((0.5, 0, 0), (2, 2, 2))) | rs.Sphere((1.5, 0, 0), 0.8, color="#c8ccd4").with_material(diffuse=0.2, reflectance=0.7)
-        return rs.Scene(root, lights=[rs.AmbientLight(0.4), rs.DirectionalLight((-0.5, -1, -1), 0.8)], tone_mapping="filmic", exposure=0.5, size=SIZE)
-    return rs.Scene(rs.open(folder / "grid.rset"), size=SIZE)
-
-
-def _are_same(a: rs.Image, b: rs.Image) -> bool:
-    layers = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("linear", "depth", "normal", "albedo", "instance", "samples"))
-    return layers and a._repr_png_() == b._repr_png_()
-
 
 @pytest.mark.parametrize("kind", ["opaque", "translucent", "solids", "volume"])
 def test_a_picture_has_the_bytes_of_one_process(kind: str, client: Any, folder: Path) -> None:
-    scene, told = _scene(kind, folder), list[tuple[str, int, int]]()
+    scene, told = scene_of(kind, folder), list[tuple[str, int, int]]()
     image = rs.render(scene, executor=client, progress=lambda *step: told.append(step))
-    assert _are_same(image, rs.render(scene))
+    assert are_same(image, rs.render(scene))
     done = [step[1] for step in told]
     assert told[-1] == ("tracing", SIZE[0] * SIZE[1], SIZE[0] * SIZE[1]) and done == sorted(done) and len(done) > 3
 
 
 def test_a_crop_has_the_bytes_of_one_process(client: Any, folder: Path) -> None:
-    scene = _scene("solids", folder)
+    scene = scene_of("solids", folder)
     crop = (11, 7, 50, 40)
     image = rs.render(scene, crop=crop, executor=client)
-    assert image.size == (50, 40) and _are_same(image, rs.render(scene, crop=crop))
+    assert image.size == (50, 40) and are_same(image, rs.render(scene, crop=crop))
+
+
+def test_shares_that_take_longest_come_first_and_change_no_byte(two: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rayset._executor import tasks, worker
+
+    begun, original = [], tasks.Tasks.submit
+
+    def submit(self: Any, label: Any, what: str, function: Any, *arguments: Any, **more: Any) -> None:
+        if function is worker.render_share and len(arguments) == 2:
+            begun.append(arguments[1])
+        original(self, label, what, function, *arguments, **more)
+
+    monkeypatch.setattr(tasks.Tasks, "submit", submit)
+    # The cloud is in a corner, and the rest of the picture is empty.
+    scene = rs.Scene(rs.open(folder / "cloud.rset").moved((5, 4, 0)), camera=rs.Camera(position=(0, 0, 16), look_at=(0, 0, 0), fovy=50), look="gas", size=(300, 260))
+    image = rs.render(scene, executor=two)
+    assert sorted(begun) == [(number, 8) for number in range(1, 9)]
+    assert begun[:4] == [(number, 8) for number in range(1, 5)]
+    samples = [0] * 9
+    for number, left, top in _squares(begun[4:], image):
+        samples[number] += int(image.samples[top : top + 32, left : left + 32].sum())
+    left = [samples[number] for number, _ in begun[4:]]
+    assert max(left) > 1.2 * min(left) and left[0] > left[-1]
+    assert are_same(image, rs.render(scene))
+
+
+def _squares(shares: list[tuple[int, int]], image: rs.Image) -> Iterator[tuple[int, int, int]]:
+    """The squares of some shares, as the engine has them: what costs only there costs those shares."""
+    from rayset import _native
+
+    width, height = image.size
+    columns, rows = -(-width // 32), -(-height // 32)
+    for j in range(rows):
+        for i in range(columns):
+            costs = [float(k == j * columns + i) for k in range(columns * rows)]
+            of_share = _native.share_costs(costs, [0, 0, width, height], 32, shares[0][1])
+            yield of_share.index(max(of_share)) + 1, 32 * i, 32 * j
+
+
+def test_progress_is_told_from_within_shares(two: Any, folder: Path) -> None:
+    def often() -> None:
+        from rayset._executor import worker
+
+        worker._TELLING = 0.0
+
+    two.run(often)
+    told = list[int]()
+    scene = rs.Scene(rs.open(folder / "cloud.rset"), look="gas", size=(480, 360), samples=4)
+    rs.render(scene, executor=two, progress=lambda _, done, total: told.append(done))
+    assert told == sorted(set(told)) and told[-1] == 480 * 360
+    assert any(done * 8 % (480 * 360) for done in told), "not only whole shares of eight"
+
+
+@pytest.mark.parametrize("crop", [None, (11, 7, 150, 140)], ids=["whole", "crop"])
+def test_pictures_come_coarse_first_and_end_with_the_picture(crop: Any, client: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rayset._executor import pictures
+
+    monkeypatch.setattr(pictures, "_PAUSE", 0)
+    scene = rs.Scene(rs.open(folder / "cloud.rset"), look="gas", color_by="T", size=(200, 160))
+    expected = rs.render(scene, crop=crop)
+    shown = list(rs.render(scene, crop=crop, progressive=True, executor=client))
+    assert are_same(shown[-1], expected)
+    assert len(shown) > 2 and all(image.size == expected.size for image in shown)
+    right = [int((image.linear == expected.linear).all(axis=2).sum()) for image in shown]
+    assert right == sorted(right) and right[0] < right[-2] < right[-1], "shares take the place of squares"
+    assert all((image.opacity > 0).sum() > 0.5 * (expected.opacity > 0).sum() for image in shown)
+
+
+def test_pictures_that_nobody_waits_for_are_not_finished(client: Any, folder: Path) -> None:
+    shown = rs.render(rs.open(folder / "cloud.rset"), look="gas", size=1500, samples=16, progressive=True, executor=client)
+    assert next(shown).size == (1500, 1500)
+    begun = time.monotonic()
+    shown.close()
+    assert time.monotonic() - begun < 30
+    assert is_soon(lambda: not client.futures and not any(client.processing().values()))
+    assert next(shown, None) is None
 
 
 def test_frames_come_in_order_with_the_bytes_of_one_process(client: Any, folder: Path) -> None:
-    scene, told = _scene("translucent", folder), list[Any]()
+    scene, told = scene_of("translucent", folder), list[Any]()
     here = list(rs.render_frames(scene, turntable=7))
     there = list(rs.render_frames(scene, turntable=7, executor=client, progress=lambda *step: told.append(step)))
-    assert len(here) == len(there) == 7 and all(map(_are_same, here, there))
-    assert not _are_same(here[0], here[3])
+    assert len(here) == len(there) == 7 and all(map(are_same, here, there))
+    assert not are_same(here[0], here[3])
     assert told == [("frames", k, 7) for k in range(1, 8)]
     cameras = [image.scene.camera for image in here[2:4]]
-    assert all(map(_are_same, rs.render_frames(scene, cameras, executor=client), here[2:4]))
-    assert _are_same(rs.render(scene, camera=cameras[0]), here[2])
+    assert all(map(are_same, rs.render_frames(scene, cameras, executor=client), here[2:4]))
+    assert are_same(rs.render(scene, camera=cameras[0]), here[2])
 
 
 def test_frames_are_not_begun_far_ahead_and_stop_when_they_are_left(client: Any, folder: Path) -> None:
-    frames = rs.render_frames(_scene("opaque", folder), turntable=500, executor=client)
+    frames = rs.render_frames(scene_of("opaque", folder), turntable=500, executor=client)
     next(frames)
     begun = len(client.futures)
     frames.close()  # type: ignore[attr-defined]
     threads = sum(client.nthreads().values())
     assert begun <= 2 * threads + 3
-    assert _is_soon(lambda: not client.futures and not any(client.processing().values()))
+    assert is_soon(lambda: not client.futures and not any(client.processing().values()))
 
 
 def test_pages_and_sessions_stay_between_tasks(two: Any, folder: Path) -> None:
@@ -118,7 +142,7 @@ def test_pages_and_sessions_stay_between_tasks(two: Any, folder: Path) -> None:
 
         return two.run(of_worker)
 
-    scene = _scene("translucent", folder)
+    scene = scene_of("translucent", folder)
     rs.render(scene, executor=two)
     before = read()
     rs.render(scene, executor=two)
@@ -139,166 +163,26 @@ def test_a_build_has_the_bytes_of_one_process(client: Any, folder: Path, tmp_pat
     assert all(done <= total for _, done, total in told)
 
 
-def _deadly(function: str, marker: str, delay: float, step: str | None) -> None:
-    """On a worker: the next task of that function dies so long after it has begun, once of all workers."""
-    from rayset._executor import worker
-
-    original = getattr(worker, function)
-
-    def wrapped(*arguments: Any) -> Any:
-        if step is not None and step not in arguments:
-            return original(*arguments)
-        try:
-            handle = os.open(marker, os.O_CREAT | os.O_EXCL)
-        except FileExistsError:
-            return original(*arguments)
-        os.close(handle)
-        threading.Timer(delay, os.kill, (os.getpid(), signal.SIGKILL)).start()
-        try:
-            return original(*arguments)
-        finally:
-            # Not in the middle.
-            Path(marker).write_text("late")
-
-    setattr(worker, function, wrapped)
-
-
-def _was_killed(marker: Path) -> bool:
-    return marker.exists() and marker.read_text() == ""
-
-
-def test_a_worker_that_dies_at_a_share_does_not_matter(two: Any, folder: Path, tmp_path: Path) -> None:
-    scene = rs.Scene(rs.open(folder / "cloud.rset"), look="gas", size=(480, 360), samples=4)
-    two.run(_deadly, "render_share", str(tmp_path / "dead"), 0.1, None)
-    image = rs.render(scene, executor=two)
-    assert _was_killed(tmp_path / "dead")
-    assert _are_same(image, rs.render(scene))
-
-
-@pytest.mark.parametrize("step", ["read", "spacing-measure", "scatter", "order", "merge"])
-def test_a_worker_that_dies_at_a_build_does_not_matter(step: str, two: Any, folder: Path, tmp_path: Path) -> None:
-    out, dead = tmp_path / "out", tmp_path / "dead"
-    out.mkdir()
-    options: dict[str, Any] = {"columns": ["x", "y", "z"]}
-    rs.build(folder / "a.npy", path=out / "here.rset", **options)
-    two.run(_deadly, *(("merge", str(dead), 0.005, None) if step == "merge" else ("build_step", str(dead), 0.01, step)))
-    rs.build(folder / "a.npy", path=out / "there.rset", executor=two, **options)
-    assert _was_killed(dead)
-    assert (out / "there.rset").read_bytes() == (out / "here.rset").read_bytes()
-    assert sorted(os.listdir(out)) == ["here.rset", "there.rset"]
-
-
-def test_a_task_that_ends_every_worker_is_an_error_that_says_so(two: Any, folder: Path) -> None:
-    def deadly() -> None:
-        from rayset._executor import worker
-
-        worker.render_share = lambda *_: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-
-    class Everywhere(distributed.WorkerPlugin):  # type: ignore[misc]
-        def setup(self, worker: Any) -> None:
-            deadly()
-
-    two.register_plugin(Everywhere())
-    with pytest.raises(rs.ExecutorError, match="has ended each of several workers"):
-        rs.render(_scene("opaque", folder), executor=two)
-
-
-class _Own:
-    """Scheduler and workers that are processes of their own, so that each can be killed."""
-
-    def __init__(self, folder: Path, workers: int = 1) -> None:
-        self.folder = folder
-        self.file = folder / "scheduler.json"
-        seen = os.pathsep.join(map(str, (Path(__file__).parent, Path(rs.__file__).parents[1])))
-        environment = {**os.environ, "PYTHONPATH": seen, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s"}
-        self.scheduler = self._start(environment, "scheduler", "--port", "0", "--no-dashboard")
-        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "20"]
-        self.workers = [self._start(environment, "worker", *options) for _ in range(workers)]
-
-    def _start(self, environment: dict[str, str], *arguments: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], "--scheduler-file", str(self.file), *arguments[1:]]
-        return subprocess.Popen(command, cwd=self.folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-    def __enter__(self) -> _Own:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for process in [*self.workers, self.scheduler]:
-            process.kill()
-            process.wait()
-
-
-def _slow() -> None:
-    """On a worker: every part of a step takes a second longer."""
-    from rayset._executor import worker
-
-    original = worker.build_step
-
-    def wrapped(*arguments: Any) -> Any:
-        outcome = original(*arguments)
-        time.sleep(1)
-        return outcome
-
-    worker.build_step = wrapped  # type: ignore[assignment]
-
-
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
-def test_a_scheduler_that_is_gone_is_an_error_in_time(how: signal.Signals, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    with _Own(tmp_path) as own, distributed.Client(scheduler_file=str(own.file), timeout=30) as client:
-        client.wait_for_workers(1, timeout=60)
-        client.run(_slow)
-        gone: list[float] = []
-
-        def told(doing: str, done: int, total: int) -> None:
-            if doing == "read":
-                gone.append(time.monotonic())
-                own.scheduler.send_signal(how)
-
-        with pytest.raises(rs.ExecutorError, match="scheduler at tcp://"):
-            rs.build(folder / "a.npy", columns=["x", "y", "z"], path=out / "out.rset", executor=client, timeout=4, progress=told)
-        assert gone and time.monotonic() - gone[0] < 4 + 5
-        assert _is_soon(lambda: os.listdir(out) == []), os.listdir(out)
-        own.scheduler.send_signal(signal.SIGKILL)
-        own.workers[0].wait(timeout=60)
-        assert os.listdir(out) == []
-
-
-def test_no_workers_are_an_error_in_time(folder: Path) -> None:
-    begun = time.monotonic()
-    with _cluster(0) as cluster, distributed.Client(cluster) as client:
-        with pytest.raises(rs.ExecutorError, match="no workers for 1 s"):
-            rs.render(_scene("opaque", folder), executor=client, timeout=1)
-    assert time.monotonic() - begun < 10
-
-
-BUILD = """
-import sys, distributed, rayset as rs
-if __name__ == "__main__":
-    with distributed.Client(scheduler_file=sys.argv[1]) as client:
-        rs.build(sys.argv[2], columns=["x", "y", "z"], path=sys.argv[3], executor=client, progress=lambda *step: print(*step, flush=True))
-"""
-
-
-def test_what_a_killed_client_leaves_the_next_build_removes(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    script = tmp_path / "build.py"
-    script.write_text(BUILD)
-    with _Own(tmp_path) as own, distributed.Client(scheduler_file=str(own.file), timeout=30) as client:
-        client.wait_for_workers(1, timeout=60)
-        client.run(_slow)
-        arguments = [sys.executable, str(script), str(own.file), str(folder / "a.npy"), str(out / "out.rset")]
-        process = subprocess.Popen(arguments, stdout=subprocess.PIPE)
-        assert process.stdout is not None and process.stdout.readline().startswith(b"read")
-        process.kill()
-        process.wait()
-        process.stdout.close()
-        left = os.listdir(out)
-        assert len(left) == 1 and left[0].startswith(".out.rset.rayset-parts-")
-        rs.build(folder / "a.npy", columns=["x", "y", "z"], path=out / "out.rset", executor=client)
-        assert os.listdir(out) == ["out.rset"]
+def test_a_build_of_arrays_has_the_bytes_of_one_process(client: Any, tmp_path: Path) -> None:
+    where = points(60_001, 4)
+    where[7] = np.nan
+    options: dict[str, Any] = {
+        "radius": np.abs(where[:, 1]) * 0.01 + 0.01,
+        "color": np.clip(np.abs(np.nan_to_num(where)), 0, 1),
+        "attributes": {"T": where[:, 0].astype("f4"), "kind": (where[:, 2] > 0).astype("u1")},
+        "classes": ["kind"],
+    }
+    table = {"x": where[:, 0], "y": where[:, 1], "z": where[:, 2]}
+    for given, more in ((where, options), (table, {}), (where.astype("f4")[1::2], {"radius": 0.05})):
+        made = []
+        for name, executor in (("here.rset", None), ("there.rset", client)):
+            with pytest.warns(rs.RaysetWarning, match="1 have no usable position"):
+                made.append(rs.build(given, path=tmp_path / name, executor=executor, **more))
+        assert len(made[0]) == len(made[1]) > 29_000
+        assert (tmp_path / "there.rset").read_bytes() == (tmp_path / "here.rset").read_bytes()
+        assert sorted(os.listdir(tmp_path)) == ["here.rset", "there.rset"]
+    few = rs.build(points(1), radius=1, path=tmp_path / "few.rset", executor=client)
+    assert len(few) == 1
 
 
 def test_stopping_ends_tasks_and_leaves_nothing(client: Any, folder: Path, tmp_path: Path) -> None:
@@ -314,8 +198,8 @@ def test_stopping_ends_tasks_and_leaves_nothing(client: Any, folder: Path, tmp_p
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         rs.render(cloud, look="gas", size=1500, samples=16, executor=client)
-    assert time.monotonic() - begun < 5
-    assert _is_soon(lambda: not any(client.processing().values()))
+    assert time.monotonic() - begun < 30
+    assert is_soon(lambda: not any(client.processing().values()))
     with pytest.raises(RuntimeError, match="enough"):
         rs.build(folder / "a.npy", columns=["x", "y", "z"], path=tmp_path / "out.rset", executor=client, progress=enough)
     assert os.listdir(tmp_path) == []
@@ -329,20 +213,11 @@ def _is_idle() -> bool:
     return not worker._running
 
 
-def _is_soon(holds: Callable[[], bool]) -> bool:
-    end = time.monotonic() + 20
-    while not holds():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-    return True
-
-
 def test_what_workers_do_not_see_is_said(client: Any, folder: Path, tmp_path: Path, cloud: rs.Cloud) -> None:
     with pytest.raises(ValueError, match="in the memory of this process.*rs.build"):
         rs.render(cloud, executor=client)
-    with pytest.raises(TypeError, match="in the memory of this process"):
-        rs.build(points(), path=tmp_path / "out.rset", executor=client)
+    with pytest.raises(TypeError, match="iterator of chunks is in this process"):
+        rs.build(iter([points()]), path=tmp_path / "out.rset", executor=client)
     with pytest.raises(TypeError, match="path="):
         rs.build(folder / "a.npy", executor=client)
     missing = rs.Scene.from_json({"rayset": 1, "root": {"type": "cloud", "file": str(tmp_path / "missing.rset")}})
@@ -368,10 +243,10 @@ def test_a_file_that_goes_away_meanwhile_is_said_with_the_worker(client: Any, fo
 
 
 def test_mistakes_in_a_call_are_said(client: Any, folder: Path) -> None:
-    scene = _scene("opaque", folder)
+    scene = scene_of("opaque", folder)
     with pytest.raises(TypeError, match="expected a client of dask.distributed"):
         rs.render(scene, executor=4)
-    for options in ({"threads": 2}, {"session": rs.Session()}, {"progressive": True}):
+    for options in ({"threads": 2}, {"session": rs.Session()}):
         with pytest.raises(TypeError, match=next(iter(options))):
             rs.render(scene, executor=client, **options)
     with pytest.raises(rs.MemoryBudgetError, match="worker "):
@@ -392,13 +267,13 @@ def test_workers_agree_on_the_lowest_class_of_instructions(two: Any, folder: Pat
         without = [(name, fused) for name, fused in _native.instructions() if not fused]
         _native.instructions = lambda: without
 
-    scene = _scene("opaque", folder)
+    scene = scene_of("opaque", folder)
     best = rs.render(scene, executor=two)
     two.run(old, workers=[min(two.nthreads())])
     lowest = rs.render(scene, executor=two)
     name = next(name for name, fused in _native.instructions() if not fused)
     with rs.Session(_simd=name) as session:
-        assert _are_same(lowest, session.render(scene))
+        assert are_same(lowest, session.render(scene))
     assert not np.array_equal(lowest.linear, best.linear)
 
 
@@ -411,4 +286,4 @@ def test_workers_of_other_versions_are_named(two: Any, folder: Path) -> None:
     worker = min(two.nthreads())
     two.run(other, workers=[worker])
     with pytest.raises(rs.ExecutorError, match=rf"versions of rayset.*{worker}\): 0\.0\.9"):
-        rs.render(_scene("opaque", folder), executor=two)
+        rs.render(scene_of("opaque", folder), executor=two)

@@ -39,7 +39,8 @@ def _stays(action: Callable[[int], Any], times: int) -> None:
     for k in range(times):
         action(k)
     after = _state()
-    assert after[1:] == before[1:], (before, after)
+    # Fewer may be left: servers of other tests close their connections when nothing has come for a while.
+    assert all(now <= then for now, then in zip(after[1:], before[1:], strict=True)), (before, after)
     assert after[0] <= before[0] + SLACK, (before, after)
 
 
@@ -80,12 +81,15 @@ def test_two_hundred_abandoned_iterators(cloud: rs.Cloud) -> None:
 
 
 def test_two_hundred_sessions(cloud: rs.Cloud) -> None:
+    # Servers of tests before this one may have threads that wait for their clients yet.
+    before = set(threading.enumerate())
+
     def session(k: int) -> None:
         with rs.Session(memory="64MiB", threads=2) as one:
             one.render(cloud, size=8)
 
     _stays(session, 200)
-    assert threading.active_count() == 1
+    assert set(threading.enumerate()) <= before
 
 
 def test_two_hundred_grids_and_files(tmp_path: Path) -> None:

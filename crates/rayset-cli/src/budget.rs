@@ -1,30 +1,68 @@
-//! Budgets that are too small, said with the options that help.
+//! The memory that a command may use; budgets that are too small, said with the options that help.
+
+use std::path::Path;
 
 use rayset::build::{self, GridBuildError};
+use rayset::storage::address_of;
 
 use crate::memory::PROCESS_BYTES;
 use crate::report;
 
+/// Memory for the whole process, and what the process takes of it besides the work.
+#[derive(Clone, Copy)]
+pub(crate) struct Budget {
+    memory: u64,
+    process_bytes: u64,
+}
+
+impl Budget {
+    /// For work on some files: where one of them is at an address, requests take their part.
+    pub(crate) fn of<P: AsRef<Path>>(memory: u64, files: impl IntoIterator<Item = P>) -> Self {
+        let far = files.into_iter().any(|file| address_of(file.as_ref()).is_some());
+        Self { memory, process_bytes: PROCESS_BYTES + if far { rayset_far::REQUESTS_BYTES } else { 0 } }
+    }
+
+    /// For work on files on a disk.
+    pub(crate) fn near(memory: u64) -> Self {
+        Self { memory, process_bytes: PROCESS_BYTES }
+    }
+
+    /// What is left for the work.
+    pub(crate) fn left(self) -> u64 {
+        self.memory.saturating_sub(self.process_bytes)
+    }
+
+    /// The budget, in words.
+    pub(crate) fn in_words(self) -> String {
+        report::bytes(self.memory)
+    }
+
+    /// The budget that leaves so much.
+    pub(crate) fn leaving(self, bytes: u64) -> u64 {
+        bytes + self.process_bytes
+    }
+}
+
 /// As [`name_smallest_budget`], for a volume.
-pub(crate) fn name_smallest_grid_budget(error: GridBuildError, memory: u64) -> anyhow::Error {
+pub(crate) fn name_smallest_grid_budget(error: GridBuildError, budget: Budget) -> anyhow::Error {
     match error {
         GridBuildError::Memory { needed, .. } => anyhow::anyhow!(
             "--memory {} is too small; the smallest that would do is {} bytes",
-            report::bytes(memory),
-            needed + PROCESS_BYTES
+            budget.in_words(),
+            budget.leaving(needed)
         ),
         other => other.into(),
     }
 }
 
 /// The library is given the budget less the memory of the process itself; its error must state the whole budget.
-pub(crate) fn name_smallest_budget(error: build::BuildError, memory: u64) -> anyhow::Error {
+pub(crate) fn name_smallest_budget(error: build::BuildError, budget: Budget) -> anyhow::Error {
     match error {
         build::BuildError::Memory { needed, .. } => {
-            let needed = needed + PROCESS_BYTES;
+            let needed = budget.leaving(needed);
             anyhow::anyhow!(
                 "--memory {} is too small; the smallest that would do is {needed} bytes ({})",
-                report::bytes(memory),
+                budget.in_words(),
                 report::bytes(needed)
             )
         }

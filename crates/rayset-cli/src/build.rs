@@ -9,9 +9,9 @@ use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
 use rayset::points::{PointSource, ReadOptions};
 use rayset::volumes::{RawLayout, VolumeSource};
 
-use crate::budget::{name_smallest_budget, name_smallest_grid_budget};
+use crate::budget::{Budget, name_smallest_budget, name_smallest_grid_budget};
 use crate::build_parts::{self, PartArgs, PartOf, Work};
-use crate::memory::{PROCESS_BYTES, peak_rss};
+use crate::memory::peak_rss;
 use crate::outputs::Outputs;
 use crate::progress::Meter;
 use rayset_inputs::values;
@@ -78,7 +78,7 @@ pub(crate) struct BuildArgs {
     precision: String,
     /// Memory for the whole process
     #[arg(long, value_parser = values::size, default_value = "256MiB")]
-    memory: u64,
+    pub(crate) memory: u64,
     /// Threads; as many as there are processors by default
     #[arg(long)]
     threads: Option<usize>,
@@ -118,6 +118,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
         return build_grid(args, &inputs);
     }
     let options = options(args)?;
+    build_parts::check(&args.parts, &args.output)?;
     let output = Outputs::beside(&inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
     if let Some(part) = args.parts.asked() {
@@ -128,7 +129,11 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
     let built = build::to_file(sources, &args.output, &options, &control);
     meter.finish();
-    present(&args.output, &built.map_err(|e| name_smallest_budget(e, args.memory))?, args.json)
+    present(&args.output, &built.map_err(|e| name_smallest_budget(e, budget(args)))?, args.json)
+}
+
+fn budget(args: &BuildArgs) -> Budget {
+    Budget::of(args.memory, args.inputs.iter().chain([&args.output]))
 }
 
 fn read_options(args: &BuildArgs) -> ReadOptions {
@@ -169,7 +174,7 @@ fn run_part(args: &BuildArgs, part: PartOf, inputs: &[PathBuf], options: BuildOp
         output: &args.output,
         request: rayset_inputs::fingerprint(inputs, &said)?,
         options: options.clone(),
-        memory: args.memory,
+        budget: budget(args),
         json: args.json,
     };
     build_parts::run(&work, part, || open(args, inputs, options))
@@ -204,12 +209,12 @@ fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
     let meter = Meter::new("slices", args.json);
     let started = std::time::Instant::now();
     let options = GridBuildOptions::default()
-        .with_memory_bytes(args.memory.saturating_sub(PROCESS_BYTES))
+        .with_memory_bytes(budget(args).left())
         .with_temp_dir(args.temp_dir.clone());
     let control = build::BuildControl::from(&meter as &dyn build::Progress);
     let built = build::grid_to_file(source, &args.output, &options, &control);
     meter.finish();
-    let header = built.map_err(|e| name_smallest_grid_budget(e, args.memory))?;
+    let header = built.map_err(|e| name_smallest_grid_budget(e, budget(args)))?;
     if args.json {
         return report::json(&GridSummary {
             size: header.size,
@@ -265,7 +270,7 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
         .with_precision(precision)
         .with_page_bytes(args.page_size.map(|n| u32::try_from(n).unwrap_or(u32::MAX)))
         .with_render_memory(args.render_memory)
-        .with_memory_bytes(args.memory.saturating_sub(PROCESS_BYTES))
+        .with_memory_bytes(budget(args).left())
         .with_threads(threads)
         .with_temp_dir(args.temp_dir.clone()))
 }

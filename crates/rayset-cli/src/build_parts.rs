@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use rayset::build::{BuildControl, BuildOptions, BuildParts, BuildStep, Progress};
 use rayset::output::Destination;
 use rayset::points::PointSource;
+use rayset::storage::address_of;
 
-use crate::budget::name_smallest_budget;
+use crate::budget::{Budget, name_smallest_budget};
 use crate::memory::peak_rss;
 use crate::progress::Meter;
 use crate::{interrupts, report};
@@ -24,7 +25,8 @@ pub(crate) struct PartArgs {
     /// first that this part has not done
     #[arg(long, requires = "part")]
     step: Option<BuildStep>,
-    /// Folder through which the parts exchange their results, seen by all of them; OUTPUT.parts by default
+    /// Folder through which the parts exchange their results, seen by all of them; OUTPUT.parts by default. An output at an address
+    /// needs one
     #[arg(long, requires = "part")]
     exchange: Option<PathBuf>,
 }
@@ -54,6 +56,34 @@ impl PartArgs {
     pub(crate) fn asked(&self) -> Option<PartOf> {
         self.part
     }
+
+    /// The folder through which the parts of a build to `output` exchange their results.
+    ///
+    /// # Errors
+    /// If it would be an address: parts exchange files.
+    fn folder(&self, output: &Path) -> Result<PathBuf> {
+        if let Some(folder) = &self.exchange {
+            ensure!(
+                address_of(folder).is_none(),
+                "--exchange {}: parts exchange files, in a folder that all of them see; an address has none",
+                folder.display()
+            );
+            return Ok(folder.clone());
+        }
+        ensure!(
+            address_of(output).is_none(),
+            "{} is an address, beside which parts cannot exchange files: give --exchange FOLDER, which all of them see, and then \
+             `rayset merge FOLDER -o {}`",
+            output.display(),
+            output.display()
+        );
+        Ok(default_folder(output))
+    }
+}
+
+/// Refuses a part of a build, before anything is done, that has no folder to exchange files through.
+pub(crate) fn check(args: &PartArgs, output: &Path) -> Result<()> {
+    if args.part.is_some() { args.folder(output).map(drop) } else { Ok(()) }
 }
 
 /// What a step of a part is made of.
@@ -64,8 +94,7 @@ pub(crate) struct Work<'a> {
     pub(crate) request: String,
     /// The resources, and what else is known before the input is opened.
     pub(crate) options: BuildOptions,
-    /// Memory for the whole process.
-    pub(crate) memory: u64,
+    pub(crate) budget: Budget,
     pub(crate) json: bool,
 }
 
@@ -86,7 +115,7 @@ pub(crate) fn run(
     open: impl FnOnce() -> Result<(Vec<Box<dyn PointSource>>, BuildOptions)>,
 ) -> Result<()> {
     let started = std::time::Instant::now();
-    let folder = work.args.exchange.clone().unwrap_or_else(|| default_folder(work.output));
+    let folder = work.args.folder(work.output)?;
     let build = BuildParts::new(&folder, parts)?.with_request(work.request.clone());
     let step = match work.args.step {
         Some(step) => Some(step),
@@ -106,7 +135,7 @@ pub(crate) fn run(
             build.run(step, part, &work.options, &control)
         };
         meter.finish();
-        outcome.map_err(|e| name_smallest_budget(e, work.memory))?;
+        outcome.map_err(|e| name_smallest_budget(e, work.budget))?;
     }
     let seconds = started.elapsed().as_secs_f64();
     if work.json {

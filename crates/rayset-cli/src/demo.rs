@@ -9,13 +9,14 @@ use rayset::build::{self, BuildOptions};
 use rayset::output::Destination;
 use rayset::points::Workload;
 
+use crate::budget::Budget;
 use crate::interrupts::TemporaryFolder;
 use crate::progress::Meter;
 use crate::render;
 use rayset_inputs::look::CameraArgs;
 use rayset_inputs::values;
 
-use crate::{generate, memory, report};
+use crate::{generate, report};
 
 /// Make a cloud larger than its memory budget, build it, render it, and say what the working set did.
 ///
@@ -81,7 +82,7 @@ pub(crate) fn make_cloud(workload: &Workload, memory: u64, folder: &Path) -> Res
     let options = BuildOptions::default()
         .with_radius(workload.radius().map(build::Rule::Number))
         .with_radius_scale(RADIUS_SCALE)
-        .with_memory_bytes(memory.saturating_sub(memory::PROCESS_BYTES));
+        .with_memory_bytes(Budget::near(memory).left());
     let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
     let meter = Meter::new("points", false);
     let built = build::to_file(
@@ -90,7 +91,7 @@ pub(crate) fn make_cloud(workload: &Workload, memory: u64, folder: &Path) -> Res
         &options,
         &build::BuildControl::from(&meter as &dyn build::Progress),
     )
-    .map_err(|e| crate::budget::name_smallest_budget(e, memory))?;
+    .map_err(|e| crate::budget::name_smallest_budget(e, Budget::near(memory)))?;
     meter.finish();
     report::say(format_args!(
         "   {} of pages, {:.1} times the memory that may be used",

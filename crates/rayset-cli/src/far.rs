@@ -1,18 +1,11 @@
 //! Options of objects that are far away, which all commands have.
 
-use std::env;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::Args;
 use rayset_far::Settings;
 use rayset_inputs::values;
-
-/// The cache's size if none is said.
-const USUAL_BYTES: u64 = 8 << 30;
-/// Variables of the environment that say what the options say.
-const FOLDER: &str = "RAYSET_FAR_CACHE";
-const SIZE: &str = "RAYSET_FAR_CACHE_SIZE";
 
 /// Options of addresses.
 #[derive(Args)]
@@ -27,25 +20,28 @@ pub(crate) struct FarArgs {
 }
 
 impl FarArgs {
-    /// Opens addresses from now on.
-    pub(crate) fn open(&self) -> Result<()> {
-        let set = |name| env::var_os(name).filter(|value| !value.is_empty());
-        let folder = self.far_cache.clone().or_else(|| set(FOLDER).map(PathBuf::from));
+    /// Opens addresses from now on, for a command that may use so much memory, if it says that.
+    pub(crate) fn open(&self, memory: Option<u64>) -> Result<()> {
+        // While an output is sent, what it was made in is free again.
+        const SENDING: u64 = 4;
+        const LEAST_AND_MOST_SENDING: (u64, u64) = (8 << 20, 64 << 20);
         if !rayset_far::is_available() && self.far_cache.is_some() {
             bail!(
                 "--far-cache keeps what is read of addresses, which this program was built without: build it with `--features far`"
             );
         }
-        let size = match (self.far_cache_size, set(SIZE)) {
-            (Some(size), _) => size,
-            (None, Some(text)) => {
-                values::size(&text.to_string_lossy()).map_err(anyhow::Error::msg).context(SIZE)?
-            }
-            (None, None) => USUAL_BYTES,
-        };
+        // What an option says is not sought in the environment, where it may be no size.
+        let size = |text: &str| self.far_cache_size.map_or_else(|| values::size(text), Ok);
+        let mut settings = Settings::of_environment(size).map_err(anyhow::Error::msg)?;
+        let (folder, bytes) = settings.cache.take().unzip();
+        let folder = self.far_cache.clone().or(folder);
         if folder.is_none() && self.far_cache_size.is_some() {
             bail!("--far-cache-size is the size of a folder that no --far-cache names");
         }
-        Ok(rayset_far::open_addresses(&Settings { cache: folder.map(|folder| (folder, size)) })?)
+        let bytes = self.far_cache_size.or(bytes).unwrap_or(Settings::USUAL_BYTES);
+        let (least, most) = LEAST_AND_MOST_SENDING;
+        settings.sending_bytes = memory.map(|memory| (memory / SENDING).clamp(least, most));
+        settings.cache = folder.map(|folder| (folder, bytes));
+        Ok(rayset_far::open_addresses(&settings)?)
     }
 }

@@ -6,11 +6,11 @@ use anyhow::Result;
 use rayset::build::{BuildError, GridBuildError};
 use rayset_inputs::{CacheArgs, Host, Opened};
 
+use crate::budget::{self, Budget};
 use crate::interrupts::TemporaryFolder;
-use crate::memory::PROCESS_BYTES;
 use crate::outputs::Outputs;
 use crate::progress::{Meter, Told};
-use crate::{budget, report};
+use crate::report;
 
 /// The resources that building may use.
 #[derive(Clone, Copy)]
@@ -26,18 +26,18 @@ pub(crate) struct Resources<'a> {
 pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let Resources { memory, threads, told } = resources;
     let program = Program { meter: Meter::new("", false).telling(told) };
-    let building = memory.saturating_sub(PROCESS_BYTES);
-    let resources = rayset_inputs::Resources { memory: building, threads, host: &program };
+    let budget = Budget::of(memory, inputs);
+    let resources = rayset_inputs::Resources { memory: budget.left(), threads, host: &program };
     let opened = rayset_inputs::open(inputs, cache, resources);
     program.meter.finish();
-    opened.map_err(|error| name_smallest_budget(error, memory))
+    opened.map_err(|error| name_smallest_budget(error, budget))
 }
 
 /// Errors of a build whose budget is too small name the budget of the process.
-fn name_smallest_budget(error: anyhow::Error, memory: u64) -> anyhow::Error {
+fn name_smallest_budget(error: anyhow::Error, budget: Budget) -> anyhow::Error {
     match error.downcast::<BuildError>().map_err(|error| error.downcast::<GridBuildError>()) {
-        Ok(error) => budget::name_smallest_budget(error, memory),
-        Err(Ok(error)) => budget::name_smallest_grid_budget(error, memory),
+        Ok(error) => budget::name_smallest_budget(error, budget),
+        Err(Ok(error)) => budget::name_smallest_grid_budget(error, budget),
         Err(Err(other)) => other,
     }
 }

@@ -92,11 +92,22 @@ fn main() -> ExitCode {
         }
     };
     let outcome = interrupts::install()
-        .and_then(|()| cli.far.open())
+        .and_then(|()| cli.far.open(cli.command.memory()))
         .and_then(|()| run(cli.command))
         .and_then(|()| report::check_results());
     interrupts::wait_if_ending();
     ended(outcome)
+}
+
+impl Command {
+    /// The memory for the whole process, of commands whose outputs are large.
+    fn memory(&self) -> Option<u64> {
+        match self {
+            Self::Build(args) => Some(args.memory),
+            Self::Merge(args) => Some(args.memory),
+            _ => None,
+        }
+    }
 }
 
 fn run(command: Command) -> anyhow::Result<()> {

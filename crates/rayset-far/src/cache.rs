@@ -4,7 +4,8 @@
 //! entity tag and length, and the block's number, so that an object that has changed has other blocks. Several processes may
 //! use one folder: they write one after another, under a lock, and read without one. The file `bytes` says how much all blocks
 //! take; it is raised before a block gets its name, so that a process that is killed may leave it too high, but never too low.
-//! What it left unfinished lies in `unfinished`, and is removed by whoever opens the folder next.
+//! What it left unfinished lies in `unfinished`, with a file that says that it had begun; whoever opens the folder next removes it and
+//! counts again.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -163,28 +164,38 @@ impl Cache {
 
     fn write<'a>(&self, key: Key, blocks: &[u64], content: impl Fn(u64) -> &'a [u8]) -> io::Result<()> {
         let mut lock = Lock::take(&self.folder)?;
+        // Somebody else may have kept some of them while this waited.
+        let missing = blocks.iter().filter(|&&block| !self.path(key, block).exists());
+        let blocks: Vec<u64> = missing.copied().collect();
         let needed: u64 = blocks.iter().map(|&block| file_bytes(content(block).len())).sum();
         let total = match lock.bytes()? {
             Some(total) => total,
             None => self.total()?,
         };
+        // As long as this is there, what is counted may be more than there is.
+        let begun = self.folder.join("unfinished").join(std::process::id().to_string());
+        File::create(&begun)?;
         let total = self.make_room(&mut lock, total, needed)?;
         if total + needed > self.most_bytes {
-            return Ok(());
+            return fs::remove_file(begun);
         }
         lock.set_bytes(total + needed)?;
-        for &block in blocks {
+        let mut kept = total;
+        for block in blocks {
             let path = self.path(key, block);
             let partial = self.folder.join("unfinished").join(format!("{}-{block}", std::process::id()));
-            let mut file = File::create(&partial)?;
-            file.write_all(&checksum_of(key, block, content(block)))?;
-            file.write_all(content(block))?;
-            if let Some(folder) = path.parent() {
-                fs::create_dir_all(folder)?;
+            let checksum = checksum_of(key, block, content(block));
+            let written = write_block(&partial, &path, &checksum, content(block));
+            if let Err(error) = written {
+                let _ = fs::remove_file(&partial);
+                // What follows is not written either.
+                lock.set_bytes(kept)?;
+                let _ = fs::remove_file(begun);
+                return Err(error);
             }
-            fs::rename(&partial, &path)?;
+            kept += file_bytes(content(block).len());
         }
-        Ok(())
+        fs::remove_file(begun)
     }
 
     /// Removes blocks that have not been used for long until there is room. Returns what is left.
@@ -232,6 +243,17 @@ impl Cache {
             folder_name((key.0 as u64).wrapping_add(block.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40));
         self.folder.join(folder).join(format!("{:032x}-{block:x}", key.0))
     }
+}
+
+/// Writes a block's file, which has its name when it is whole.
+fn write_block(partial: &Path, path: &Path, checksum: &[u8], content: &[u8]) -> io::Result<()> {
+    let mut file = File::create(partial)?;
+    file.write_all(checksum)?;
+    file.write_all(content)?;
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    fs::rename(partial, path)
 }
 
 /// The bytes of some blocks, in an object of `length` bytes.

@@ -98,13 +98,17 @@ impl Access {
 
     /// Lets in who knows the password. Returns the cookie to set.
     pub(crate) fn enter(&self, attempt: &str) -> Result<String, Refusal> {
+        self.enter_at(attempt, Instant::now())
+    }
+
+    fn enter_at(&self, attempt: &str, now: Instant) -> Result<String, Refusal> {
         let password = self.password.as_ref().ok_or(Refusal::Password)?;
         {
             let mut tried = password.tried.lock().unwrap_or_else(PoisonError::into_inner);
-            if tried.is_some_and(|before| before.elapsed() < BETWEEN_ATTEMPTS) {
+            if tried.is_some_and(|before| now.saturating_duration_since(before) < BETWEEN_ATTEMPTS) {
                 return Err(Refusal::Password);
             }
-            *tried = Some(Instant::now());
+            *tried = Some(now);
         }
         let attempt = of_password(&self.signer, attempt);
         attempt.verify_slice(&password.signature).map_err(|_| Refusal::Password)?;
@@ -322,10 +326,11 @@ mod tests {
     #[test]
     fn the_password_lets_in_and_is_not_tried_twice_at_once() {
         let here = Access::new([1; SECRET_BYTES], 8000, Vec::new(), Some("a long sentence"));
-        assert_eq!(here.enter("a long sentenc"), Err(Refusal::Password));
-        assert_eq!(here.enter("a long sentence"), Err(Refusal::Password), "too soon");
-        std::thread::sleep(BETWEEN_ATTEMPTS);
-        let cookie = here.enter("a long sentence").expect("it is right");
+        let now = Instant::now();
+        assert_eq!(here.enter_at("a long sentenc", now), Err(Refusal::Password));
+        let sooner = now + BETWEEN_ATTEMPTS - Duration::from_millis(1);
+        assert_eq!(here.enter_at("a long sentence", sooner), Err(Refusal::Password), "too soon");
+        let cookie = here.enter_at("a long sentence", now + BETWEEN_ATTEMPTS).expect("it is right");
         let pair = cookie.split(';').next().expect("a pair");
         assert_eq!(here.check_cookie(&headers(&[(header::COOKIE, pair)])), Ok(()));
         let other = Access::new([1; SECRET_BYTES], 8000, Vec::new(), Some("another sentence"));

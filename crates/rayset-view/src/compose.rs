@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use rayset::geometry::Aabb;
 use rayset::scene::{Camera, Projection};
 use rayset::scene_file::SceneFile;
+use rayset::storage::{address_of, beside};
 use serde_json::{Value, json};
 
 use crate::cuts;
@@ -71,8 +72,10 @@ impl Opened {
     /// The same, as a file anywhere: names of files are whole.
     pub(crate) fn saved(&self, show: &Show) -> Result<Value, String> {
         let mut scene = self.composed(show, true)?;
-        // Of a name alone the folder is the one that the program runs in.
-        if let Ok(path) = std::path::absolute(&self.subject.path)
+        let path = &self.subject.path;
+        // Of a name alone the folder is the one that the program runs in; an address is whole.
+        let path = if address_of(path).is_some() { Ok(path.clone()) } else { std::path::absolute(path) };
+        if let Ok(path) = path
             && let Some(folder) = path.parent()
         {
             name_files(&mut scene, folder);
@@ -152,7 +155,7 @@ fn name_files(value: &mut Value, folder: &Path) {
             for (key, value) in keys {
                 match value {
                     Value::String(name) if key == "file" => {
-                        *name = folder.join(&*name).to_string_lossy().into_owned();
+                        *name = beside(folder, Path::new(&*name)).to_string_lossy().into_owned();
                     }
                     _ => name_files(value, folder),
                 }
@@ -269,6 +272,22 @@ mod tests {
             assert_eq!((file.settings.width, file.settings.height), (64, 48));
             assert_eq!(file.camera, camera(&show(change).camera));
         }
+    }
+
+    #[test]
+    fn names_of_files_in_a_saved_scene_are_whole_wherever_the_scene_was_read_from() {
+        let saved = |scene: &str, cloud: &str| {
+            let mut opened = opened();
+            opened.subject.path = scene.into();
+            opened.subject.scene["root"] = json!({"type": "cloud", "file": cloud});
+            let saved = opened.saved(&show(Changes::default())).expect("a scene");
+            saved["root"]["file"].as_str().expect("a name").to_owned()
+        };
+        assert_eq!(saved("s3://bucket/a/scene.json", "../c.rset"), "s3://bucket/c.rset");
+        assert_eq!(saved("s3://bucket/scene.json", "c.rset"), "s3://bucket/c.rset");
+        assert_eq!(saved("scene.json", "s3://bucket/c.rset"), "s3://bucket/c.rset");
+        let folder = std::env::current_dir().expect("a folder");
+        assert_eq!(saved("scene.json", "c.rset"), folder.join("c.rset").to_string_lossy());
     }
 
     #[test]

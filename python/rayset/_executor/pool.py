@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from .. import _native
@@ -28,10 +28,11 @@ _MEMORY = 1 << 30
 class Pool:
     """The workers of a client.
 
-    `look` opens the files on each worker and returns their names; what it raises there is raised here, with the worker's name.
+    `look` opens the files on each worker and returns their names; what it raises there is raised here, with the worker's name. `pins` are
+    objects that are open here, by their addresses: workers have to find the same there.
     """
 
-    def __init__(self, executor: Any, timeout: float, look: Callable[[], Sequence[str]]) -> None:
+    def __init__(self, executor: Any, timeout: float, look: Callable[[], Sequence[str]], pins: Mapping[str, str | None] | None = None) -> None:
         if not isinstance(executor, distributed.Client):
             raise TypeError(f"executor={executor!r}: expected a client of dask.distributed, as in distributed.Client(cluster)")
         if executor.asynchronous:
@@ -42,7 +43,7 @@ class Pool:
         #: Where the scheduler is, for messages.
         self.where = str(getattr(executor.scheduler, "address", "the scheduler"))
         self.workers = self._asked(look)
-        self.fused = self._agreed()
+        self.fused = self._agreed(pins or {})
         self.threads = sum(one.threads for one in self.workers.values())
 
     def memory(self, asked: int | None) -> int:
@@ -112,7 +113,7 @@ class Pool:
                 raise ExecutorError(f"worker {address} cannot say what it is: {one}; the version of rayset there may be another than here") from one
         return found
 
-    def _agreed(self) -> bool:
+    def _agreed(self, pins: Mapping[str, str | None]) -> bool:
         """Checks that all workers are of one kind, and returns their lowest common class of vector instructions."""
         versions = {self.name(at): one.version for at, one in self.workers.items()}
         self._require_one("versions of rayset", versions | {"this process": _native.__version__})
@@ -125,7 +126,12 @@ class Pool:
         for at, one in self.workers.items():
             if one.error is not None:
                 raise renamed(one.error, self.name(at))
-        self._require_one("files", {self.name(at): one.sizes for at, one in self.workers.items()}, "of these sizes in bytes")
+        self._require_one("files", {self.name(at): tuple(size for _, size, _ in one.files) for at, one in self.workers.items()}, "of these sizes in bytes")
+        self._require_one("objects", {self.name(at): tuple(tag for *_, tag in one.files if tag) for at, one in self.workers.items()}, "with these tags")
+        for at, one in self.workers.items():
+            for name, _, tag in one.files:
+                if pins.get(name) not in (None, tag):
+                    raise ExecutorError(f"{name} is another object by now than when it was opened here; open it again (worker {self.name(at)})")
         common = frozenset.intersection(*(one.classes for one in self.workers.values()))
         if not common:
             kinds = ", ".join(f"{self.name(at)} {'with' if True in one.classes else 'without'}" for at, one in self.workers.items())
@@ -165,9 +171,11 @@ class Pulse:
         threading.Thread(target=self._ask, name="rayset-pulse", daemon=True).start()
 
     def _ask(self) -> None:
+        client = self._pool.client
         while not self._ended.wait(_PULSE):
             try:
-                workers = self._pool.client.nthreads()
+                # As `client.nthreads()`, which would wait for ever for a scheduler that is there and does nothing.
+                workers = client.sync(client.scheduler.ncores, callback_timeout=self._pool.timeout)
             except Exception:
                 continue
             self._answered = time.monotonic()

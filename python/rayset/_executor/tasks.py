@@ -6,6 +6,7 @@ import contextlib
 import queue
 import time
 import uuid
+import weakref
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
@@ -23,6 +24,26 @@ _RETRIES = 2
 _PATIENCE = 10.0
 
 
+#: Runs that want to know how far their tasks are, and clients that have been asked to tell.
+_runs: weakref.WeakValueDictionary[str, Tasks] = weakref.WeakValueDictionary()
+_clients: weakref.WeakSet[Any] = weakref.WeakSet()
+
+
+def _listen(tasks: Tasks) -> None:
+    """Hears what tasks of a run say. A client is asked once, for all runs: the scheduler keeps a log for each topic."""
+    _runs[tasks.terms.run] = tasks
+    if tasks.pool.client not in _clients:
+        tasks.pool.client.subscribe_topic(worker.TOPIC, _hear)
+        _clients.add(tasks.pool.client)
+
+
+def _hear(event: tuple[float, Any]) -> None:
+    run, key, done = event[1]
+    tasks = _runs.get(run)
+    if tasks is not None:
+        tasks.said(key, done)
+
+
 class Tasks:
     """The tasks of one picture or build, as a context: what is left of them at its end is cancelled.
 
@@ -30,10 +51,14 @@ class Tasks:
     higher `priority` are begun first.
     """
 
-    def __init__(self, pool: Pool, memory: int | None) -> None:
+    def __init__(self, pool: Pool, memory: int | None, tells: bool = False) -> None:
         self.pool = pool
         run = uuid.uuid4().hex
-        self.terms = worker.Terms(run, _native.__version__, pool.fused, pool.memory(memory))
+        self.terms = worker.Terms(run, _native.__version__, pool.fused, pool.memory(memory), tells)
+        #: How much is done of tasks that are under way and have said so.
+        self._partly: dict[str, float] = {}
+        if tells:
+            _listen(self)
         self._futures: dict[Any, tuple[Any, str]] = {}
         self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._pulse = Pulse(pool)
@@ -51,13 +76,23 @@ class Tasks:
         """How many are under way."""
         return len(self._futures)
 
-    def next(self) -> tuple[Any, worker.Outcome]:
-        """The next that finishes, with its label."""
+    def partly(self) -> float:
+        """How many tasks are done of those that are under way, in parts of them."""
+        return sum(self._partly.get(future.key, 0.0) for future in self._futures)
+
+    def said(self, key: str, done: float) -> None:
+        """A task has said how much of it is done."""
+        self._partly[key] = min(max(done, 0.0), 1.0)
+
+    def next(self, waiting: Callable[[], None] | None = None) -> tuple[Any, worker.Outcome]:
+        """The next that finishes, with its label. `waiting` is called now and then until there is one."""
         while True:
             try:
                 future = self._finished.get(timeout=0.1)
             except queue.Empty:
                 self._pulse.check()
+                if waiting is not None:
+                    waiting()
                 continue
             if future not in self._futures:
                 continue
@@ -68,6 +103,7 @@ class Tasks:
                 future.add_done_callback(self._finished.put)
                 continue
             del self._futures[future]
+            self._partly.pop(future.key, None)
             if outcome.error is not None:
                 raise renamed(outcome.error, outcome.worker)
             return label, outcome

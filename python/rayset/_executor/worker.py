@@ -7,9 +7,9 @@ tried again elsewhere.
 from __future__ import annotations
 
 import hashlib
-import os
 import platform
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from distributed import Status, get_worker
 
 from .. import _native
@@ -40,8 +41,8 @@ class Survey:
     memory: int | None
     #: What is wrong with the files as this worker sees them.
     error: Exception | None
-    #: Their sizes.
-    sizes: tuple[int, ...] = ()
+    #: Their sizes, and what tells objects that are far away from others at their addresses.
+    files: tuple[tuple[str, int, str | None], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class Terms:
     fused: bool
     #: Of the tasks of a worker that run at a time, together.
     memory: int
+    #: Whether somebody wants to know how far each task is.
+    tells: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Build:
 
     #: What the engine calls the parts: their folder, their number, and the build that they are of.
     parts: dict[str, Any]
-    #: Files, their columns, and those that are kept.
+    #: Files, their columns, and those that are kept; or what the columns of arrays are called.
     points: dict[str, Any]
     options: dict[str, Any]
 
@@ -101,10 +104,10 @@ def classes() -> frozenset[bool]:
 
 def survey(look: Callable[[], Sequence[str]], worker: Any) -> Survey:
     """What this worker says of itself. `look` opens the files, and returns their names."""
-    error, sizes = None, []
+    error, files = None, list[tuple[str, int, str | None]]()
     try:
-        for name in look():
-            sizes.append(os.stat(name).st_size)
+        names = look()
+        files = [(name, *version) for name, version in zip(names, _native.versions(names), strict=True)]
     except (RaysetError, OSError, ValueError) as found:
         error = found
     limit = worker.memory_manager.memory_limit
@@ -116,7 +119,7 @@ def survey(look: Callable[[], Sequence[str]], worker: Any) -> Survey:
         threads=worker.state.nthreads,
         memory=None if limit is None else int(limit),
         error=error,
-        sizes=tuple(sizes),
+        files=tuple(files),
     )
 
 
@@ -146,11 +149,19 @@ def _counted(run: str) -> Iterator[None]:
                 del _running[run]
 
 
-def _watch(worker: Any) -> Callable[[str, int, int], None]:
-    """Ends the task from within once nobody waits for it: threads cannot be ended from without."""
-    key = worker.get_current_task()
+#: Under this topic tasks say how far they are, and how often each of them does, in seconds.
+TOPIC, _TELLING = "rayset-progress", 1.0
+
+
+def _watch(worker: Any, terms: Terms) -> Callable[[str, int, int], None]:
+    """Ends the task from within once nobody waits for it, since threads cannot be ended from without, and says how far it is."""
+    key, when = worker.get_current_task(), time.monotonic()
 
     def told(doing: str, done: int, total: int) -> None:
+        nonlocal when
+        if terms.tells and total > 0 and time.monotonic() >= when + _TELLING:
+            when = time.monotonic()
+            worker.log_event(TOPIC, [terms.run, str(key), done / total])
         task = worker.state.tasks.get(key)
         if worker.status not in (Status.running, Status.paused) or task is None or task.state not in ("executing", "long-running"):
             raise Cancelled(f"{doing}: nobody waits for this task any more")
@@ -169,7 +180,7 @@ def _done(terms: Terms, work: Callable[[Any, Callable[[str, int, int], None]], t
                 raise ExecutorError(f"this worker has rayset {own}, and the task is of {terms.version}; install one version everywhere")
             if terms.fused not in classes():
                 raise ExecutorError("this worker came later, and has none of the vector instructions that the others agreed on; begin again")
-            value, remarks = work(worker, _watch(worker))
+            value, remarks = work(worker, _watch(worker, terms))
         except Cancelled:
             raise
         except (RaysetError, ValueError, TypeError, FileNotFoundError) as error:
@@ -189,13 +200,13 @@ def _session(worker: Any, terms: Terms) -> Session:
         return kept[1]
 
 
-def render_share(terms: Terms, picture: Picture, share: tuple[int, int]) -> Outcome:
-    """Renders a share of a picture; the value is the bytes of the part."""
+def render_share(terms: Terms, picture: Picture, share: tuple[int, int], edge: int = 1) -> Outcome:
+    """Renders a share of a picture, or of a coarse one of squares with this edge; the value is the bytes of the part."""
 
     def work(worker: Any, told: Any) -> tuple[Any, list[str]]:
         job = Scene.from_json(picture.scene, picture.folder)._job(picture.crop, picture.layers)
         session = _session(worker, terms)._native
-        return _native.render_part(session, job, share, told), session.remarks()
+        return _native.render_part(session, job, share, told, edge), session.remarks()
 
     return _done(terms, work)
 
@@ -205,12 +216,22 @@ def build_step(terms: Terms, build: Build, step: str, part: int) -> Outcome:
 
     def work(worker: Any, told: Any) -> tuple[Any, list[str]]:
         options = _shared_out(build, worker, terms)
+        if step == "read" and "named" in build.points:
+            folder, named = Path(build.parts["folder"]), build.points["named"]
+            positions, *columns = (np.load(rows_file(folder, part, number), mmap_mode="r") for number in range(1 + len(named)))
+            _native.read_arrays_part(build.parts, part, positions, list(zip(named, columns, strict=True)), options, told)
+            return None, []
         if step == "read":
             return None, _native.read_part(build.parts, part, build.points, options, told)
         _native.run_step(build.parts, step, part, options, told)
         return None, []
 
     return _done(terms, work)
+
+
+def rows_file(folder: Path, part: int, number: int) -> Path:
+    """Where the rows of an array are that a part reads: positions have the number 0, columns those that follow."""
+    return folder / f"rows-{part}-{number}.npy"
 
 
 def merge(terms: Terms, build: Build, path: str) -> Outcome:

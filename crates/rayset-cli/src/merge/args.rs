@@ -20,7 +20,7 @@ pub(crate) struct MergeArgs {
     pub(super) output: PathBuf,
     /// Memory for the whole process
     #[arg(long, value_parser = values::size, default_value = "256MiB")]
-    pub(super) memory: u64,
+    pub(crate) memory: u64,
     /// Keep the parts of a cloud, which are removed once the file is whole
     #[arg(long)]
     pub(super) keep: bool,

@@ -5,9 +5,8 @@ use std::path::Path;
 use anyhow::Result;
 use rayset::build::{BuildControl, BuildOptions, BuildParts, Progress};
 
-use crate::budget::name_smallest_budget;
+use crate::budget::{Budget, name_smallest_budget};
 use crate::build;
-use crate::memory::PROCESS_BYTES;
 use crate::outputs::Outputs;
 use crate::progress::Meter;
 
@@ -26,14 +25,14 @@ pub(super) fn run(job: &Merge<'_>) -> Result<()> {
     let nothing: [&Path; 0] = [];
     Outputs::beside(nothing).add(job.output, None)?.require_file()?;
     let parts = BuildParts::open(job.folder)?;
-    let memory = job.memory.saturating_sub(PROCESS_BYTES);
+    let budget = Budget::of(job.memory, [job.folder, job.output]);
     // One thread lays out pages.
-    let options = BuildOptions::default().with_memory_bytes(memory).with_threads(1);
+    let options = BuildOptions::default().with_memory_bytes(budget.left()).with_threads(1);
     let meter = Meter::new("points", job.json);
     let control = BuildControl::from(&meter as &dyn Progress);
     let merged = parts.merge(job.output, &options, &control);
     meter.finish();
-    let merged = merged.map_err(|e| name_smallest_budget(e, job.memory))?;
+    let merged = merged.map_err(|e| name_smallest_budget(e, budget))?;
     if !job.keep {
         parts.remove()?;
     }

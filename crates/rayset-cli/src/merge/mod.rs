@@ -9,6 +9,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use rayset::parts::PART_MAGIC;
+use rayset::storage::InputFile;
 
 pub(crate) use self::args::MergeArgs;
 
@@ -35,16 +36,12 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     }
 }
 
-/// The first eight bytes of a file, or as many as there are.
+/// The first eight bytes of a file or an object, or as many as there are.
 fn start_of(path: &Path) -> Result<[u8; 8]> {
     let reading = || format!("cannot read {}", path.display());
-    // A pipe would be waited for.
-    let kind = std::fs::metadata(path).with_context(reading)?;
-    if !kind.is_file() {
-        bail!("cannot read {}: it is no regular file", path.display());
-    }
     let mut start = Vec::new();
-    std::fs::File::open(path).with_context(reading)?.take(8).read_to_end(&mut start).with_context(reading)?;
+    // A pipe would be waited for, and is refused.
+    InputFile::open(path).with_context(reading)?.take(8).read_to_end(&mut start).with_context(reading)?;
     start.resize(8, 0);
     Ok(start.try_into().unwrap_or_default())
 }

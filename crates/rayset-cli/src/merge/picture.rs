@@ -7,7 +7,8 @@ use rayset::CancelToken;
 use rayset::parts::{Joined, Part, PartError};
 
 use super::args::MergeArgs;
-use crate::memory::{PROCESS_BYTES, peak_rss};
+use crate::budget::Budget;
+use crate::memory::peak_rss;
 use crate::outputs::Outputs;
 use crate::part_note::Note;
 use crate::render::{Format, PictureSink};
@@ -18,8 +19,8 @@ pub(super) fn run(args: &MergeArgs) -> Result<()> {
     let output = Outputs::beside(&args.parts).add(&args.output, None)?;
     let format = Format::of(&output)?;
     let parts = args.parts.iter().map(|path| Part::open(path));
-    let joined = Joined::join(parts, args.memory.saturating_sub(PROCESS_BYTES))
-        .map_err(|error| name_smallest_budget(error, args.memory))?;
+    let budget = Budget::of(args.memory, args.parts.iter().chain([&args.output]));
+    let joined = Joined::join(parts, budget.left()).map_err(|error| name_smallest_budget(error, budget))?;
     ensure!(
         format == Format::Png || joined.has_layers(),
         "{} is to have layers, and the parts have none: render them with --layers, or merge them to a .png",
@@ -43,13 +44,13 @@ pub(super) fn run(args: &MergeArgs) -> Result<()> {
 }
 
 /// The library is given the budget less the memory of the process itself; its error must state the whole budget.
-fn name_smallest_budget(error: PartError, memory: u64) -> anyhow::Error {
+fn name_smallest_budget(error: PartError, budget: Budget) -> anyhow::Error {
     match error {
         PartError::Memory { needed, .. } => {
-            let least = needed + PROCESS_BYTES;
+            let least = budget.leaving(needed);
             anyhow!(
                 "--memory {} is too small for these parts; the smallest that would do is {least} bytes ({})",
-                bytes(memory),
+                budget.in_words(),
                 bytes(least)
             )
         }

@@ -3,7 +3,7 @@
 mod looks;
 mod state;
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Read};
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
@@ -12,6 +12,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use rayset::Session;
 use rayset::points::Workload;
+use rayset::storage::InputFile;
 use rayset_view::{Options, Server, Subject};
 use serde_json::Value;
 
@@ -195,7 +196,9 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
 /// The text of a scene file, once the strict reader has found it good.
 fn scene_of_file(path: &Path) -> Result<Value> {
     rayset::scene_file::SceneFile::load(path)?;
-    let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let reading = || format!("cannot read {}", path.display());
+    let mut text = Vec::new();
+    InputFile::open(path).with_context(reading)?.read_to_end(&mut text).with_context(reading)?;
     serde_json::from_slice(&text).with_context(|| format!("{} is not JSON", path.display()))
 }
 

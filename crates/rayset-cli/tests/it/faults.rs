@@ -20,12 +20,15 @@ fn succeeds(folder: &Path, arguments: &[&str]) {
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// A folder with some points, a volume and a cloud of them.
+/// A folder with some points, a volume, a cloud of the points and the parts of a picture of it.
 fn prepared() -> tempfile::TempDir {
     let folder = folder();
     let f = folder.path();
     succeeds(f, &["generate", "sphere-300", "-o", "p.ply"]);
     succeeds(f, &["build", "p.ply", "-o", "c.rset", "--threads", "1"]);
+    for (share, name) in [("1/2", "1.part"), ("2/2", "2.part")] {
+        succeeds(f, &["render", "c.rset", "--size", "40x40", "--layers", "--part", share, "-o", name]);
+    }
     std::fs::write(f.join("v.raw"), (0..20 * 20 * 20).map(|i| i as u8).collect::<Vec<_>>()).expect("a write");
     folder
 }
@@ -153,6 +156,21 @@ const BUILD: [&str; 7] = ["build", "p.ply", "-o", "out.rset", "--threads", "1", 
 const GRID: [&str; 6] = ["build", "v.raw", "--raw", "20x20x20,u8", "-o", "out.rset"];
 const PICTURE: [&str; 10] =
     ["render", "c.rset", "--size", "16x16", "--threads", "1", "--io", "pool", "-o", "out.png"];
+const PART: [&str; 12] = [
+    "render",
+    "c.rset",
+    "--size",
+    "40x40",
+    "--threads",
+    "1",
+    "--io",
+    "pool",
+    "--part",
+    "1/2",
+    "-o",
+    "out.part",
+];
+const MERGE: [&str; 5] = ["merge", "1.part", "2.part", "-o", "out.png"];
 
 #[test]
 fn a_cloud_is_built_or_not_whatever_file_operation_fails() {
@@ -182,6 +200,22 @@ fn a_picture_is_right_or_an_error_whatever_file_operation_fails() {
 }
 
 #[test]
+fn a_part_of_a_picture_is_written_or_not_whatever_file_operation_fails() {
+    use Operation::{Create, Open, Read, Rename, Write};
+    let least = [(Create, 1), (Open, 2), (Read, 3), (Write, 1), (Rename, 1)];
+    every_operation_fails_once(&PART, "out.part", &least);
+}
+
+#[test]
+fn parts_are_merged_or_not_whatever_file_operation_fails() {
+    use Operation::{Create, Open, Read, Rename, Write};
+    let least = [(Create, 1), (Open, 2), (Read, 6), (Write, 1), (Rename, 1)];
+    every_operation_fails_once(&MERGE, "out.png", &least);
+    let exr = [&MERGE[..4], &["out.exr"]].concat();
+    every_operation_fails_once(&exr, "out.exr", &least);
+}
+
+#[test]
 fn points_are_generated_or_not_whatever_file_operation_fails() {
     use Operation::{Create, Rename, Write};
     let arguments = ["generate", "sphere-300", "-o", "out.ply"];
@@ -190,7 +224,8 @@ fn points_are_generated_or_not_whatever_file_operation_fails() {
 
 #[test]
 fn a_run_killed_at_any_file_operation_leaves_the_old_output_or_the_new_one_and_the_next_run_cleans_up() {
-    for (arguments, output) in [(&BUILD[..], "out.rset"), (&PICTURE[..], "out.png")] {
+    let runs = [(&BUILD[..], "out.rset"), (&PICTURE, "out.png"), (&PART, "out.part"), (&MERGE, "out.png")];
+    for (arguments, output) in runs {
         let folder = prepared();
         if !tracer::can_trace(folder.path()) {
             return;

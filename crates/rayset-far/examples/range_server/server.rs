@@ -11,11 +11,14 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::extract::{Path, State};
+use axum::extract::{DefaultBodyLimit, Path, RawQuery, State};
 use axum::http::{HeaderMap, Method, Response, StatusCode};
 use bytes::Bytes;
 use futures_util::stream;
 use rayset::storage::{FileStorage, MemoryStorage, Storage};
+
+#[path = "bucket.rs"]
+mod bucket;
 
 /// How the server behaves.
 #[derive(Clone, Debug, Default)]
@@ -32,9 +35,20 @@ pub(crate) struct Behaviour {
     pub cut: f64,
     /// What every request is answered by, instead of what it asks for.
     pub refuses: Option<u16>,
+    /// The session token of credentials that have expired; requests with it are refused as S3 refuses them.
+    pub expired: Option<String>,
     /// Names of deviations: `no-tags` (and no dates), `weak-tags`, `no-ranges`, `no-head`, `short` and `long` (the length that is
-    /// announced is not that of what is sent), `other-range` (another range than the one asked for is sent).
+    /// announced is not that of what is sent), `too-few` (half of what was asked for, and said to be all), `other-range` (another range than the one asked for is sent), `silent` (requests
+    /// are taken and never answered).
     pub odd: HashSet<&'static str>,
+}
+
+/// What happens when a number of requests have come.
+pub(crate) enum Event {
+    /// The server behaves otherwise.
+    Behave(Behaviour),
+    /// Another object takes the place of one.
+    Put(String, Vec<u8>),
 }
 
 /// An object, and the number of those that were there before it.
@@ -44,13 +58,24 @@ type Versioned = (Arc<dyn Storage>, u64);
 #[derive(Default)]
 pub(crate) struct Objects {
     objects: Mutex<HashMap<String, Versioned>>,
+    uploads: Mutex<bucket::Uploads>,
     folder: Option<PathBuf>,
     behaviour: Mutex<Behaviour>,
+    /// What is to happen, and after how many more requests.
+    next: Mutex<Option<(u64, Event)>>,
     random: AtomicU64,
+    /// Requests that came, of every kind.
+    pub requests: AtomicU64,
     /// Requests that were answered, those for the head alone left out.
     pub reads: AtomicU64,
     /// Bytes of the bodies of answers.
     pub bytes: AtomicU64,
+    /// Requests that were answered by 503.
+    pub failed: AtomicU64,
+    /// Requests that took longer.
+    pub slowed: AtomicU64,
+    /// Answers that were cut off.
+    pub cut: AtomicU64,
 }
 
 /// A server that runs until it is dropped.
@@ -69,8 +94,8 @@ impl RangeServer {
         let objects = Arc::new(Objects { folder, behaviour: Mutex::new(behaviour), ..Objects::default() });
         let listener = runtime.block_on(tokio::net::TcpListener::bind(("127.0.0.1", port)))?;
         let address = listener.local_addr()?;
-        let routes = Router::new().route("/{*name}", axum::routing::get(answer).head(answer));
-        let service = routes.with_state(objects.clone());
+        let routes = Router::new().route("/{*name}", axum::routing::any(answer));
+        let service = routes.layer(DefaultBodyLimit::disable()).with_state(objects.clone());
         runtime.spawn(async move { axum::serve(listener, service).await });
         Ok(Self { objects, address, _runtime: runtime })
     }
@@ -82,18 +107,35 @@ impl RangeServer {
 
     /// Adds an object, or puts another one in its place.
     pub(crate) fn put(&self, name: &str, content: Vec<u8>) {
-        let mut objects = self.objects.objects.lock().expect("no panic");
-        let version = objects.get(name).map_or(1, |(_, version)| version + 1);
-        objects.insert(name.to_owned(), (Arc::new(MemoryStorage::new(Arc::new(content))), version));
+        self.objects.put(name, content);
     }
 
     /// Behaves otherwise from now on.
     pub(crate) fn behave(&self, behaviour: Behaviour) {
         *self.objects.behaviour.lock().expect("no panic") = behaviour;
     }
+
+    /// Lets something happen before a request is answered: the next one, if `requests` is 0.
+    pub(crate) fn after(&self, requests: u64, event: Event) {
+        *self.objects.next.lock().expect("no panic") = Some((requests, event));
+    }
+
+    /// The names of the objects of memory, and the number of uploads that are under way.
+    pub(crate) fn held(&self) -> (Vec<String>, usize) {
+        let objects = self.objects.objects.lock().expect("no panic");
+        let mut names: Vec<String> = objects.keys().cloned().collect();
+        names.sort();
+        (names, self.objects.uploads.lock().expect("no panic").under_way())
+    }
 }
 
 impl Objects {
+    fn put(&self, name: &str, content: Vec<u8>) {
+        let mut objects = self.objects.lock().expect("no panic");
+        let version = objects.get(name).map_or(1, |(_, version)| version + 1);
+        objects.insert(name.to_owned(), (Arc::new(MemoryStorage::new(Arc::new(content))), version));
+    }
+
     fn find(&self, name: &str) -> Option<Versioned> {
         if let Some(found) = self.objects.lock().expect("no panic").get(name) {
             return Some(found.clone());
@@ -103,6 +145,17 @@ impl Objects {
         let changed = path.metadata().ok()?.modified().ok()?;
         let version = changed.duration_since(std::time::UNIX_EPOCH).ok()?.as_nanos() as u64;
         Some((Arc::new(FileStorage::open(&path, false).ok()?), version))
+    }
+
+    /// A request has come.
+    fn count_down(&self) {
+        let mut next = self.next.lock().expect("no panic");
+        match next.take() {
+            Some((0, Event::Behave(behaviour))) => *self.behaviour.lock().expect("no panic") = behaviour,
+            Some((0, Event::Put(name, content))) => self.put(&name, content),
+            Some((left, event)) => *next = Some((left - 1, event)),
+            None => {}
+        }
     }
 
     /// A number from 0 to 1: the same sequence in every run.
@@ -118,20 +171,24 @@ impl Objects {
 async fn answer(
     State(objects): State<Arc<Objects>>,
     Path(name): Path<String>,
+    RawQuery(query): RawQuery,
     method: Method,
     headers: HeaderMap,
+    sent: Bytes,
 ) -> Response<Body> {
+    objects.requests.fetch_add(1, Ordering::Relaxed);
+    objects.count_down();
     let behaviour = objects.behaviour.lock().expect("no panic").clone();
     let shaken = 1.0 + behaviour.jitter * (2.0 * objects.random() - 1.0);
     let mut pause = behaviour.latency.mul_f64(shaken);
     if objects.random() < behaviour.slow.0 {
+        objects.slowed.fetch_add(1, Ordering::Relaxed);
         pause += behaviour.slow.1;
     }
     tokio::time::sleep(pause).await;
-    let status = |code: u16| {
-        let status = StatusCode::from_u16(code).expect("a status");
-        Response::builder().status(status).body(Body::from(format!("{status}"))).expect("an answer")
-    };
+    if behaviour.odd.contains("silent") {
+        return std::future::pending().await;
+    }
     if let Some(code) = behaviour.refuses {
         return status(code);
     }
@@ -139,8 +196,19 @@ async fn answer(
     if is_head && behaviour.odd.contains("no-head") {
         return status(405);
     }
+    let token = headers.get("x-amz-security-token").and_then(|value| value.to_str().ok());
+    if behaviour.expired.is_some() && token == behaviour.expired.as_deref() {
+        let body = "<?xml version=\"1.0\"?><Error><Code>ExpiredToken</Code><Message>The provided token has expired.\
+                    </Message></Error>";
+        let body = if is_head { Body::empty() } else { Body::from(body) };
+        return Response::builder().status(400).body(body).expect("an answer");
+    }
     if objects.random() < behaviour.failing {
+        objects.failed.fetch_add(1, Ordering::Relaxed);
         return status(503);
+    }
+    if !is_head && method != Method::GET {
+        return bucket::write(&objects, &name, &query.unwrap_or_default(), &method, sent);
     }
     let Some((object, version)) = objects.find(&name) else { return status(404) };
     let (weak, none) = (behaviour.odd.contains("weak-tags"), behaviour.odd.contains("no-tags"));
@@ -175,6 +243,11 @@ async fn answer(
     body(&objects, &behaviour, &*object, sent, response)
 }
 
+fn status(code: u16) -> Response<Body> {
+    let status = StatusCode::from_u16(code).expect("a status");
+    Response::builder().status(status).body(Body::from(format!("{status}"))).expect("an answer")
+}
+
 fn body(
     objects: &Objects,
     behaviour: &Behaviour,
@@ -185,12 +258,16 @@ fn body(
     let mut content = vec![0; (range.end - range.start) as usize];
     object.read_exact_at(&mut content, range.start).expect("its bytes");
     objects.bytes.fetch_add(content.len() as u64, Ordering::Relaxed);
+    if behaviour.odd.contains("too-few") {
+        content.truncate(content.len() / 2);
+    }
     let announced = content.len();
     if behaviour.odd.contains("long") {
         content.extend_from_slice(&[0xab; 100]);
         return response.body(Body::from(content)).expect("an answer");
     }
     if objects.random() < behaviour.cut || behaviour.odd.contains("short") {
+        objects.cut.fetch_add(1, Ordering::Relaxed);
         content.truncate(announced / 2);
         // A stream that ends early: the connection is closed.
         let parts =

@@ -5,19 +5,12 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::process::Command;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
 use std::{fs, io};
 
-use async_trait::async_trait;
-use object_store::CredentialProvider;
 use object_store::aws::AwsCredential;
 
 use super::connect::set;
-
-/// How long credentials that say no end are used before they are asked for again.
-const USED_FOR: Duration = Duration::from_secs(600);
+use super::credential_process::Process;
 
 /// What a profile says.
 #[derive(Debug)]
@@ -34,13 +27,6 @@ pub(super) enum Credentials {
     Fixed(AwsCredential),
     /// From a command.
     Process(Process),
-}
-
-/// A command that says credentials, and what it said last.
-#[derive(Debug)]
-pub(super) struct Process {
-    command: String,
-    said: Mutex<Option<(Arc<AwsCredential>, Instant)>>,
 }
 
 /// The profile that is to be used; `None` if the environment has credentials of its own, or there is no profile.
@@ -124,53 +110,6 @@ fn section(text: &str, names: &[&str]) -> Option<BTreeMap<String, String>> {
     found
 }
 
-impl Process {
-    fn new(command: String) -> Self {
-        Self { command, said: Mutex::default() }
-    }
-
-    fn ask(&self) -> io::Result<(AwsCredential, Duration)> {
-        let shell = if cfg!(windows) { ("cmd", "/C") } else { ("sh", "-c") };
-        let output = Command::new(shell.0).args([shell.1, &self.command]).output()?;
-        let failed = |what: &str| {
-            let said = String::from_utf8_lossy(&output.stderr);
-            let what =
-                format!("`{}` {what}: {}; log in again, as by `aws sso login`", self.command, said.trim());
-            io::Error::new(io::ErrorKind::PermissionDenied, what)
-        };
-        if !output.status.success() {
-            return Err(failed("failed"));
-        }
-        let said: serde_json::Value = serde_json::from_slice(&output.stdout)
-            .map_err(|_| failed("did not print credentials as JSON"))?;
-        let get = |key: &str| said.get(key).and_then(|value| value.as_str()).map(str::to_owned);
-        let (Some(key_id), Some(secret_key)) = (get("AccessKeyId"), get("SecretAccessKey")) else {
-            return Err(failed("printed no credentials"));
-        };
-        Ok((AwsCredential { key_id, secret_key, token: get("SessionToken") }, USED_FOR))
-    }
-}
-
-#[async_trait]
-impl CredentialProvider for Process {
-    type Credential = AwsCredential;
-
-    async fn get_credential(&self) -> object_store::Result<Arc<AwsCredential>> {
-        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((credential, until)) = &*said
-            && Instant::now() < *until
-        {
-            return Ok(credential.clone());
-        }
-        let (credential, holds) = tokio::task::block_in_place(|| self.ask()).map_err(|source| {
-            object_store::Error::Unauthenticated { path: "credentials".to_owned(), source: source.into() }
-        })?;
-        let credential = Arc::new(credential);
-        *said = Some((credential.clone(), Instant::now() + holds));
-        Ok(credential)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -191,22 +130,11 @@ mod tests {
             (work.region.as_deref(), work.endpoint.as_deref()),
             (Some("us-west-2"), Some("http://host:1"))
         );
-        assert!(matches!(work.credentials, Some(Credentials::Process(p)) if p.command == "say it"));
+        assert!(matches!(work.credentials, Some(Credentials::Process(p)) if p.command() == "say it"));
         let away = read(SECRETS, CONFIG, "away").expect("a profile");
         assert!(
-            matches!(away.credentials, Some(Credentials::Process(p)) if p.command.contains("export-credentials --profile 'away'"))
+            matches!(away.credentials, Some(Credentials::Process(p)) if p.command().contains("export-credentials --profile 'away'"))
         );
         assert!(read(SECRETS, CONFIG, "none").is_none() && read("", "", "default").is_none());
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn a_command_says_credentials_or_why_not() {
-        let said = r#"echo '{"Version":1,"AccessKeyId":"A","SecretAccessKey":"B","SessionToken":"C"}'"#;
-        let (credential, _) = Process::new(said.to_owned()).ask().expect("credentials");
-        assert_eq!((credential.key_id.as_str(), credential.token.as_deref()), ("A", Some("C")));
-        let said = Process::new("echo expired >&2; exit 1".to_owned()).ask().expect_err("none").to_string();
-        assert!(said.contains("failed: expired; log in again"), "{said}");
-        assert!(Process::new("echo {}".to_owned()).ask().is_err());
     }
 }

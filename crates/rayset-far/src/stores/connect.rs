@@ -7,22 +7,27 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use object_store::aws::{AmazonS3Builder, resolve_bucket_region};
-use object_store::azure::MicrosoftAzureBuilder;
-use object_store::gcp::GoogleCloudStorageBuilder;
+use object_store::gcp::{GcpCredential, GoogleCloudStorageBuilder};
 use object_store::http::HttpBuilder;
 use object_store::multipart::MultipartStore;
-use object_store::{ClientOptions, ObjectStore, RetryConfig};
+use object_store::{ClientOptions, ObjectStore, RetryConfig, StaticCredentialProvider};
 
 use super::aws_profile::{self, Credentials};
-use super::failure;
+use super::pending::Pending;
 use super::place::{Keeper, Place};
+use super::renewal::Renewal;
+use super::{azure, failure, tries};
+use crate::times::Times;
 
 /// What speaks with a bucket or a host.
 #[derive(Clone)]
 pub(super) struct Client {
     pub(super) store: Arc<dyn ObjectStore>,
+    pub(super) renewal: Renewal,
     /// `None` for web servers, which are only read.
     parts: Option<Arc<dyn MultipartStore>>,
+    /// Of S3 alone.
+    pending: Option<Pending>,
 }
 
 /// What writes to a bucket.
@@ -30,20 +35,25 @@ pub(super) struct Client {
 pub(super) struct Writer {
     pub(super) store: Arc<dyn ObjectStore>,
     pub(super) parts: Arc<dyn MultipartStore>,
+    /// What finds uploads whose identities are lost, where there is a way.
+    pub(super) pending: Option<Pending>,
+    pub(super) renewal: Renewal,
+    pub(super) times: Times,
 }
 
 impl Client {
     fn new<S: ObjectStore + MultipartStore>(store: S) -> Self {
         let store = Arc::new(store);
-        Self { store: store.clone(), parts: Some(store) }
+        Self { store: store.clone(), renewal: Renewal::default(), parts: Some(store), pending: None }
     }
 
-    pub(super) fn writable(&self, place: &Place) -> io::Result<Writer> {
+    pub(super) fn writable(&self, place: &Place, times: Times) -> io::Result<Writer> {
         let parts = self.parts.clone().ok_or_else(|| {
             let what = format!("{}: web servers are only read; write to a disk or a bucket", place.name);
             io::Error::new(io::ErrorKind::Unsupported, what)
         })?;
-        Ok(Writer { store: self.store.clone(), parts })
+        let (store, renewal, pending) = (self.store.clone(), self.renewal.clone(), self.pending.clone());
+        Ok(Writer { store, parts, pending, renewal, times })
     }
 }
 
@@ -53,40 +63,55 @@ pub(super) struct Clients(Arc<Mutex<HashMap<Keeper, Client>>>);
 
 impl Clients {
     /// The client of an object's keeper.
-    pub(super) async fn client(&self, place: &Place) -> io::Result<Client> {
+    pub(super) async fn client(&self, place: &Place, times: Times) -> io::Result<Client> {
         if let Some(known) = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&place.keeper) {
             return Ok(known.clone());
         }
-        let made = connect(&place.keeper).await.map_err(|error| failure::in_words(&error, &place.name))?;
+        let made = connect(&place.keeper, times).await;
+        let made = made.map_err(|error| failure::in_words(&error, &place.name))?;
         // If another thread was faster, its client does as well.
         self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(place.keeper.clone(), made.clone());
         Ok(made)
     }
 }
 
-async fn connect(keeper: &Keeper) -> object_store::Result<Client> {
+async fn connect(keeper: &Keeper, times: Times) -> object_store::Result<Client> {
     match keeper {
-        Keeper::S3(bucket) => s3(bucket).await,
-        Keeper::Google(bucket) => {
-            let builder = GoogleCloudStorageBuilder::from_env().with_bucket_name(bucket);
-            Ok(Client::new(builder.with_client_options(options(false)).with_retry(once()).build()?))
-        }
-        Keeper::Azure(container) => azure(container),
+        Keeper::S3(bucket) => s3(bucket, times).await,
+        Keeper::Google(bucket) => google(bucket),
+        Keeper::Azure(container) => Ok(Client::new(azure::client(container, options)?)),
         Keeper::Web(host) => {
             let insecure = host.starts_with("http:");
             let builder = HttpBuilder::new().with_url(host).with_client_options(options(insecure));
-            Ok(Client { store: Arc::new(builder.with_retry(once()).build()?), parts: None })
+            let store = Arc::new(builder.with_retry(once()).build()?);
+            Ok(Client { store, renewal: Renewal::default(), parts: None, pending: None })
         }
     }
 }
 
-async fn s3(bucket: &str) -> object_store::Result<Client> {
+fn google(bucket: &str) -> object_store::Result<Client> {
+    let mut builder = GoogleCloudStorageBuilder::from_env().with_bucket_name(bucket).with_retry(once());
+    let mut endpoint = set("GOOGLE_BASE_URL");
+    // Google's own tools, too, send no credentials to an emulator.
+    if let Some(host) = set("STORAGE_EMULATOR_HOST") {
+        let host = if host.contains("://") { host } else { format!("http://{host}") };
+        let host = host.trim_end_matches('/').to_owned();
+        let nobody = StaticCredentialProvider::new(GcpCredential { bearer: String::new() });
+        builder = builder.with_base_url(&host).with_credentials(Arc::new(nobody));
+        endpoint = Some(host);
+    }
+    let insecure = endpoint.is_some_and(|endpoint| endpoint.starts_with("http:"));
+    Ok(Client::new(builder.with_client_options(options(insecure)).build()?))
+}
+
+async fn s3(bucket: &str, times: Times) -> object_store::Result<Client> {
     let mut builder = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(once());
     let profile = aws_profile::find()
         .map_err(|source| object_store::Error::Generic { store: "S3", source: source.into() })?;
     let mut endpoint =
         set("AWS_ENDPOINT_URL_S3").or_else(|| set("AWS_ENDPOINT_URL")).or_else(|| set("AWS_ENDPOINT"));
     let mut region = set("AWS_REGION").or_else(|| set("AWS_DEFAULT_REGION"));
+    let mut renewal = Renewal::default();
     if let Some(profile) = profile {
         endpoint = endpoint.or(profile.endpoint);
         region = region.or(profile.region);
@@ -99,50 +124,26 @@ async fn s3(bucket: &str) -> object_store::Result<Client> {
                     None => builder,
                 }
             }
-            Some(Credentials::Process(process)) => builder.with_credentials(Arc::new(process)),
+            Some(Credentials::Process(process)) => {
+                let process = Arc::new(process);
+                renewal = Renewal::by(process.clone());
+                builder.with_credentials(process)
+            }
             None => builder,
         };
     }
     let options = options(endpoint.as_deref().is_some_and(|endpoint| endpoint.starts_with("http:")));
     if region.is_none() && endpoint.is_none() {
-        region = Some(resolve_bucket_region(bucket, &options).await?);
+        let asked = tries::attempts(times, &renewal, || resolve_bucket_region(bucket, &options)).await;
+        region = Some(asked.map_err(|failed| failed.error)?);
     }
     if let Some(endpoint) = endpoint {
         builder = builder.with_endpoint(endpoint);
     }
     builder = builder.with_region(region.unwrap_or_else(|| "us-east-1".to_owned()));
-    Ok(Client::new(builder.with_client_options(options).build()?))
-}
-
-fn azure(container: &str) -> object_store::Result<Client> {
-    let mut builder = MicrosoftAzureBuilder::from_env().with_container_name(container).with_retry(once());
-    let mut insecure = false;
-    let mut has_key =
-        ["AZURE_STORAGE_ACCOUNT_KEY", "AZURE_STORAGE_SAS_TOKEN", "AZURE_STORAGE_SAS_KEY", "AZURE_CLIENT_ID"]
-            .iter()
-            .any(|name| set(name).is_some());
-    if let Some(account) = set("AZURE_STORAGE_ACCOUNT") {
-        builder = builder.with_account(account);
-    }
-    if let Some(key) = set("AZURE_STORAGE_KEY") {
-        (builder, has_key) = (builder.with_access_key(key), true);
-    }
-    for field in set("AZURE_STORAGE_CONNECTION_STRING").unwrap_or_default().split(';') {
-        match field.split_once('=') {
-            Some(("AccountName", name)) => builder = builder.with_account(name),
-            Some(("AccountKey", key)) => (builder, has_key) = (builder.with_access_key(key), true),
-            Some(("BlobEndpoint", endpoint)) => {
-                insecure = endpoint.starts_with("http:");
-                builder = builder.with_endpoint(endpoint.to_owned());
-            }
-            _ => {}
-        }
-    }
-    // As whoever has said `az login`.
-    if !has_key && set("AZURE_SKIP_SIGNATURE").is_none() {
-        builder = builder.with_use_azure_cli(true);
-    }
-    Ok(Client::new(builder.with_client_options(options(insecure)).build()?))
+    let store = Arc::new(builder.with_client_options(options.clone()).build()?);
+    let pending = Some(Pending::new(store.clone(), &options)?);
+    Ok(Client { renewal, pending, store: store.clone(), parts: Some(store) })
 }
 
 /// The value of a variable of the environment, if it has one.
@@ -150,8 +151,8 @@ pub(super) fn set(name: &str) -> Option<String> {
     env::var(name).ok().filter(|value| !value.is_empty())
 }
 
-/// Time-outs and retries of reads are those of `FarStorage`, so there are none here.
-fn once() -> RetryConfig {
+/// What is tried again is decided by `FarStorage` and `tries`, and so is how long an answer is waited for.
+pub(super) fn once() -> RetryConfig {
     RetryConfig { max_retries: 0, ..RetryConfig::default() }
 }
 
@@ -160,6 +161,6 @@ fn options(insecure: bool) -> ClientOptions {
     ClientOptions::new()
         .with_allow_http(insecure)
         .with_connect_timeout(Duration::from_secs(10))
-        .with_timeout(Duration::from_secs(120))
+        .with_timeout_disabled()
         .with_pool_max_idle_per_host(128)
 }

@@ -1,6 +1,7 @@
 //! What went wrong, in words, and whether it may pass.
 
 use std::io;
+use std::time::Duration;
 
 use object_store::Error;
 use rayset::storage::RangeError;
@@ -11,7 +12,7 @@ pub(super) fn may_pass(error: &Error) -> bool {
         Error::Generic { .. } => match status(error) {
             Some(code) => (code >= 500 && code != 501) || matches!(code, 408 | 425 | 429),
             // A connection that was cut or not made; an answer that was not what was asked for, as of a proxy.
-            None => !is_expired(&error.to_string()),
+            None => !is_expired(error),
         },
         Error::JoinError { .. } => true,
         _ => false,
@@ -33,8 +34,14 @@ pub(super) fn in_words(error: &Error, name: &str) -> io::Error {
             (io::ErrorKind::NotFound, "there is no such object, or it may not be seen".to_owned())
         }
         Error::Precondition { .. } => replaced(),
-        _ if is_expired(&text) => {
-            let what = "the credentials have expired: renew them, as by `aws sso login`, and run this again";
+        _ if is_expired(error) => {
+            let what = match name.split_once("://") {
+                Some(("http" | "https", _)) => "the address has expired: get a new one, and run this again",
+                Some(("az" | "azure", _)) => {
+                    "the credentials have expired: renew them, as by `az login`, and run this again"
+                }
+                _ => "the credentials have expired: renew them, as by `aws sso login`, and run this again",
+            };
             (io::ErrorKind::PermissionDenied, what.to_owned())
         }
         Error::PermissionDenied { .. } | Error::Unauthenticated { .. } => {
@@ -50,6 +57,9 @@ pub(super) fn in_words(error: &Error, name: &str) -> io::Error {
             (io::ErrorKind::Unsupported, what.to_owned())
         }
         Error::NotSupported { .. } => (io::ErrorKind::Unsupported, text),
+        Error::Generic { source, .. } if source.is::<NoAnswer>() => {
+            (io::ErrorKind::TimedOut, source.to_string())
+        }
         _ => match status(error) {
             Some(416) => replaced(),
             _ => (io::ErrorKind::Other, text),
@@ -69,10 +79,48 @@ fn replaced() -> (io::ErrorKind, String) {
     (io::ErrorKind::InvalidData, what.to_owned())
 }
 
-fn is_expired(text: &str) -> bool {
-    ["ExpiredToken", "RequestExpired", "TokenRefreshRequired", "token has expired"]
-        .iter()
-        .any(|word| text.contains(word))
+/// Whether credentials, or an address that was signed, were valid once and are no longer.
+pub(super) fn is_expired(error: &Error) -> bool {
+    let text = error.to_string();
+    [
+        "ExpiredToken",
+        "RequestExpired",
+        "Request has expired",
+        "TokenRefreshRequired",
+        "token has expired",
+        "ExpiredAuthenticationToken",
+        "Signature not valid in the specified time frame",
+    ]
+    .iter()
+    .any(|word| text.contains(word))
+}
+
+/// The error for a request that was waited for so long, in vain.
+pub(super) fn no_answer(patience: Duration) -> Error {
+    Error::Generic { store: "far", source: Box::new(NoAnswer(patience)) }
+}
+
+#[derive(Debug)]
+struct NoAnswer(Duration);
+
+impl std::fmt::Display for NoAnswer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "no answer within {:.0} s", self.0.as_secs_f64().ceil())
+    }
+}
+
+impl std::error::Error for NoAnswer {}
+
+/// Whether no answer came at all: it was not waited for any longer, or there was no connection.
+pub(super) fn is_without_answer(error: &Error) -> bool {
+    let mut source = std::error::Error::source(error);
+    while let Some(cause) = source {
+        if cause.is::<NoAnswer>() || cause.is::<object_store::client::HttpError>() {
+            return true;
+        }
+        source = cause.source();
+    }
+    false
 }
 
 /// The status of HTTP that an error is about. `object_store` tells it only in words.

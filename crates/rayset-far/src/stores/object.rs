@@ -2,24 +2,22 @@
 
 use std::io;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use bytes::Bytes;
 use futures_util::StreamExt;
 use object_store::path::Path;
 use object_store::{Error, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreExt};
 use rayset::storage::transport::Transport;
-use rayset::storage::{FarOptions, FarStorage, RangeError, RangeReader, RangeSink, Storage};
+use rayset::storage::{FarOptions, FarStorage, RangeError, RangeReader, RangeSink, RequestLimit, Storage};
 use tokio::runtime::Runtime;
 
-use super::failure;
+use super::connect::Client;
 use super::place::Place;
+use super::{failure, tries};
 use crate::cache::{self, BLOCK_BYTES, Cache, Key};
-
-/// Attempts at looking at an object.
-const ATTEMPTS: u32 = 5;
-/// The pause after the first failure, which doubles.
-const FIRST_PAUSE: std::time::Duration = std::time::Duration::from_millis(200);
+use crate::times::Times;
 
 /// What tells an object from another one at the same place.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,53 +61,74 @@ impl Version {
     }
 }
 
-/// Looks at an object.
-pub(super) async fn look(store: &dyn ObjectStore, path: &Path, name: &str) -> io::Result<Version> {
-    let mut pause = FIRST_PAUSE;
-    for _ in 1..ATTEMPTS {
-        match look_once(store, path).await {
-            Err(error) if failure::may_pass(&error) => {}
-            looked => return looked.map_err(|error| failure::in_words(&error, name)),
-        }
-        tokio::time::sleep(pause).await;
-        pause *= 2;
-    }
-    look_once(store, path).await.map_err(|error| failure::in_words(&error, name))
+/// What a look at an object has found.
+pub(super) struct Look {
+    pub(super) version: Version,
+    /// Its first bytes; none, if they have not been read.
+    pub(super) first: Bytes,
 }
 
-async fn look_once(store: &dyn ObjectStore, path: &Path) -> Result<Version, Error> {
-    match store.head(path).await {
-        Ok(meta) => Ok(Version::of(&meta)),
-        Err(error @ Error::Unauthenticated { .. }) => Err(error),
-        // Some servers, which then may say that there is nothing, and addresses that were signed for reading, allow no look without a read.
-        Err(error) => {
-            let first = GetOptions { range: Some(GetRange::Bounded(0..1)), ..GetOptions::default() };
-            store.get_opts(path, first).await.map(|answer| Version::of(&answer.meta)).map_err(|_| error)
+/// Looks at an object, and reads the first `bytes` of it at the same time.
+pub(super) async fn look(client: &Client, place: &Place, bytes: u64, times: Times) -> io::Result<Look> {
+    let look = || look_once(&*client.store, &place.path, bytes);
+    tries::attempts(times, &client.renewal, look).await.map_err(|failed| failed.in_words(&place.name))
+}
+
+/// Some servers, which then may say that there is nothing, and addresses that were signed for reading, allow no look without a
+/// read; and only the answer to a read says in its body why it is refused. An object without bytes, though, cannot be read.
+async fn look_once(store: &dyn ObjectStore, path: &Path, bytes: u64) -> Result<Look, Error> {
+    let first = GetOptions { range: Some(GetRange::Bounded(0..bytes.max(1))), ..GetOptions::default() };
+    let refused = match store.get_opts(path, first).await {
+        Ok(answer) => {
+            let version = Version::of(&answer.meta);
+            return Ok(Look { version, first: answer.bytes().await? });
         }
-    }
+        Err(error) if failure::is_without_answer(&error) => return Err(error),
+        Err(error) => error,
+    };
+    let meta = store.head(path).await.map_err(|_| refused)?;
+    Ok(Look { version: Version::of(&meta), first: Bytes::new() })
 }
 
 /// An object that is read by ranges. It keeps the runtime alive that its requests run on.
 pub(super) struct PinnedObject {
     far: FarStorage,
     version: Version,
+    /// What was read when it was looked at; empty from [`forget_first`](Self::forget_first) on.
+    first: Mutex<Bytes>,
 }
 
 impl PinnedObject {
     pub(super) fn new(
         runtime: Arc<Runtime>,
-        store: Arc<dyn ObjectStore>,
+        client: Client,
         place: Place,
-        version: Version,
+        Look { version, first }: Look,
         cache: Option<Arc<Cache>>,
+        times: Times,
+        limit: &Arc<RequestLimit>,
     ) -> io::Result<Self> {
         let length = version.length;
         let kept = cache.zip(version.text());
         let kept = kept.map(|(cache, text)| (cache, Key::new(&place.name, &text, length)));
-        let ranges = Ranges { store, place, version: version.clone(), kept };
+        let ranges = Ranges { client, place, version: version.clone(), kept, patience: times.attempt };
         let reader = Reader { runtime, ranges: Arc::new(ranges) };
-        let far = FarStorage::new(Arc::new(reader), length, FarOptions::default())?;
-        Ok(Self { far, version })
+        let mut options = FarOptions::default();
+        (options.timeout, options.attempts) = (times.attempt, times.attempts);
+        (options.first_pause, options.longest_pause) = (times.first_pause, Times::LONGEST_PAUSE);
+        // The last attempt has its time, too, before all of it is over.
+        options.give_up_after = times.all.saturating_sub(times.attempt);
+        let far = FarStorage::within(limit, Arc::new(reader), length, options)?;
+        Ok(Self { far, version, first: Mutex::new(first) })
+    }
+
+    /// Frees what was read when it was looked at: it has been opened.
+    pub(super) fn forget_first(&self) {
+        *self.first() = Bytes::new();
+    }
+
+    fn first(&self) -> MutexGuard<'_, Bytes> {
+        self.first.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -119,6 +138,12 @@ impl Storage for PinnedObject {
     }
 
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        let first = self.first().clone();
+        let range = usize::try_from(offset).ok().and_then(|at| Some(at..at.checked_add(buffer.len())?));
+        if let Some(read) = range.and_then(|range| first.get(range)) {
+            buffer.copy_from_slice(read);
+            return Ok(());
+        }
         self.far.read_exact_at(buffer, offset)
     }
 
@@ -150,10 +175,12 @@ impl RangeReader for Reader {
 
 /// An object, and where its blocks are kept.
 struct Ranges {
-    store: Arc<dyn ObjectStore>,
+    client: Client,
     place: Place,
     version: Version,
     kept: Option<(Arc<Cache>, Key)>,
+    /// How long an answer may take.
+    patience: Duration,
 }
 
 impl Ranges {
@@ -204,24 +231,32 @@ impl Ranges {
     }
 
     /// Asks for a range; the bytes are passed on as they come, until `take` wants no more.
-    async fn request(
-        &self,
-        range: Range<u64>,
-        mut take: impl FnMut(&Bytes) -> bool,
-    ) -> Result<(), RangeError> {
+    async fn request(&self, range: Range<u64>, take: impl FnMut(&Bytes) -> bool) -> Result<(), RangeError> {
         let name = &self.place.name;
-        let options = GetOptions { range: Some(GetRange::Bounded(range)), ..self.version.conditions() };
-        let answer = self.store.get_opts(&self.place.path, options).await;
-        let answer = answer.map_err(|error| failure::of_range(&error, name))?;
+        match tokio::time::timeout(self.patience, self.receive(range, take)).await {
+            Ok(Ok(true)) => Ok(()),
+            Ok(Ok(false)) => Err(failure::has_changed(name)),
+            Ok(Err(error)) => Err(failure::of_range(&error, name)),
+            Err(_) => Err(failure::of_range(&failure::no_answer(self.patience), name)),
+        }
+    }
+
+    /// Returns whether the answer is about the object that was opened; its bytes are taken only then.
+    async fn receive(&self, range: Range<u64>, mut take: impl FnMut(&Bytes) -> bool) -> Result<bool, Error> {
+        let answer = self.client.renewal.with(|| {
+            let range = Some(GetRange::Bounded(range.clone()));
+            self.client.store.get_opts(&self.place.path, GetOptions { range, ..self.version.conditions() })
+        });
+        let answer = answer.await?;
         if !self.version.is_of(&answer.meta) {
-            return Err(failure::has_changed(name));
+            return Ok(false);
         }
         let mut parts = answer.into_stream();
         while let Some(part) = parts.next().await {
-            if !take(&part.map_err(|error| failure::of_range(&error, name))?) {
+            if !take(&part?) {
                 break;
             }
         }
-        Ok(())
+        Ok(true)
     }
 }

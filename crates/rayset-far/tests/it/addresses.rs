@@ -1,64 +1,12 @@
 //! Clouds on a web server: pictures, faults, objects that change, refusals.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use rayset::build::{self, BuildControl, BuildOptions};
-use rayset::points::Workload;
-use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
-use rayset::working_set::Limits;
-use rayset::{Cloud, Session};
-
-use crate::range_server::{Behaviour, RangeServer};
-
-/// Opens addresses in this process, and starts a server.
-pub(crate) fn server() -> RangeServer {
-    rayset_far::open_addresses(&rayset_far::Settings::default()).expect("no cache, no error");
-    RangeServer::start(None, 0, Behaviour::default()).expect("a server")
-}
-
-fn odd(name: &'static str) -> Behaviour {
-    Behaviour { odd: [name].into(), ..Behaviour::default() }
-}
-
-/// The file of a cloud.
-fn cloud(workload: &str) -> Vec<u8> {
-    let workload: Workload = workload.parse().expect("a workload");
-    let options = BuildOptions::default().with_radius(workload.radius().map(build::Rule::Number));
-    let options = options.with_page_bytes(Some(16384));
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("cloud.rset");
-    build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a build");
-    std::fs::read(&path).expect("the file")
-}
-
-fn render(cloud: &Arc<Cloud>, budget: u64) -> Result<Vec<[f32; 4]>, String> {
-    let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));
-    let camera = Camera::framing(
-        &scene.root.bounds(),
-        [0.2, -0.3, -1.0].into(),
-        [0.0, 1.0, 0.0].into(),
-        0.8,
-        1.0,
-        false,
-    );
-    let session =
-        Session::builder().page_limits(Limits::total(budget)).threads(2).build().expect("a session");
-    let settings = RenderSettings::default().with_size(64, 64);
-    let prepared = session.prepare(&scene, &settings).map_err(|error| error.to_string())?;
-    let view = prepared.view(&camera).map_err(|error| error.to_string())?;
-    Ok(view.picture().map_err(|error| error.to_string())?.pixels)
-}
-
-fn open(address: &str) -> Result<Arc<Cloud>, String> {
-    Cloud::open(Path::new(address)).map(Arc::new).map_err(|error| error.to_string())
-}
-
-fn near(file: &[u8]) -> Vec<[f32; 4]> {
-    render(&Arc::new(Cloud::from_bytes(file.to_vec()).expect("a cloud")), 1 << 30).expect("a picture")
-}
+use crate::child::Child;
+use crate::common::{cloud, near, odd, open, render, server};
+use crate::range_server::Behaviour;
 
 #[test]
 fn a_picture_from_a_web_server_is_the_same_whatever_fails_on_the_way() {
@@ -161,4 +109,16 @@ fn what_opens_twice_is_read_once_and_only_as_far_as_needed() {
     let read = server.objects.bytes.load(Ordering::Relaxed);
     // Its head, its foot and its descriptions, each with what is read ahead of them.
     assert!(read < 256 << 10, "{read} bytes were read to open it");
+}
+
+#[test]
+fn what_a_process_has_just_written_is_what_it_opens() {
+    let (server, folder) = (server(), tempfile::tempdir().expect("a folder"));
+    let inputs = [1000, 2000].map(|points| {
+        let path = folder.path().join(format!("{points}.npy"));
+        std::fs::write(&path, crate::inputs::npy(points)).expect("a write");
+        path.display().to_string()
+    });
+    let words = ["rewritten", &inputs[0], &inputs[1], "s3://bucket/cloud.rset"];
+    assert_eq!(Child::new(&words).with_s3(&server, "token").run(), Ok("1000 2000".to_owned()));
 }

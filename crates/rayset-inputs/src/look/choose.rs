@@ -137,7 +137,7 @@ fn of_sampled_cloud(
     };
     let chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
     let mut scene = around(
-        chosen.root(cloud, &name_in_scene(cloud.path(), cloud.storage().is_some())?),
+        chosen.root(cloud, &name_in_scene(cloud.address(), cloud.storage().is_some())?),
         &chosen.orientation.reason_and_up(),
         size,
     );
@@ -225,7 +225,7 @@ fn of_sampled_grid(
         bail!("--look {} is for points; the input has voxels, whose look is volume", name.name());
     }
     let mut scene = around(
-        chosen.root(&name_in_scene(grid.path(), grid.storage().is_some())?),
+        chosen.root(&name_in_scene(grid.address(), grid.storage().is_some())?),
         &chosen.orientation.reason_and_up(),
         size,
     );

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::fault::Fault;
 use super::header::{Header, MOST_HEADER_BYTES, text_place};
 use super::zip::{Member, members};
+use crate::storage::is_of_reading;
 
 /// Largest number of arrays of an archive that are looked at.
 const MOST_ARRAYS: usize = 256;
@@ -26,9 +27,9 @@ impl Array {
             Fault::Wrong { at: member.start + at, what: format!("{name}{what}") }
         };
         // What the system says is not that the header is cut off; nor is what a decompressor says.
-        let early = |error: io::Error| match error.raw_os_error() {
-            Some(_) => Fault::Io(error),
-            None => fail(0, "the header of the array is cut off"),
+        let early = |error: io::Error| match is_of_reading(&error) {
+            true => Fault::Io(error),
+            false => fail(0, "the header of the array is cut off"),
         };
         let mut data = member.open(path, 0)?;
         let mut head = vec![0; member.bytes.min(12) as usize];

@@ -10,6 +10,7 @@ use super::page::{PageError, stored_page_checksum};
 use super::write::Metadata;
 use crate::regular_file;
 use crate::storage::input_file::read_ahead;
+use crate::storage::transport::Transport;
 use crate::storage::{FileStorage, Storage, address, address_of};
 
 /// Longest section that is read into memory as a whole: columns, descriptions.
@@ -79,7 +80,10 @@ pub enum ScanError {
 pub struct OpenFile {
     /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
+    /// Of a far file, one that reads ahead.
     storage: Arc<dyn Storage>,
+    /// `None` if the file is not far away.
+    far: Option<(Arc<dyn Storage>, Arc<dyn Transport>)>,
     header: FileHeader,
 }
 
@@ -119,6 +123,7 @@ impl OpenFile {
     pub fn over(path: &Path, storage: Arc<dyn Storage>, kind: FileKind) -> Result<Self, OpenError> {
         let io = |source| OpenError::Io { path: path.to_owned(), source };
         let wrong = |source| OpenError::Header { path: path.to_owned(), source };
+        let far = storage.transport().map(|transport| (storage.clone(), transport));
         let storage = read_ahead(storage).map_err(io)?;
         let found = storage.length().map_err(io)?;
         let mut head = [0; BLOCK_BYTES];
@@ -140,7 +145,7 @@ impl OpenFile {
         let mut foot = [0; BLOCK_BYTES];
         storage.read_exact_at(&mut foot, footer_at).map_err(io)?;
         Footer::check(&foot, &head, footer_at).map_err(wrong)?;
-        let mut opened = Self { path: path.to_owned(), storage, header };
+        let mut opened = Self { path: path.to_owned(), storage, far, header };
         opened.check_features()?;
         Ok(opened)
     }
@@ -249,16 +254,29 @@ impl OpenFile {
     /// # Errors
     /// [`OpenError`] if there is no such page, or it cannot be read.
     pub(crate) fn page(&self, kind: SectionKind, index: u32) -> Result<(u64, Vec<u8>), OpenError> {
-        let section = self.header.section(kind).filter(|section| index < section.pages);
-        let section =
-            section.ok_or_else(|| self.wrong_section(kind, "a page that should be there is not"))?;
-        let offset = section.offset + u64::from(index) * u64::from(self.header.page_bytes);
+        let offset = self.page_offset(kind, index)?;
         let mut page = vec![0; self.header.page_bytes as usize];
         self.storage.read_exact_at(&mut page, offset).map_err(|e| self.ends_early(offset, e))?;
         Ok((offset, page))
     }
 
-    fn ends_early(&self, at: u64, source: io::Error) -> OpenError {
+    /// The offset in the file of a page of a section.
+    ///
+    /// # Errors
+    /// [`OpenError`] if there is no such page.
+    pub(super) fn page_offset(&self, kind: SectionKind, index: u32) -> Result<u64, OpenError> {
+        let section = self.header.section(kind).filter(|section| index < section.pages);
+        let section =
+            section.ok_or_else(|| self.wrong_section(kind, "a page that should be there is not"))?;
+        Ok(section.offset + u64::from(index) * u64::from(self.header.page_bytes))
+    }
+
+    /// The file as it is, and what reads many parts of it at a time, if it is far away.
+    pub(super) fn far(&self) -> Option<(Arc<dyn Storage>, Arc<dyn Transport>)> {
+        self.far.clone()
+    }
+
+    pub(super) fn ends_early(&self, at: u64, source: io::Error) -> OpenError {
         if source.kind() == io::ErrorKind::UnexpectedEof {
             let what =
                 "the file ends here, before what its header says; it has been cut off since it was opened";

@@ -12,6 +12,7 @@ mod identity;
 mod page;
 #[cfg(feature = "internals")]
 mod reseal;
+mod scattered;
 mod write;
 
 pub use self::file::{OpenError, OpenFile, ScanError};

@@ -15,6 +15,7 @@ use crate::storage::{MemoryStorage, Storage, address};
 pub struct Grid {
     /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
+    address: PathBuf,
     /// `None` for a file on disk, which is opened by its path.
     storage: Option<Arc<dyn Storage>>,
     header: GridHeader,
@@ -34,7 +35,8 @@ impl Grid {
     /// [`OpenError`] if the file cannot be read, or is not a complete grid of this version.
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let (mut file, storage) = OpenFile::of_path(path, FileKind::Grid)?;
-        Ok(Self { path: address::without_query(path), storage, header: GridHeader::read(&mut file)? })
+        let header = GridHeader::read(&mut file)?;
+        Ok(Self { path: address::without_query(path), address: path.to_owned(), storage, header })
     }
 
     /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are used in place.
@@ -54,7 +56,8 @@ impl Grid {
     pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
         let path = PathBuf::from(name);
         let mut file = OpenFile::over(&path, storage.clone(), FileKind::Grid)?;
-        Ok(Self { path, storage: Some(storage), header: GridHeader::read(&mut file)? })
+        let (storage, header) = (Some(storage), GridHeader::read(&mut file)?);
+        Ok(Self { address: path.clone(), path, storage, header })
     }
 
     /// The storage that its pages are read from; `None` for a file on disk, which is opened by its path.
@@ -71,10 +74,17 @@ impl Grid {
         }
     }
 
-    /// The path of the file, or the name of the storage.
+    /// The path of the file, an address without its query, or the name of the storage.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// What opens it again: its path or address, with the query of a signed one, which grants access and is not to be shown; the
+    /// name of the storage else.
+    #[must_use]
+    pub fn address(&self) -> &Path {
+        &self.address
     }
 
     /// The checked header.
@@ -144,13 +154,11 @@ impl Grid {
         let stride = (voxels / bricks * read + voxels % bricks).div_ceil(most as u64).max(1);
         let file = self.reopened()?;
         let mut count = 0_u64;
-        for index in 0..read {
-            let brick = (2 * index + 1) * bricks / (2 * read);
-            let page = brick as u32;
-            let (offset, bytes) = file.page(SectionKind::VOXELS, page)?;
+        let chosen: Vec<u32> = (0..read).map(|at| ((2 * at + 1) * bricks / (2 * read)) as u32).collect();
+        file.each_of(SectionKind::VOXELS, &chosen, |page, offset, bytes| {
             let damaged = |source| ScanError::Damaged { path: self.path.clone(), page, offset, source };
-            self.check_page(page, &bytes).map_err(damaged)?;
-            self.for_each_own_voxel(brick, &bytes, |place, value| {
+            self.check_page(page, bytes).map_err(damaged)?;
+            self.for_each_own_voxel(u64::from(page), bytes, |place, value| {
                 if count.is_multiple_of(stride) {
                     let place = DVec3::from_array(place.map(|i| i as f64));
                     batch.position.push(header.space_from_voxel.transform_point3(place).to_array());
@@ -158,7 +166,8 @@ impl Grid {
                 }
                 count += 1;
             });
-        }
+            Ok::<(), ScanError>(())
+        })?;
         Ok(batch)
     }
 

@@ -16,6 +16,7 @@ const RADII: std::ops::RangeInclusive<f64> = 1e-18..=1e18;
 pub struct Cloud {
     /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
+    address: PathBuf,
     /// `None` for a file on disk, which is opened by its path.
     storage: Option<Arc<dyn Storage>>,
     header: Header,
@@ -42,6 +43,7 @@ impl Cloud {
         let (mut file, storage) = OpenFile::of_path(path, FileKind::Cloud)?;
         Ok(Self {
             path: address::without_query(path),
+            address: path.to_owned(),
             storage,
             header: Header::read(&mut file)?,
             stored: None,
@@ -65,7 +67,8 @@ impl Cloud {
     pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
         let path = PathBuf::from(name);
         let mut file = OpenFile::over(&path, storage.clone(), FileKind::Cloud)?;
-        Ok(Self { path, storage: Some(storage), header: Header::read(&mut file)?, stored: None })
+        let (storage, header) = (Some(storage), Header::read(&mut file)?);
+        Ok(Self { address: path.clone(), path, storage, header, stored: None })
     }
 
     /// The same cloud with its points' radii multiplied by a factor. Both have the same pages in memory. `None` if the factor is not
@@ -80,8 +83,9 @@ impl Cloud {
         }
         let radius_mean = stored.header.radius_mean * f64::from(factor);
         let header = Header { radius, radius_mean, radius_scale: factor, ..stored.header.clone() };
-        let (path, storage) = (stored.path.clone(), stored.storage.clone());
-        Some(Self { path, storage, header, stored: Some(stored.clone()) })
+        let (path, address) = (stored.path.clone(), stored.address.clone());
+        let storage = stored.storage.clone();
+        Some(Self { path, address, storage, header, stored: Some(stored.clone()) })
     }
 
     /// The cloud as it is stored.
@@ -110,10 +114,17 @@ impl Cloud {
         }
     }
 
-    /// The path of the file, or the name of the storage.
+    /// The path of the file, an address without its query, or the name of the storage.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// What opens it again: its path or address, with the query of a signed one, which grants access and is not to be shown; the
+    /// name of the storage else.
+    #[must_use]
+    pub fn address(&self) -> &Path {
+        &self.address
     }
 
     /// The checked header.

@@ -32,17 +32,16 @@ impl Cloud {
         let read = pages.min(MOST_PAGES);
         let stride = self.sample_stride(most) as usize;
         let file = self.reopened()?;
-        for index in 0..read {
-            let page = ((2 * index + 1) * pages / (2 * read)) as u32;
-            let (offset, bytes) = file.page(SectionKind::POINTS, page)?;
+        let chosen: Vec<u32> = (0..read).map(|at| ((2 * at + 1) * pages / (2 * read)) as u32).collect();
+        file.each_of(SectionKind::POINTS, &chosen, |page, offset, bytes| {
             let path: PathBuf = self.path().to_owned();
-            self.check_page(page, &bytes).map_err(|source| ScanError::Damaged {
+            self.check_page(page, bytes).map_err(|source| ScanError::Damaged {
                 path,
                 page,
                 offset,
                 source,
             })?;
-            let runs = PointPage::trusted(&bytes, header);
+            let runs = PointPage::trusted(bytes, header);
             let mut before = 0;
             for run in (0..runs.len()).map(|index| runs.run(index)) {
                 let chosen: Vec<usize> =
@@ -50,7 +49,8 @@ impl Cloud {
                 self.take(&run, &chosen, &mut batch);
                 before += run.head.len();
             }
-        }
+            Ok::<(), ScanError>(())
+        })?;
         Ok(batch)
     }
 

@@ -11,6 +11,7 @@ use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
 use super::quiet;
 use crate::regular_file::held;
+use crate::storage::copy_of_reading;
 
 const ZSTD_MAGIC: u32 = 0xfd2f_b528;
 /// Largest window of zstd that is read, in bytes: that of its highest level.
@@ -174,9 +175,8 @@ fn trouble(name: &str, bytes: u64, mut cause: Option<&(dyn Error + 'static)>) ->
                     "its {name} data go on beyond byte {bytes}, where it ends; it is cut off"
                 ));
             }
-            // An error of the system, whose number says it all.
-            Some(error) => match error.raw_os_error() {
-                Some(number) => return io::Error::from_raw_os_error(number),
+            Some(error) => match copy_of_reading(error) {
+                Some(error) => return error,
                 None => break,
             },
             None => cause = error.source(),

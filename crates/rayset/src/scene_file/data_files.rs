@@ -31,11 +31,11 @@ impl DataFiles {
     pub(super) fn share(&mut self, node: &Node) {
         match &node.shape {
             Shape::Cloud(object) => {
-                let path = key_of(object.cloud.path());
+                let path = key_of(object.cloud.address());
                 drop(path.map(|path| self.clouds.insert(path, object.cloud.stored().clone())));
             }
             Shape::Grid(object) => {
-                let path = key_of(object.grid.path());
+                let path = key_of(object.grid.address());
                 drop(path.map(|path| self.grids.insert(path, object.grid.clone())));
             }
             Shape::Operator(_, children) => children.iter().for_each(|child| self.share(child)),
@@ -45,8 +45,8 @@ impl DataFiles {
 
     /// Uses clouds and grids that are open, where this graph refers to them by their names as they are.
     pub(super) fn know(&mut self, clouds: &[Arc<Cloud>], grids: &[Arc<Grid>]) {
-        self.clouds.extend(clouds.iter().map(|cloud| (cloud.path().to_owned(), cloud.stored().clone())));
-        self.grids.extend(grids.iter().map(|grid| (grid.path().to_owned(), grid.clone())));
+        self.clouds.extend(clouds.iter().map(|cloud| (cloud.address().to_owned(), cloud.stored().clone())));
+        self.grids.extend(grids.iter().map(|grid| (grid.address().to_owned(), grid.clone())));
     }
 
     /// A cloud with other radii, made once for all nodes that ask for the same.

@@ -33,6 +33,10 @@ pub trait Addresses: Send + Sync {
 
     /// Gives up what this process is putting at an address: the process is about to be ended.
     fn abandon(&self, address: &str);
+
+    /// From now on, [`open`](Self::open) looks at each object again, however lately it was looked at. For whoever trusts a look
+    /// for a while; others need do nothing.
+    fn look_again(&self) {}
 }
 
 static ADDRESSES: OnceLock<Arc<dyn Addresses>> = OnceLock::new();
@@ -101,6 +105,14 @@ pub fn open(path: &Path, direct: bool) -> io::Result<Arc<dyn Storage>> {
     match address_of(path) {
         Some(address) => opener(address)?.open(address),
         None => Ok(Arc::new(FileStorage::open(path, direct)?)),
+    }
+}
+
+/// Begins something new, which sees the objects that are at their addresses now: each is looked at when it is opened next, and not
+/// taken to be what it was a moment ago. What is open stays what it is.
+pub fn look_again() {
+    if let Some(addresses) = ADDRESSES.get() {
+        addresses.look_again();
     }
 }
 

@@ -259,10 +259,13 @@ impl Ahead {
         let bytes = if goes_on { self.next_bytes } else { LEAST_WINDOW };
         let bytes = bytes.max(wanted.min(MOST_WINDOW));
         self.next_bytes = (2 * bytes).min(MOST_WINDOW);
-        let bytes = bytes.min(usize::try_from(end - at).unwrap_or(usize::MAX));
+        // Whoever jumps to the end of a file soon reads what is before it: what lies where is often said last.
+        let window = self.length.saturating_sub(LEAST_WINDOW as u64);
+        let start = if goes_on || end < self.length { at } else { at.min(window) };
+        let bytes = bytes.min(usize::try_from(end - start).unwrap_or(usize::MAX));
         self.held.resize(bytes, 0);
-        self.start = at;
-        let read = self.storage.read_exact_at(&mut self.held, at);
+        self.start = start;
+        let read = self.storage.read_exact_at(&mut self.held, start);
         if read.is_err() {
             self.held.clear();
         }
@@ -321,6 +324,18 @@ mod tests {
         assert_eq!(*storage.1.lock().expect("no panic"), [(100, LEAST_WINDOW)]);
         assert_eq!(some, bytes[100..110]);
         assert!(file.seek(SeekFrom::Current(-(21 << 20))).is_err());
+        // The end is read with what is before it.
+        assert_eq!(file.seek(SeekFrom::End(-5000)).expect("a place"), (20 << 20) - 5000);
+        read.clear();
+        file.read_to_end(&mut read).expect("a read");
+        assert!(read == bytes[bytes.len() - 5000..]);
+        file.seek(SeekFrom::End(-60_000)).expect("a place");
+        file.read_exact(&mut some).expect("a read");
+        assert_eq!(some, bytes[bytes.len() - 60_000..][..10]);
+        assert_eq!(
+            storage.1.lock().expect("no panic")[1..],
+            [((20 << 20) - LEAST_WINDOW as u64, LEAST_WINDOW)]
+        );
     }
 
     #[test]

@@ -26,11 +26,12 @@ mod uring;
 
 pub use self::address::{Addresses, open_addresses_with};
 #[doc(hidden)]
-pub use self::address::{address_of, beside, open};
+pub use self::address::{address_of, beside, look_again, open};
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 #[doc(hidden)]
 pub use self::far::{Behaviour, SimulatedCounts, SimulatedObject};
-pub use self::far::{FarCounts, FarOptions, FarStorage, RangeError, RangeReader, RangeSink};
+pub use self::far::{FarCounts, FarOptions, FarStorage, RangeError, RangeReader, RangeSink, RequestLimit};
+pub(crate) use self::far::{copy_of_reading, is_of_reading};
 pub use self::file::FileStorage;
 #[doc(hidden)]
 pub use self::input_file::{InputFile, Named, is_file, look};

@@ -126,4 +126,8 @@ pub trait Transport: Send + Sync {
     fn is_far(&self) -> bool {
         false
     }
+    /// Memory that requests take at most besides the buffers that they fill, those of all transports together that share a limit.
+    fn memory_bytes(&self) -> u64 {
+        0
+    }
 }

@@ -3,7 +3,7 @@
 use super::ambient_occlusion::{AmbientOcclusion, Footprint, Surroundings};
 use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 use super::view::View;
-use super::work::{Region, Work};
+use super::work::{Region, Tile, Work};
 use super::{RenderCounts, RenderError};
 use crate::cancel::CancelToken;
 use crate::image::Band;
@@ -89,12 +89,29 @@ impl View {
                 total: region.pixels(),
                 sink: &mut *sink,
             };
-            counts += self.render(&Work::tiles(self.tiles(&of_band)), cancel, &mut filling)?;
+            let work = Work::tiles(self.tiles(&of_band)).before(self.after(&of_band, band_rows, region));
+            counts += self.render(&work, cancel, &mut filling)?;
             let band = filling.band;
             sink.band(&band).map_err(RenderError::Sink)?;
             (row, done) = (of_band.rows.end, done + of_band.pixels());
         }
         Ok(counts)
+    }
+
+    /// The first tiles of the band after one, if its files are far away: their pages are asked for before this one is finished, so that it
+    /// does not begin with waiting.
+    fn after(&self, band: &Region, band_rows: u32, region: &Region) -> Vec<Tile> {
+        /// More pages than fit are not asked for.
+        const MOST: usize = 512;
+        let row = band.rows.end;
+        if row >= region.rows.end || !self.prepared.world.foresight.far {
+            return Vec::new();
+        }
+        let rows = row..self.end_of_band(row, band_rows, region.rows.end);
+        let mut tiles = self.tiles(&Region { columns: region.columns.clone(), rows });
+        tiles.truncate(MOST);
+        tiles.shrink_to_fit();
+        tiles
     }
 
     /// Where a band of at most `band_rows` rows ends that begins with a row: between two rows of tiles if it can, so that tiles are the same

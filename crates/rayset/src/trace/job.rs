@@ -8,7 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::access::{Access, Halt};
+use super::access::{Access, Foreseen, Halt};
 use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
 use super::predict::{Lookahead, LookaheadState};
@@ -40,7 +40,7 @@ pub(super) struct Job {
     prepared: Arc<Prepared>,
     rays: RayMaker,
     settings: RenderSettings,
-    pub(super) tiles: Vec<Tile>,
+    pub(super) tiles: Arc<[Tile]>,
     /// The range of rays of a pixel in each pass.
     passes: Vec<Range<u32>>,
     /// What the rays of each tile have seen in earlier passes; empty if there is only one pass.
@@ -136,12 +136,17 @@ impl Job {
     ) -> Self {
         let passes = work.passes.ranges(settings.samples * settings.samples);
         let kept = if passes.len() > 1 { work.tiles.len() } else { 0 };
+        let (tiles, threads) = (Arc::<[Tile]>::from(&*work.tiles), prepared.engine.exec.threads);
+        let visited = match work.upcoming.is_empty() {
+            true => tiles.clone(),
+            false => tiles.iter().chain(&work.upcoming).copied().collect(),
+        };
         Self {
-            lookahead_state: LookaheadState::new(&prepared.world, &work.tiles, prepared.engine.exec.threads),
+            lookahead_state: LookaheadState::new(&prepared.world, visited, threads),
             pages: prepared.engine.pages.client(stop),
             rays,
             settings,
-            tiles: work.tiles.clone(),
+            tiles,
             passes,
             earlier: (0..kept).map(|_| Mutex::new(None)).collect(),
             stop: stop.clone(),
@@ -210,10 +215,10 @@ impl Job {
     fn trace_tiles(&self, turn: &Turn<'_>) {
         let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, &self.rays, exec.slab_samples);
-        let (asked_bytes, reuse) = (Cell::new(0), RefCell::default());
+        let (asked_bytes, reuse, foreseen) = (Cell::new(0), RefCell::default(), Foreseen::default());
         let mut together = Together::new(self.most_together());
         let pages = self.pages.for_thread();
-        let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse);
+        let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse, &foreseen);
         while !self.stop.is_cancelled()
             && let Some(attempt) =
                 queue.next(self.lookahead_state.deferral(), |waits| self.take(together.tiles(), waits))
@@ -229,17 +234,18 @@ impl Job {
             }
             match traced {
                 Ok(outputs) => {
-                    if attempt.is_repeated() {
-                        attempt.place.tiles().for_each(|tile| self.lookahead_state.undeferred(tile));
-                    }
+                    foreseen.finished(attempt.place.tile, &pages);
+                    attempt.place.tiles().for_each(|tile| {
+                        self.lookahead_state.finished(tile, attempt.number());
+                    });
                     pages.end_round(&mut reuse.borrow_mut());
                     together.finished(outputs.len());
                     is_full = self.finish(outputs, turn);
                 }
                 Err(Halt::Deferred(lacking)) => {
-                    if !attempt.is_repeated() {
-                        attempt.place.tiles().for_each(|tile| self.lookahead_state.deferred(tile));
-                    }
+                    attempt.place.tiles().for_each(|tile| {
+                        self.lookahead_state.deferred(tile, attempt.number());
+                    });
                     together.put_off();
                     tracer.deferred(before);
                     queue.deferred(&attempt, lacking);

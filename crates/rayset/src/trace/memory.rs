@@ -52,6 +52,8 @@ pub struct SceneNeeds {
     thread_bytes: u64,
     /// Number of tiles of shadow tables.
     shadow_tiles: u64,
+    /// What requests take at most, if any file is far away.
+    request_bytes: u64,
     layers: bool,
     ambient_occlusion: bool,
 }
@@ -105,6 +107,7 @@ impl SceneNeeds {
             + 4 * size_of_val(lights) as u64;
         let shadow_tiles = DeepShadowMap::tiles_of(scene, settings.shadows);
         Self {
+            request_bytes: request_bytes(&leaves),
             clouds: leaves.clouds,
             grids: leaves.grids,
             scene_bytes,
@@ -140,6 +143,14 @@ impl SceneNeeds {
     pub fn clouds(&self) -> &[Arc<Cloud>] {
         &self.clouds
     }
+}
+
+/// What requests to the files of a scene take at most; those of several files share it.
+fn request_bytes(leaves: &Leaves) -> u64 {
+    let clouds = leaves.clouds.iter().filter_map(|cloud| cloud.storage());
+    let storages = clouds.chain(leaves.grids.iter().filter_map(|grid| grid.storage()));
+    let transports = storages.filter_map(|storage| storage.transport());
+    transports.map(|transport| transport.memory_bytes()).max().unwrap_or(0)
 }
 
 /// An upper bound on the number of node samples in use at a time, not counting those that several operators need.
@@ -385,7 +396,8 @@ impl Demand {
                 + threads as u64 * of_thread
                 + WorkingSet::overhead_bytes(slots)
                 + pages * LOOKAHEAD_BYTES
-                + READING_BYTES,
+                + READING_BYTES
+                + scenes.iter().map(|needs| needs.request_bytes).max().unwrap_or(0),
             page,
             largest,
             smallest,

@@ -10,7 +10,7 @@ use super::counts::RenderCounts;
 use super::layers::Layers;
 use super::march::March;
 use super::node_samples::NodeSamples;
-use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet};
+use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
 use super::shade::Shown;
 use super::shadow::Shadows;
 use super::world::World;
@@ -172,14 +172,33 @@ impl<'a> PacketTracer<'a> {
         let known = tree.following();
         tree.ends.clear();
         tree.ends.resize(tree.generation().len(), End::default());
-        for (step, members) in tree.packets(access, self.world)? {
+        let packets = tree.packets(access, self.world)?;
+        self.ask_ahead(access, tree, &packets);
+        for (step, members) in packets {
             self.packet(access, tree, &members, step)?;
             if is_limited && tree.has_too_many() {
                 return Ok(Traced::TooMany);
             }
         }
+        access.end_if_lacking()?;
         tree.gather(known, self.world.background);
         Ok(Traced::Whole)
+    }
+
+    /// Asks for the pages that rays will need. Those of rays from the eye have been looked for before: they are only if that did
+    /// not suffice.
+    fn ask_ahead(&self, access: Access<'_>, tree: &RayTree, packets: &[(f64, Vec<usize>)]) {
+        let generation = tree.generation();
+        let Some(reach) = access.foresees else { return };
+        let is_known = |first: &Successor| first.ray.is_primary() && reach <= 1.0;
+        if generation.first().is_none_or(is_known) {
+            return;
+        }
+        let rays: Vec<Vec<Ray>> = packets
+            .iter()
+            .map(|(_, members)| members.iter().map(|&i| generation[i].ray.ray).collect())
+            .collect();
+        self.world.foresight.ask(&self.world.program, access, rays.iter().map(Vec::as_slice));
     }
 
     /// Traces one packet; adds the results of its rays and their successors to the tree.

@@ -15,7 +15,7 @@ use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
 use super::procedural::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
-use crate::geometry::{Aabb, DAffine3};
+use crate::geometry::{Aabb, DAffine3, Ray};
 use crate::scene::{
     CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
 };
@@ -135,6 +135,17 @@ impl Program {
     /// The cloud of an instruction, if it is one.
     pub(super) fn cloud(&self, at: usize) -> Option<&CloudVolume> {
         if let Action::Cloud(volume) = &self.instructions[at].action { Some(volume) } else { None }
+    }
+
+    /// The grid of an instruction, if it is one.
+    pub(super) fn grid(&self, at: usize) -> Option<&GridVolume> {
+        if let Action::Grid(volume) = &self.instructions[at].action { Some(volume) } else { None }
+    }
+
+    /// The distances at which a ray enters the boxes of its procedural fields; world space.
+    pub(super) fn solids_met(&self, ray: &Ray) -> impl Iterator<Item = f64> {
+        let solids = self.instructions.iter().filter(|at| matches!(at.action, Action::Procedural(_)));
+        solids.filter_map(|at| at.bounds.clip(ray).map(|(enter, _)| enter))
     }
 
     /// Its clouds, each with the index of its instruction.

@@ -205,7 +205,7 @@ impl Session {
     /// How many of some of a cloud's point pages are in memory. The cloud is one of a scene that has been prepared; of others, none are.
     #[must_use]
     pub fn resident_pages(&self, cloud: &Arc<Cloud>, pages: Range<u32>) -> u32 {
-        let object = self.0.files().find(cloud).map(|(_, object)| object.clone());
+        let object = self.0.files().find(cloud).cloned();
         object.map_or(0, |object| pages.filter(|&page| object.is_resident(page)).count() as u32)
     }
 
@@ -216,7 +216,7 @@ impl Session {
     /// # Errors
     /// [`RenderError::Page`] if a page cannot be read, or there is no room for it.
     pub fn pin_nodes(&self, cloud: &Arc<Cloud>, most_bytes: u64) -> Result<u64, RenderError> {
-        let Some(object) = self.0.files().find(cloud).map(|(_, object)| object.clone()) else { return Ok(0) };
+        let Some(object) = self.0.files().find(cloud).cloned() else { return Ok(0) };
         let header = cloud.header();
         let wanted = (most_bytes / u64::from(header.page_bytes)).min(u64::from(header.node_pages)) as u32;
         let client = self.0.pages.client(&CancelToken::new());

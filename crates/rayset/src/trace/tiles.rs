@@ -4,7 +4,7 @@
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 
-use super::access::{Access, Lacking};
+use super::access::{Access, Foreseen, Lacking};
 use super::predict::{Deferral, Predictor};
 use super::work::TilePlace;
 use crate::working_set::{PageClient, Reuse};
@@ -18,9 +18,9 @@ pub(super) struct Attempt<'a> {
 }
 
 impl Attempt<'_> {
-    /// Whether the tile has been deferred before.
-    pub(super) fn is_repeated(&self) -> bool {
-        self.number > 1
+    /// 1 for the first at the tile.
+    pub(super) fn number(&self) -> u32 {
+        self.number
     }
 }
 
@@ -51,6 +51,7 @@ pub(super) struct TileQueue<'a> {
     predictor: &'a dyn Predictor,
     asked_bytes: &'a Cell<u64>,
     reuse: &'a RefCell<Reuse>,
+    foreseen: &'a Foreseen,
     /// The longest waiting first.
     deferred: VecDeque<Deferred>,
 }
@@ -61,8 +62,9 @@ impl<'a> TileQueue<'a> {
         predictor: &'a dyn Predictor,
         asked_bytes: &'a Cell<u64>,
         reuse: &'a RefCell<Reuse>,
+        foreseen: &'a Foreseen,
     ) -> Self {
-        Self { pages, predictor, asked_bytes, reuse, deferred: VecDeque::new() }
+        Self { pages, predictor, asked_bytes, reuse, foreseen, deferred: VecDeque::new() }
     }
 
     /// A tile whose page has become resident, otherwise what `take` returns when told whether any tile is deferred, otherwise the tile deferred first, which
@@ -72,10 +74,13 @@ impl<'a> TileQueue<'a> {
         deferral: Deferral,
         take: impl FnOnce(bool) -> Option<Deferred>,
     ) -> Option<Attempt<'a>> {
+        if let Some(deferred) = deferral.stuck.then(|| self.take_stuck()).flatten() {
+            return Some(self.attempt_with_page(&deferred, deferral));
+        }
         let ready = self.deferred.iter().position(Deferred::is_ready);
         if let Some(deferred) = ready.and_then(|at| self.deferred.remove(at)) {
             let waits = deferred.attempts >= deferral.impatient_attempts();
-            return Some(self.attempt(&deferred, waits));
+            return Some(self.attempt(&deferred, waits, deferral));
         }
         if (self.deferred.is_empty() || self.deferred.len() < deferral.most)
             && let Some(deferred) = take(!self.deferred.is_empty())
@@ -83,7 +88,7 @@ impl<'a> TileQueue<'a> {
             let waits = self.predictor.slabs_on_a_miss() == 0
                 || deferral.most == 0
                 || deferred.attempts >= deferral.impatient_attempts();
-            return Some(self.attempt(&deferred, waits));
+            return Some(self.attempt(&deferred, waits, deferral));
         }
         if deferral.far {
             self.wait_for_any();
@@ -92,12 +97,24 @@ impl<'a> TileQueue<'a> {
             }
         }
         let deferred = self.deferred.pop_front()?;
+        Some(self.attempt_with_page(&deferred, deferral))
+    }
+
+    /// An attempt at a tile once the page that it lacked is there, or, of near ones and after very many attempts, one that waits for all.
+    fn attempt_with_page(&self, deferred: &Deferred, deferral: Deferral) -> Attempt<'a> {
         let waits = !deferral.far || deferred.attempts >= deferral.impatient_attempts();
         if !waits && let Some(Lacking { object, page }) = &deferred.lacking {
             // If it cannot be had, the attempt will meet the same error.
             let _ = self.pages.retain(object, *page);
         }
-        Some(self.attempt(&deferred, waits))
+        self.attempt(deferred, waits, deferral)
+    }
+
+    /// Takes out the tile that has been attempted most often: it has all the room until it is finished.
+    fn take_stuck(&mut self) -> Option<Deferred> {
+        let most = self.deferred.iter().map(|deferred| deferred.attempts).max()?;
+        let at = self.deferred.iter().position(|deferred| deferred.attempts == most)?;
+        self.deferred.remove(at)
     }
 
     /// Waits until the page of any deferred tile is there, if the first one's is under way.
@@ -121,12 +138,15 @@ impl<'a> TileQueue<'a> {
         self.deferred
     }
 
-    fn attempt(&self, deferred: &Deferred, waits: bool) -> Attempt<'a> {
+    fn attempt(&self, deferred: &Deferred, waits: bool, deferral: Deferral) -> Attempt<'a> {
+        self.foreseen.begin(deferred.place.tile);
         let access = Access {
             pages: self.pages,
             waits,
             slabs_on_a_miss: self.predictor.slabs_on_a_miss(),
             follows_lines: self.predictor.follows_lines(),
+            foresees: if waits { None } else { deferral.foresees(deferred.attempts) },
+            foreseen: self.foreseen,
             asked_bytes: self.asked_bytes,
             reuse: self.reuse,
         };
@@ -173,7 +193,33 @@ impl Together {
 
 #[cfg(test)]
 mod tests {
+    use super::super::predict::PacketPredictor;
     use super::*;
+    use crate::CancelToken;
+    use crate::storage::local::Pool;
+    use crate::working_set::{Limits, WorkingSet};
+
+    /// The places of the tiles that a queue attempts, of those deferred after some attempts and a fresh one, 9.
+    fn attempted(attempts: &[(usize, u32)], stuck: bool) -> Vec<usize> {
+        let set = WorkingSet::new(Limits::total(1 << 20), std::sync::Arc::new(Pool::new(1)));
+        let (pages, predictor) = (set.client(&CancelToken::new()), PacketPredictor::default());
+        let (asked_bytes, reuse, foreseen) = (Cell::new(0), RefCell::default(), Foreseen::default());
+        let mut queue = TileQueue::new(&pages, &predictor, &asked_bytes, &reuse, &foreseen);
+        let place = |tile| TilePlace { tile, count: 1, pass: 0 };
+        for &(tile, attempts) in attempts {
+            queue.deferred.push_back(Deferred { place: place(tile), attempts, lacking: None });
+        }
+        let mut fresh = Some(Deferred::fresh(place(9)));
+        let deferral = Deferral { most: 16, far: true, stuck };
+        std::iter::from_fn(|| queue.next(deferral, |_| fresh.take())).map(|next| next.place.tile).collect()
+    }
+
+    #[test]
+    fn where_tiles_are_stuck_those_attempted_most_often_come_first() {
+        assert_eq!(attempted(&[(1, 2), (2, 7), (3, 5), (4, 7)], true), [2, 4, 3, 1, 9]);
+        assert_eq!(attempted(&[(1, 2), (2, 7), (3, 5), (4, 7)], false), [1, 2, 3, 4, 9]);
+        assert_eq!(attempted(&[], true), [9]);
+    }
 
     #[test]
     fn fewer_tiles_are_traced_together_where_pages_are_missing_and_more_again_where_not() {

@@ -64,6 +64,8 @@ const _: () = assert!(MAX_TILE_PIXELS as usize * MAX_TILE_PIXELS as usize == LAN
 #[derive(Clone, Debug)]
 pub struct Work {
     pub(super) tiles: Vec<Tile>,
+    /// Tiles of which it is known that they are rendered next, by other work: they are only looked ahead at.
+    pub(super) upcoming: Vec<Tile>,
     pub(super) passes: Passes,
 }
 
@@ -82,7 +84,12 @@ impl Work {
     /// Tiles in the order in which they are to be rendered, each once with all of its rays.
     #[must_use]
     pub fn tiles(tiles: Vec<Tile>) -> Self {
-        Self { tiles, passes: Passes::One }
+        Self { tiles, upcoming: Vec::new(), passes: Passes::One }
+    }
+
+    /// The same work, when it is known which tiles will be rendered next.
+    pub(super) fn before(self, upcoming: Vec<Tile>) -> Self {
+        Self { upcoming, ..self }
     }
 
     /// Divides the work into passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`,

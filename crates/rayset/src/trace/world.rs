@@ -3,6 +3,7 @@
 use super::RenderError;
 use super::bounce::Bounces;
 use super::composite::Absorption;
+use super::predict::Foresight;
 use super::program::{Program, Purpose};
 use super::shade::Shader;
 use super::shadow::ShadowWorld;
@@ -19,6 +20,8 @@ pub(super) struct World {
     pub(super) shader: Shader,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
+    /// What rays are expected to need.
+    pub(super) foresight: Foresight,
     /// `None` if no ray is reflected or refracted.
     pub(super) bounces: Option<Bounces>,
     /// Whether layers are requested besides the colour of pixels.
@@ -53,6 +56,7 @@ impl World {
             shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
             bounces: turn_rays.then_some(bounces),
             steps,
+            foresight: Foresight::new(&program, absorption.stop_transmittance),
             program,
             shader,
             absorption,

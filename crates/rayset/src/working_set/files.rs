@@ -75,11 +75,10 @@ impl PagedFiles {
         self.grids.retain(|(grid, object)| keep(Arc::strong_count(grid) > OWN, pages, object));
     }
 
-    /// The number of a cloud, and its object. Clouds that differ in nothing but their radii have the same.
+    /// The object of a cloud. Clouds that differ in nothing but their radii have the same.
     #[must_use]
-    pub fn find(&self, cloud: &Arc<Cloud>) -> Option<(usize, &Arc<Object>)> {
-        let at = self.clouds.iter().position(|(known, _)| Arc::ptr_eq(known, cloud.stored()))?;
-        Some((at, &self.clouds[at].1))
+    pub fn find(&self, cloud: &Arc<Cloud>) -> Option<&Arc<Object>> {
+        self.clouds.iter().find(|(known, _)| Arc::ptr_eq(known, cloud.stored())).map(|(_, object)| object)
     }
 
     /// The object of a grid.

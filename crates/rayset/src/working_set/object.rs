@@ -218,6 +218,16 @@ impl Object {
         !self.is_in_place() && matches!(&*self.slot(page), Slot::Absent)
     }
 
+    /// Whether a page is being loaded.
+    pub(crate) fn is_under_way(&self, page: u32) -> bool {
+        !self.is_in_place() && matches!(&*self.slot(page), Slot::Loading)
+    }
+
+    /// Whether a page is resident, or can never be.
+    pub(crate) fn is_settled(&self, page: u32) -> bool {
+        self.is_in_place() || matches!(&*self.slot(page), Slot::Resident(_) | Slot::Failed(_))
+    }
+
     pub(super) fn kind(&self, page: u32) -> Kind {
         self.source.kind(page)
     }

@@ -319,7 +319,7 @@ fn meshes_and_splats_that_are_read_before_their_first_point_stop_when_they_are_c
         // On a busy machine the file may have been read whole before the token is cancelled; then it is cancelled sooner.
         let stopped = [4000, 2000, 1000, 500, 250, 125, 0].into_iter().any(|delay_us| {
             let (filled, took) = fill_and_cancel(&path, &options, Duration::from_micros(delay_us));
-            assert!(took < Duration::from_millis(50), "{}: {took:?}, {filled:?}", path.display());
+            assert!(took < Duration::from_secs(1), "{}: {took:?}, {filled:?}", path.display());
             matches!(filled, Err(ReadError::Cancelled))
         });
         assert!(stopped, "{}", path.display());

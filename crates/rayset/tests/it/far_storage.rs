@@ -1,8 +1,9 @@
 //! Objects that are far away: faults, time-outs, joined requests, and pictures that do not notice.
 
 use std::io;
-use std::sync::Arc;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use proptest::prelude::*;
@@ -10,8 +11,8 @@ use rayset::build::{self, BuildControl, BuildOptions};
 use rayset::points::Workload;
 use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
 use rayset::storage::{
-    Behaviour, FarOptions, FarStorage, MemoryStorage, RangeError, RangeReader, RangeSink, SimulatedObject,
-    Storage,
+    Behaviour, FarOptions, FarStorage, MemoryStorage, RangeError, RangeReader, RangeSink, RequestLimit,
+    SimulatedObject, Storage,
 };
 use rayset::working_set::Limits;
 use rayset::{Cloud, Prediction, Session};
@@ -20,7 +21,7 @@ fn bytes(count: usize) -> Vec<u8> {
     (0..count).map(|i| (i * 7 + i / 251) as u8).collect()
 }
 
-fn quick() -> FarOptions {
+pub(crate) fn quick() -> FarOptions {
     let mut options = FarOptions::default();
     (options.first_pause, options.longest_pause) = (Duration::from_millis(1), Duration::from_millis(4));
     options.timeout = Duration::from_millis(300);
@@ -28,7 +29,11 @@ fn quick() -> FarOptions {
     options
 }
 
-fn far(content: &[u8], behaviour: Behaviour, options: FarOptions) -> (Arc<SimulatedObject>, FarStorage) {
+pub(crate) fn far(
+    content: &[u8],
+    behaviour: Behaviour,
+    options: FarOptions,
+) -> (Arc<SimulatedObject>, FarStorage) {
     let near = MemoryStorage::new(Arc::new(content.to_vec()));
     let object = Arc::new(SimulatedObject::new(Arc::new(near), behaviour, 42).expect("a thread"));
     let storage = FarStorage::new(object.clone(), content.len() as u64, options).expect("a thread");
@@ -128,6 +133,110 @@ proptest! {
         storage.read_exact_at(&mut found, start as u64).expect("it is there");
         prop_assert!(found == content[start..start + length]);
     }
+}
+
+/// Hands out a far object's bytes late, and counts what is in flight together with other readers.
+struct Counting {
+    content: Vec<u8>,
+    flying: Arc<Mutex<(usize, u64)>>,
+    most: Arc<Mutex<(usize, u64)>>,
+    fails: bool,
+}
+
+impl RangeReader for Counting {
+    fn start(&self, range: Range<u64>, mut sink: RangeSink) {
+        let length = range.end - range.start;
+        {
+            let (mut flying, mut most) =
+                (self.flying.lock().expect("no panic"), self.most.lock().expect("no panic"));
+            *flying = (flying.0 + 1, flying.1 + length);
+            *most = (most.0.max(flying.0), most.1.max(flying.1));
+        }
+        let bytes = self.content[range.start as usize..range.end as usize].to_vec();
+        let (flying, fails) = (self.flying.clone(), self.fails);
+        std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(2));
+            {
+                let mut flying = flying.lock().expect("no panic");
+                *flying = (flying.0 - 1, flying.1 - length);
+            }
+            if fails {
+                return sink.end(Err(RangeError::lasting(io::Error::other("never"))));
+            }
+            sink.put(&bytes);
+            sink.end(Ok(()));
+        });
+    }
+
+    fn name(&self) -> String {
+        "counted".into()
+    }
+}
+
+#[test]
+fn storages_that_share_a_limit_have_no_more_in_flight_together_and_all_are_served() {
+    let limit = RequestLimit::new(3, 5000, 7);
+    let (flying, most) = (Arc::default(), Arc::<Mutex<(usize, u64)>>::default());
+    let mut options = quick();
+    // Requests of 2 000 bytes: of three at a time, the third would be too many bytes. One of 9 000 goes alone.
+    options.most_bytes = 2000;
+    let storages: Vec<FarStorage> = (0..4)
+        .map(|i| {
+            let content = bytes(30_000);
+            let reader = Counting { content, flying: Arc::clone(&flying), most: most.clone(), fails: i == 3 };
+            options.most_bytes = if i == 2 { 9000 } else { 2000 };
+            FarStorage::within(&limit, Arc::new(reader), 30_000, options).expect("a thread")
+        })
+        .collect();
+    std::thread::scope(|scope| {
+        for (i, storage) in storages.iter().enumerate() {
+            scope.spawn(move || {
+                let mut found = vec![0; 30_000];
+                match storage.read_exact_at(&mut found, 0) {
+                    Ok(()) => assert!(i < 3 && found == bytes(30_000), "{i}"),
+                    Err(error) => assert!(i == 3 && error.to_string().contains("never"), "{i}: {error}"),
+                }
+            });
+        }
+    });
+    let (requests, length) = *most.lock().expect("no panic");
+    assert!(requests <= 3 && length <= 9000, "{requests} requests, {length} bytes");
+    assert_eq!(storages[0].transport().expect("far").memory_bytes(), 7);
+}
+
+#[test]
+fn a_storage_that_is_dropped_gives_back_what_it_had_in_flight() {
+    let limit = RequestLimit::new(2, 5000, 0);
+    let near = |content: &[u8]| Arc::new(MemoryStorage::new(Arc::new(content.to_vec())));
+    let object = |silent: f64| {
+        let behaviour = Behaviour { silent, ..Behaviour::default() };
+        Arc::new(SimulatedObject::new(near(&bytes(1000)), behaviour, 1).expect("a thread"))
+    };
+    let mut options = quick();
+    options.timeout = Duration::from_secs(600);
+    let silent = FarStorage::within(&limit, object(1.0), 1000, options).expect("a thread");
+    let heard = FarStorage::within(&limit, object(0.0), 1000, options).expect("a thread");
+    std::thread::scope(|scope| {
+        let waiting: Vec<_> =
+            (0..2).map(|_| scope.spawn(|| heard.read_exact_at(&mut [0; 10], 500))).collect();
+        waiting.into_iter().for_each(|thread| assert!(thread.join().expect("no panic").is_ok()));
+    });
+    let transport = silent.transport().expect("far");
+    let (send, receive) = std::sync::mpsc::channel();
+    for offset in [0, 900] {
+        let send = send.clone();
+        let done = Box::new(move |_, outcome: io::Result<()>| send.send(outcome).expect("somebody listens"));
+        let buffer = rayset::storage::PageBuffer::new(10);
+        let storage = near(&bytes(1000));
+        transport.submit(vec![rayset::storage::transport::Read { storage, offset, buffer, done }]);
+    }
+    let waits = std::thread::spawn(move || {
+        let mut found = [0; 10];
+        heard.read_exact_at(&mut found, 500).map(|()| found.to_vec())
+    });
+    drop(silent);
+    assert!(receive.recv().expect("it is told").is_err());
+    assert_eq!(waits.join().expect("no panic").expect("its turn"), bytes(1000)[500..510]);
 }
 
 /// A cloud's file, and a picture of it with all of it at hand.

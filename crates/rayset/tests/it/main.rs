@@ -17,6 +17,7 @@ mod common;
 mod corpus;
 mod e57;
 mod edges;
+mod far_scenes;
 mod far_storage;
 mod figures;
 mod fixture;

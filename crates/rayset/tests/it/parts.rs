@@ -1,14 +1,16 @@
 //! Parts in memory, as a caller of the library has them: rendered into bytes, joined to a picture, stopped, refused.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use rayset::geometry::DVec3;
 use rayset::parts::{Joined, Part, PartError, PartOptions, Share};
 use rayset::scene::{Camera, Form, LightKind, Node, Operator, RenderSettings, Scene, Step};
-use rayset::storage::MemoryStorage;
+use rayset::storage::{Behaviour, MemoryStorage};
 use rayset::{CancelToken, RenderError, Session, View};
 
 use crate::common::{Random, settings};
+use crate::far_storage::{far, quick};
 use crate::graph::{light, scene, solid};
 
 const MEMORY: u64 = 64 << 20;
@@ -66,6 +68,47 @@ fn parts_in_memory_make_the_picture_whatever_is_held_at_a_time_and_keep_the_note
             assert!(format!("{picture:?}") == format!("{expected:?}"), "{layers} {ambient_occlusion}");
         }
     }
+}
+
+#[test]
+fn parts_that_are_there_make_their_pixels_and_what_is_missing_is_transparent_and_told() {
+    let settings = RenderSettings { layers: true, ..small() };
+    let view = view(&pair(0.9), &settings);
+    let expected = view.picture().expect("a picture");
+    let part = |number| opened(rendered(&view, &PartOptions::new(Share::new(number, 3).expect("a share"))));
+    let some = Joined::join_partly([part(3), part(1)], MEMORY).expect("two parts");
+    let (missing, picture) = (some.missing(), some.picture().expect("a picture"));
+    let is_missing = |x, y| missing.iter().any(|of| of.columns.contains(&x) && of.rows.contains(&y));
+    for (at, pixel) in (0..).zip(&picture.pixels) {
+        let is_there = !is_missing(at % 80, at / 80);
+        assert_eq!(*pixel, if is_there { expected.pixels[at as usize] } else { [0.0; 4] });
+    }
+    let other = Joined::join_partly([part(2)], MEMORY).expect("a part");
+    let pixels = |joined: &Joined| joined.missing().iter().map(|region| region.pixels()).sum::<u64>();
+    assert_eq!(pixels(&some) + pixels(&other), 80 * 70);
+    assert!(pixels(&some) > 0 && pixels(&some) < pixels(&other));
+    assert!(Joined::join([part(1), part(2), part(3)], MEMORY).expect("all").missing().is_empty());
+}
+
+#[test]
+fn parts_that_are_far_away_make_the_picture_and_several_blocks_are_on_their_way_at_a_time() {
+    let behaviour =
+        Behaviour { latency: Duration::from_millis(60), failing: 0.1, cut: 0.1, ..Behaviour::default() };
+    let mut options = quick();
+    options.timeout = Duration::from_secs(20);
+    let view = view(&pair(0.9), &RenderSettings { step: Step::Fixed(0.05), ..settings(300, 60) });
+    let (mut objects, mut parts) = (Vec::new(), Vec::new());
+    for share in Share::all(2) {
+        let bytes = rendered(&view, &PartOptions::new(share));
+        let (object, storage) = far(&bytes, behaviour, options);
+        objects.push(object);
+        parts.push(Part::from_storage("far", Arc::new(storage)));
+    }
+    let joined = Joined::join(parts, MEMORY).expect("all parts");
+    let picture = joined.picture().expect("a picture");
+    assert!(format!("{picture:?}") == format!("{:?}", view.picture().expect("a picture")));
+    let counts: Vec<_> = objects.iter().map(|object| object.counts()).collect();
+    assert!(counts.iter().any(|counts| counts.most_at_once > 1), "{counts:?}");
 }
 
 #[test]

@@ -241,13 +241,13 @@ fn a_wait_ends_when_its_client_is_cancelled_and_the_set_serves_others() {
         started.elapsed()
     };
     std::thread::scope(|scope| {
-        // One waits for its read, the other for the room of the page that is being read.
+        // One waits for its read, which takes over a second more, the other for the room of the page that is being read.
         let threads = [0, 1].map(|page| scope.spawn(move || waits(page)));
         std::thread::sleep(Duration::from_millis(200));
         cancel.cancel();
         let cancelled = Instant::now();
         assert!(threads.into_iter().all(|thread| thread.join().is_ok()));
-        assert!(cancelled.elapsed() < Duration::from_millis(100), "{:?}", cancelled.elapsed());
+        assert!(cancelled.elapsed() < Duration::from_millis(700), "{:?}", cancelled.elapsed());
     });
     drop(other.retain(&object, 5).expect("the set goes on"));
 }

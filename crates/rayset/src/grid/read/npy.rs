@@ -12,6 +12,7 @@ use super::source::{Described, VolumeSource};
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, is_archive, text_place};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 use crate::numbers::Stored;
+use crate::storage::is_of_reading;
 
 /// The arrays that are read if several have three dimensions, the first first.
 const USUAL_NAMES: [&str; 9] = ["volume", "data", "vol", "image", "img", "density", "scan", "ct", "arr_0"];
@@ -30,7 +31,7 @@ pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
     if is_archive(head) {
         return match Array::all(path) {
             Ok(arrays) => Ok(arrays.iter().any(|array| is_volume_array(&array.header))),
-            Err(Fault::Io(source)) if source.raw_os_error().is_some() => Err(io_error(path)(source)),
+            Err(Fault::Io(source)) if is_of_reading(&source) => Err(io_error(path)(source)),
             // Whoever reads it will say what is wrong with it.
             Err(_) => Ok(false),
         };
@@ -131,9 +132,9 @@ fn three(path: &Path, array: &Array) -> Result<[f64; 3], ReadError> {
     for one in &mut all {
         let (mut from, mut to) = ([0; 8], [0; 4]);
         let from = &mut from[..stored.bytes()];
-        data.read_exact(from).map_err(|error| match error.raw_os_error() {
-            Some(_) => io_error(path)(error),
-            None => wrong("the file ends within three numbers"),
+        data.read_exact(from).map_err(|error| match is_of_reading(&error) {
+            true => io_error(path)(error),
+            false => wrong("the file ends within three numbers"),
         })?;
         if big_endian {
             from.reverse();

@@ -17,6 +17,7 @@ use super::point14::Point14;
 use super::trouble::Trouble;
 use crate::points::stretch::{BUFFER_BYTES, Input, Stretch};
 use crate::storage::input_file::Shared;
+use crate::storage::is_of_reading;
 
 /// Memory in bytes of the models of a point without extra bytes: 2.7 MB were measured for points that are compressed one by
 /// one (format 5), and 3.4 MB for layers (format 10, all four scanner channels).
@@ -220,7 +221,7 @@ impl CompressedPoints {
 
     /// Converts an error of decoding a point of the chunk.
     fn trouble(&self, error: io::Error) -> Trouble {
-        if error.kind() == io::ErrorKind::InvalidData && error.raw_os_error().is_none() {
+        if error.kind() == io::ErrorKind::InvalidData && !is_of_reading(&error) {
             let what = format!("in the chunk that begins here, {error}; the file is damaged");
             return Trouble::at(self.chunk.start, what);
         }
@@ -243,7 +244,10 @@ impl CompressedPoints {
         self.left = points;
         self.started_layers = self.layers;
         let started = self.decoder.start(&self.method.items, self.layers);
-        started.map_err(|e| Trouble::at(start, e.to_string()))
+        started.map_err(|e| match e {
+            laz::LasZipError::IoError(error) if is_of_reading(&error) => Trouble::Io(error),
+            other => Trouble::at(start, other.to_string()),
+        })
     }
 
     /// Restarts the chunk with the layers that are selected now, and decodes up to the current point.

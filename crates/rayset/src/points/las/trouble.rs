@@ -2,6 +2,8 @@
 
 use std::io;
 
+use crate::storage::is_of_reading;
+
 /// Why compressed points could not be read.
 #[derive(Debug)]
 pub(super) enum Trouble {
@@ -18,8 +20,8 @@ impl Trouble {
         Self::Damaged { byte, what: what.into() }
     }
 
-    /// Distinguishes errors of the system from errors in the data.
+    /// Distinguishes errors of reading from errors in the data.
     pub(super) fn from_io(error: io::Error, byte: u64, what: &str) -> Self {
-        if error.raw_os_error().is_some() { Self::Io(error) } else { Self::at(byte, what) }
+        if is_of_reading(&error) { Self::Io(error) } else { Self::at(byte, what) }
     }
 }

@@ -13,6 +13,7 @@ use crate::cancel::CancelToken;
 use crate::points::packed::Unpacked;
 use crate::points::{Place, ReadError};
 use crate::storage::input_file::InputFile;
+use crate::storage::is_of_reading;
 
 const BUFFER_BYTES: usize = 64 << 10;
 /// Memory of a reader: its buffer, and tables of the decoder.
@@ -128,7 +129,7 @@ impl Plane {
                 Ok(0) => break,
                 Ok(bytes) => read += bytes,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(source) if source.raw_os_error().is_some() => {
+                Err(source) if is_of_reading(&source) => {
                     return Err(ReadError::Io { path: self.path.clone(), source });
                 }
                 Err(e) if e.kind() == io::ErrorKind::UnexpectedEof || self.stream_is_cut() => {

@@ -18,6 +18,7 @@ use super::{
     ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values, roles,
 };
 use crate::storage::input_file::InputFile;
+use crate::storage::is_of_reading;
 use crate::text_numbers::{Behind, TextNumbers};
 use crate::vtk_xml::Document;
 
@@ -99,7 +100,7 @@ impl VtkSource {
     /// An error in the numbers of an array of the current part, or in its positions. What the system says, it says of the
     /// file.
     fn unreadable(&self, array: Option<usize>, source: io::Error) -> ReadError {
-        if source.raw_os_error().is_some() {
+        if is_of_reading(&source) {
             return self.io(source);
         }
         let named = array.and_then(|index| self.parts.get(self.part)?.arrays.get(index));

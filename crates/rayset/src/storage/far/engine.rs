@@ -8,9 +8,11 @@ use std::time::{Duration, Instant};
 
 use super::counts::Counts;
 use super::flight::{Ended, Flight, Request};
+use super::limit::{RequestLimit, Waiting};
 use super::options::FarOptions;
 use super::queue::{Joining, Queue, Wanted};
 use super::reader::{RangeError, RangeReader, RangeSink};
+use super::unread::unread;
 
 /// How far a retry's pause is shortened or lengthened, so that failed requests do not all come back at once.
 const JITTER: f64 = 0.25;
@@ -22,6 +24,8 @@ pub(super) struct Engine {
     reader: Arc<dyn RangeReader>,
     pub(super) options: FarOptions,
     pub(super) counts: Counts,
+    /// What it shares with other engines.
+    pub(super) limit: Option<Arc<RequestLimit>>,
     state: Mutex<State>,
     /// Tells the clock that there is something to wait for.
     changed: Condvar,
@@ -43,11 +47,16 @@ struct State {
 
 impl Engine {
     /// An engine and its clock, a thread that ends when the engine is closed or dropped.
-    pub(super) fn start(reader: Arc<dyn RangeReader>, options: FarOptions) -> io::Result<Arc<Self>> {
+    pub(super) fn start(
+        reader: Arc<dyn RangeReader>,
+        options: FarOptions,
+        limit: Option<Arc<RequestLimit>>,
+    ) -> io::Result<Arc<Self>> {
         let engine = Arc::new(Self {
             reader,
             options,
             counts: Counts::default(),
+            limit,
             state: Mutex::default(),
             changed: Condvar::new(),
         });
@@ -99,7 +108,7 @@ impl Engine {
 
     /// The next request to start, which counts as in flight from now on; `None`, and nobody is starting requests any more, if
     /// nothing waits or enough are in flight.
-    fn next_flight(&self) -> Option<Arc<Flight>> {
+    fn next_flight(self: &Arc<Self>) -> Option<Arc<Flight>> {
         let mut state = self.lock();
         let request =
             if state.flights.len() < self.options.in_flight { self.next_request(&mut state) } else { None };
@@ -107,6 +116,14 @@ impl Engine {
             state.starting = false;
             return None;
         };
+        let bytes = request.bytes();
+        let asks = || -> Weak<dyn Waiting> { Arc::<Self>::downgrade(self) };
+        if self.limit.as_ref().is_some_and(|limit| !limit.take(bytes, asks)) {
+            // Whoever gives room back comes here again, once the lock is free.
+            state.again.push(request);
+            state.starting = false;
+            return None;
+        }
         state.last_flight += 1;
         let flight = Arc::new(Flight::new(state.last_flight, request));
         if state.flights.insert(flight.number, flight.clone()).is_none() && state.flights.len() == 1 {
@@ -135,6 +152,7 @@ impl Engine {
     fn settle(self: &Arc<Self>, flight: &Flight, ended: Ended, outcome: Result<(), RangeError>) {
         let Ended { mut request, missing } = ended;
         self.lock().flights.remove(&flight.number);
+        self.give_back(flight.bytes);
         let outcome = outcome.and_then(|()| if missing == 0 { Ok(()) } else { Err(too_short(missing)) });
         let failed = match outcome {
             Ok(()) => {
@@ -152,6 +170,13 @@ impl Engine {
             self.fail(request, &error);
         }
         self.start_requests();
+    }
+
+    /// A request of so many bytes is in flight no longer: others may be begun.
+    fn give_back(&self, bytes: u64) {
+        if let Some(limit) = &self.limit {
+            limit.give_back(bytes);
+        }
     }
 
     /// Lets a request pause before its next attempt; returns it if there is to be none.
@@ -175,8 +200,7 @@ impl Engine {
             _ => format!(" (tried {failures} times in {:.1} s)", since.elapsed().as_secs_f64()),
         };
         for read in reads {
-            let what = io::Error::new(error.source.kind(), format!("{}{tried}", error.source));
-            read.complete(Err(what));
+            read.complete(Err(unread(error.source.kind(), format!("{}{tried}", error.source))));
         }
     }
 
@@ -190,7 +214,10 @@ impl Engine {
         let flights: Vec<Arc<Flight>> = state.flights.drain().map(|(_, flight)| flight).collect();
         drop(state);
         self.changed.notify_all();
-        let flying = flights.iter().filter_map(|flight| flight.take()).map(|ended| ended.request);
+        let taken = |flight: &Arc<Flight>| Some((flight.bytes, flight.take()?.request));
+        let flying: Vec<(u64, Request)> = flights.iter().filter_map(taken).collect();
+        flying.iter().for_each(|&(bytes, _)| self.give_back(bytes));
+        let flying = flying.into_iter().map(|(_, request)| request);
         let requests = paused.into_iter().chain(again).chain(flying);
         let reads = requests.flat_map(|request| request.reads).chain(waiting);
         reads.for_each(|read| read.complete(Err(closed())));
@@ -219,6 +246,18 @@ impl Engine {
         if goes_on {
             self.start_requests();
         }
+    }
+}
+
+impl Waiting for Engine {
+    fn start(self: Arc<Self>) {
+        self.start_requests();
+    }
+}
+
+impl std::fmt::Debug for Engine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Engine").field("name", &self.name()).finish_non_exhaustive()
     }
 }
 

@@ -22,6 +22,11 @@ impl Request {
         let start = self.reads.iter().map(|read| read.offset).min().unwrap_or(0);
         start..self.reads.iter().map(Wanted::end).max().unwrap_or(start)
     }
+
+    pub(super) fn bytes(&self) -> u64 {
+        let range = self.range();
+        range.end - range.start
+    }
 }
 
 /// A request in flight. Whoever takes it out (the sink when it ends, the clock when the time is over) decides what becomes of it;
@@ -29,6 +34,8 @@ impl Request {
 pub(super) struct Flight {
     pub(super) number: u64,
     pub(super) begun: Instant,
+    /// The bytes of its range.
+    pub(super) bytes: u64,
     state: Mutex<Option<Landing>>,
 }
 
@@ -50,8 +57,8 @@ pub(super) struct Ended {
 impl Flight {
     pub(super) fn new(number: u64, request: Request) -> Self {
         let range = request.range();
-        let at = range.start;
-        Self { number, begun: Instant::now(), state: Mutex::new(Some(Landing { request, range, at })) }
+        let (at, bytes) = (range.start, range.end - range.start);
+        Self { number, begun: Instant::now(), bytes, state: Mutex::new(Some(Landing { request, range, at })) }
     }
 
     /// The bytes that it is to read; none if it has ended.

@@ -1,16 +1,18 @@
 //! Objects that are far away: many requests in flight, neighbours joined, failures tried again, all in bounded time.
 //!
 //! A [`RangeReader`] knows how to start reading a range of one object; [`FarStorage`] makes a [`Storage`] of it. Its `queue` joins
-//! reads to requests, its `engine` starts them and tries again what failed, a `flight` is a request on its way, `simulated` is an
-//! object that is only as far away as a test wants it to be.
+//! reads to requests, its `engine` starts them, within a `limit` that objects share, and tries again what failed, a `flight` is a request on its way, `simulated` is an
+//! object that is only as far away as a test wants it to be, `unread` tells errors of reading from errors in what was read.
 
 mod counts;
 mod engine;
 mod flight;
+mod limit;
 mod options;
 mod queue;
 mod reader;
 mod simulated;
+mod unread;
 
 use std::io;
 use std::sync::{Arc, mpsc};
@@ -18,11 +20,13 @@ use std::time::Duration;
 
 pub use self::counts::FarCounts;
 use self::engine::Engine;
+pub use self::limit::RequestLimit;
 pub use self::options::FarOptions;
 use self::queue::Wanted;
 pub use self::reader::{RangeError, RangeReader, RangeSink};
 #[doc(hidden)]
 pub use self::simulated::{Behaviour, SimulatedCounts, SimulatedObject};
+pub(crate) use self::unread::{copy_of_reading, is_of_reading};
 use super::buffer::PageBuffer;
 use super::transport::{Read, Storage, Transport, ends_early};
 
@@ -41,8 +45,30 @@ impl FarStorage {
     /// # Errors
     /// The system's error, if the thread that keeps time cannot be started.
     pub fn new(reader: Arc<dyn RangeReader>, length: u64, options: FarOptions) -> io::Result<Self> {
+        Self::start(reader, length, options, None)
+    }
+
+    /// Like [`new`](Self::new), of an object that shares a limit with others.
+    ///
+    /// # Errors
+    /// As of [`new`](Self::new).
+    pub fn within(
+        limit: &Arc<RequestLimit>,
+        reader: Arc<dyn RangeReader>,
+        length: u64,
+        options: FarOptions,
+    ) -> io::Result<Self> {
+        Self::start(reader, length, options, Some(limit.clone()))
+    }
+
+    fn start(
+        reader: Arc<dyn RangeReader>,
+        length: u64,
+        options: FarOptions,
+        limit: Option<Arc<RequestLimit>>,
+    ) -> io::Result<Self> {
         let options = FarOptions { in_flight: options.in_flight.max(1), ..options };
-        Ok(Self { transport: Arc::new(FarTransport(Engine::start(reader, options)?)), length })
+        Ok(Self { transport: Arc::new(FarTransport(Engine::start(reader, options, limit)?)), length })
     }
 
     /// What has been read so far, and what it cost.
@@ -127,6 +153,10 @@ impl Transport for FarTransport {
 
     fn is_far(&self) -> bool {
         true
+    }
+
+    fn memory_bytes(&self) -> u64 {
+        self.0.limit.as_ref().map_or(0, |limit| limit.memory_bytes())
     }
 }
 

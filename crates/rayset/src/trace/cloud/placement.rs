@@ -18,8 +18,6 @@ use crate::working_set::{Object, PageFault, PageGuard, PagedFiles};
 pub(in crate::trace) struct CloudPlacement {
     cloud: Arc<Cloud>,
     pub(in crate::trace) pages: Arc<Object>,
-    /// Index of its file among those of the render.
-    pub(in crate::trace) file: u32,
     pub(in crate::trace) root_cell: RootCell,
     pub(in crate::trace) first_node_page: u32,
     /// `None` if local space and world space are the same.
@@ -36,11 +34,10 @@ impl CloudPlacement {
         world_from_local: &DAffine3,
         paged: &PagedFiles,
     ) -> Option<Self> {
-        let (file, pages) = paged.find(cloud)?;
+        let pages = paged.find(cloud)?;
         let header = cloud.header();
         Some(Self {
             pages: pages.clone(),
-            file: file as u32,
             root_cell: header.root_cell(),
             first_node_page: header.point_pages,
             local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),

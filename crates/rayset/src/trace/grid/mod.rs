@@ -5,6 +5,7 @@
 //! of eight, and evaluated in batches (`brick`, `batch`): values, opacities (`opacity`) and, where they are required and the ray still goes
 //! on, gradients.
 
+mod ahead;
 mod batch;
 mod brick;
 mod field;
@@ -18,6 +19,7 @@ mod visible;
 mod volume;
 mod voxels;
 
+pub(super) use self::ahead::PagesAhead;
 pub(super) use self::field::{GridMarch, GridRequest};
 pub(super) use self::volume::{GridScratch, GridVolume};
 

@@ -107,6 +107,31 @@ impl Opacities {
         self.shown.iter().any(|&(from, to)| from <= high && low <= to)
     }
 
+    /// The least optical depth, of a unit distance, of all numbers in a range.
+    #[expect(clippy::manual_clamp, reason = "what is not a number becomes 0")]
+    pub(super) fn least_optical_depth(&self, low: f32, high: f32) -> f32 {
+        let of_ends = |factor: f32, offset: f32| (low * factor + offset).min(high * factor + offset);
+        let opacity = match &self.rule {
+            Rule::Extinction { factor, offset } => {
+                return of_ends(*factor, *offset).max(0.0).min(MAX_OPTICAL_DEPTH);
+            }
+            Rule::Clamp { factor, offset } => of_ends(*factor, *offset),
+            Rule::Curve(pieces) => {
+                let ends = pieces.iter().skip(1).map(|piece| piece.from).chain([f32::INFINITY]);
+                let begins =
+                    [f32::NEG_INFINITY].into_iter().chain(pieces.iter().skip(1).map(|piece| piece.from));
+                let met =
+                    pieces.iter().zip(begins.zip(ends)).filter(|(_, (from, to))| *from <= high && low <= *to);
+                // Straight lines are least at their ends.
+                met.flat_map(|(piece, (from, to))| {
+                    [low.max(from), high.min(to)].map(|n| piece.opacity + (n - piece.start) * piece.slope)
+                })
+                .fold(f32::INFINITY, f32::min)
+            }
+        };
+        (-ln(1.0 - limited(opacity))).min(MAX_OPTICAL_DEPTH)
+    }
+
     /// The opacities of numbers, in a given measure.
     #[expect(clippy::manual_clamp, reason = "what is not a number becomes 0")]
     #[inline(always)]
@@ -289,6 +314,25 @@ mod tests {
                     prop_assert!(opacities.shows(numbers[i], numbers[i]));
                 }
             }
+        }
+
+        #[test]
+        fn the_least_optical_depth_of_a_range_is_no_more_than_that_of_any_number_in_it(
+            rule in rules(),
+            (scale, offset) in prop::sample::select(vec![(1.0, 0.0), (0.5, 3.0), (-1.0, 200.0), (0.0, 30.0)]),
+            low in 0.0_f32..200.0,
+            width in 0.0_f32..50.0,
+        ) {
+            let values = Values { base: 0.0, scale, offset };
+            let opacities = Opacities::new(&rule, &values, 0.5);
+            let numbers: [f32; 32] = std::array::from_fn(|i| low + width * (i as f32 / 31.0));
+            let level = crate::field::SimdLevel::baseline().level();
+            let depths = dispatch!(level, simd => opacities.of(simd, &numbers, Measure::OpticalDepth));
+            let least = opacities.least_optical_depth(low, low + width);
+            let found = depths.iter().copied().fold(f32::INFINITY, f32::min);
+            prop_assert!(least <= found * 1.001 + 1e-5, "{least} of {found}");
+            // And not far less, where the rule does not vary.
+            prop_assert!(width > 0.0 || (least - found).abs() <= 1e-3 * found.max(0.02), "{least} of {found}");
         }
 
         #[test]

@@ -28,4 +28,10 @@ impl Bricks {
     pub(super) fn number(&self, [x, y, z]: [u32; 3]) -> u32 {
         (z.wrapping_mul(self.count[1]).wrapping_add(y)).wrapping_mul(self.count[0]).wrapping_add(x)
     }
+
+    /// The place of a brick among the bricks.
+    pub(super) fn place(&self, number: u32) -> [u32; 3] {
+        let [x, y, _] = self.count;
+        [number % x, number / x % y, number / x / y]
+    }
 }

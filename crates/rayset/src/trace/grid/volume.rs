@@ -30,6 +30,7 @@ pub(in crate::trace) struct GridVolume {
     pages: Arc<Object>,
     world_from_voxel: DAffine3,
     field: GridField,
+    unit_distance: f64,
 }
 
 /// Most bricks of a slab that are looked at before its rays are.
@@ -90,12 +91,52 @@ impl GridVolume {
             values,
             material,
         };
-        Some(Self { pages, world_from_voxel, field, object: object.clone() })
+        Some(Self { pages, world_from_voxel, field, unit_distance, object: object.clone() })
     }
 
     /// The pages of its file.
     pub(in crate::trace) fn pages(&self) -> &Arc<Object> {
         &self.pages
+    }
+
+    pub(super) fn field(&self) -> &GridField {
+        &self.field
+    }
+
+    /// The length over which opacities hold; world space.
+    pub(super) fn unit_distance(&self) -> f64 {
+        self.unit_distance
+    }
+
+    /// Cells along an edge of a brick.
+    pub(super) fn brick_cells(&self) -> f64 {
+        self.object.grid.header().kind.brick_cells() as f64
+    }
+
+    /// The first page of the ranges of bricks, behind the last brick.
+    pub(in crate::trace) fn first_ranges_page(&self) -> u32 {
+        self.object.grid.header().brick_pages() as u32
+    }
+
+    /// The page that has the range of a brick.
+    pub(super) fn ranges_page(&self, brick: u32) -> u32 {
+        self.first_ranges_page() + (u64::from(brick) / RANGES_PER_PAGE) as u32
+    }
+
+    /// The range of a brick, of the page that has it: the least and the largest number, less the base.
+    pub(super) fn range_of(&self, page: &[u8], brick: u32) -> (f32, f32) {
+        let at = PAGE_HEAD_BYTES + (u64::from(brick) % RANGES_PER_PAGE) as usize * 8;
+        let number = |at: usize| f32::from_le_bytes([page[at], page[at + 1], page[at + 2], page[at + 3]]);
+        (number(at) - self.field.values.base, number(at + 4) - self.field.values.base)
+    }
+
+    /// World space.
+    pub(in crate::trace) fn bounds_world_of(&self, brick: u32) -> Aabb {
+        let bricks = &self.field.placement.bricks;
+        let cells = self.brick_cells();
+        let first = bricks.place(brick).map(|place| f64::from(place) * cells);
+        let corner = DVec3::from_array(first);
+        Aabb::new(corner, corner + cells).transformed(&self.world_from_voxel)
     }
 
     /// Sets the names of the program's attributes.
@@ -234,12 +275,8 @@ impl GridVolume {
         {
             return Ok(*blocks != Blocks::NONE);
         }
-        let header = self.object.grid.header();
-        let page = header.brick_pages() + u64::from(brick) / RANGES_PER_PAGE;
-        let guard = access.retain_page(&self.pages, page as u32)?;
-        let at = PAGE_HEAD_BYTES + (u64::from(brick) % RANGES_PER_PAGE) as usize * 8;
-        let number = |at: usize| f32::from_le_bytes([guard[at], guard[at + 1], guard[at + 2], guard[at + 3]]);
-        let (low, high) = (number(at) - self.field.values.base, number(at + 4) - self.field.values.base);
+        let guard = access.retain_page(&self.pages, self.ranges_page(brick))?;
+        let (low, high) = self.range_of(&guard, brick);
         let shows = self.field.opacities.shows(low, high);
         if !shows {
             known.insert(key, Blocks::NONE);

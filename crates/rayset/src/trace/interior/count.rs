@@ -3,6 +3,7 @@
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use super::lattice::{Lattice, Votes};
@@ -10,8 +11,9 @@ use super::passes::PassTracer;
 use crate::cancel::CancelToken;
 use crate::geometry::Ray;
 use crate::trace::RenderError;
-use crate::trace::access::{Access, Halt};
+use crate::trace::access::{Access, Foreseen, Halt};
 use crate::trace::engine::Engine;
+use crate::trace::predict::Foresight;
 use crate::trace::program::Program;
 use crate::trace::scheduler::{Task, Turn};
 use crate::trace::steps::StepRule;
@@ -36,6 +38,9 @@ pub(super) fn count(
     let stop = CancelToken::new();
     let votes = Arc::new(Votes::new(lattice));
     let task = Arc::new(Counting {
+        // Rays go through everything.
+        foresight: Foresight::new(&program, 0.0),
+        asked: AtomicUsize::new(0),
         program,
         steps,
         slab_samples: engine.exec.slab_samples,
@@ -52,6 +57,9 @@ pub(super) fn count(
 
 struct Counting {
     program: Program,
+    foresight: Foresight,
+    /// Blocks whose pages have been asked for, if they are far away: those before this one.
+    asked: AtomicUsize,
     steps: StepRule,
     slab_samples: usize,
     pages: PageClient,
@@ -112,13 +120,15 @@ impl Counting {
     fn trace_blocks(&self, turn: &Turn<'_>) -> Result<(), RenderError> {
         let mut tracer = PassTracer::new(&self.program, &self.steps, self.slab_samples);
         let (mut row, mut axes) = (Vec::new(), [AxisCount::default(); 3]);
-        let (asked_bytes, reuse) = (Cell::new(0), RefCell::default());
+        let (asked_bytes, reuse, foreseen) = (Cell::new(0), RefCell::default(), Foreseen::default());
         let pages = self.pages.for_thread();
         let access = Access {
             pages: &pages,
             waits: true,
             slabs_on_a_miss: 1,
             follows_lines: false,
+            foresees: None,
+            foreseen: &foreseen,
             asked_bytes: &asked_bytes,
             reuse: &reuse,
         };
@@ -126,6 +136,7 @@ impl Counting {
         while !turn.is_over()
             && let Some(number) = self.take()
         {
+            self.ask_ahead(access, number);
             outcome = self.trace_block(access, number, &mut tracer, &mut row, &mut axes);
             if outcome.is_err() {
                 break;
@@ -137,6 +148,29 @@ impl Counting {
             sum.odd += own.odd;
         }
         outcome
+    }
+
+    /// Asks for the pages of the blocks from one on, if they are far away: a block that waited for page after page would take a
+    /// round trip for each.
+    fn ask_ahead(&self, access: Access<'_>, number: usize) {
+        const AHEAD: usize = 16;
+        /// They are asked for in bursts, so that neighbours come in one request.
+        const BURST: usize = 4;
+        let until = (number + AHEAD).min(self.blocks());
+        let from = self.asked.load(Ordering::Relaxed).max(number);
+        if !self.foresight.far || (from + BURST > until && from > number) || from >= until {
+            return;
+        }
+        self.asked.store(until, Ordering::Relaxed);
+        let lattice = &self.votes.lattice;
+        let rays_of = |number| {
+            let block = lattice.block(number);
+            block.first_cells().map(|cell| block.ray(lattice, cell)).collect::<Vec<Ray>>()
+        };
+        let packets: Vec<Vec<Ray>> = (from..until).map(rays_of).collect();
+        let access = Access { foresees: Some(1.0), ..access };
+        self.foresight.ask(&self.program, access, packets.iter().map(Vec::as_slice));
+        access.foreseen.forget();
     }
 
     fn trace_block(

@@ -1,48 +1,41 @@
 //! Joining all parts of a picture.
 
-use std::sync::Arc;
-
 use super::block::Contents;
 use super::error::PartError;
+use super::fetch::{AT_A_TIME, Entry, Fetcher};
 use super::header::About;
 use super::part::{Part, Source, StoredBlock};
 use super::share::{Blocks, Share};
 use crate::cancel::CancelToken;
 use crate::image::{Band, LayerPixel};
-use crate::storage::Storage;
 use crate::trace::ambient_occlusion::{AmbientOcclusion, ROWS_SENT, apron};
 use crate::trace::memory::{EXR_BYTES, PIXEL_BYTES};
 use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region};
 use crate::trace::{BandSink, Picture, RenderError};
 
-/// Most parts whose files stay open while they are read.
-const OPEN_FILES: usize = 128;
 /// Memory for each part besides its blocks: names, open files.
 const PART_BYTES: u64 = 1024;
 /// Memory for reading and unpacking blocks, and for the stack and the buffers of an encoder that is a row of blocks behind.
 const READING_BYTES: u64 = 5 << 19;
+/// Memory for the stack of a thread that waits for a block.
+const WAITING_BYTES: u64 = 64 << 10;
 /// One part in this many of the rows' memory is set aside for gaps between them.
 const GAPS_PART: u64 = 32;
 /// Rows of the picture in an encoder, as a render counts them.
 const ENCODER_ROWS: u64 = 8;
 
-/// All parts of one picture.
+/// All parts of one picture, or those that are there.
 pub struct Joined {
-    /// In the order of their shares.
-    sources: Vec<Source>,
+    /// In the order of their shares; `None` for those that are missing.
+    sources: Vec<Option<Source>>,
     about: About,
     blocks: Blocks,
     /// Row after row.
     entries: Vec<Entry>,
     note: Vec<u8>,
     memory_bytes: u64,
-}
-
-/// Where a block is.
-#[derive(Clone, Copy, Default)]
-struct Entry {
-    part: u32,
-    stored: StoredBlock,
+    /// Blocks that are read at a time.
+    at_a_time: usize,
 }
 
 impl std::fmt::Debug for Joined {
@@ -62,6 +55,27 @@ impl Joined {
         parts: impl IntoIterator<Item = Result<Part, PartError>>,
         memory_bytes: u64,
     ) -> Result<Self, PartError> {
+        let joined = Self::join_partly(parts, memory_bytes)?;
+        let missing: Vec<u32> = (1..)
+            .zip(&joined.sources)
+            .filter(|(_, source)| source.is_none())
+            .map(|(number, _)| number)
+            .collect();
+        if missing.is_empty() {
+            return Ok(joined);
+        }
+        Err(PartError::Missing { missing, of: joined.sources.len() as u32 })
+    }
+
+    /// Joins the parts that are there, at least one, as [`join`](Self::join) does. Pixels of those that are missing are transparent, and
+    /// ambient occlusion beside them is not what it will be.
+    ///
+    /// # Errors
+    /// As [`join`](Self::join), but for missing parts.
+    pub fn join_partly(
+        parts: impl IntoIterator<Item = Result<Part, PartError>>,
+        memory_bytes: u64,
+    ) -> Result<Self, PartError> {
         let mut parts = parts.into_iter();
         let first = parts.next().ok_or(PartError::None)??;
         let of = first.share().of();
@@ -78,23 +92,42 @@ impl Joined {
             check_same(&part, &first)?;
             gathered.add(&part)?;
         }
-        let (sources, indices) = gathered.complete(of)?;
+        let Gathered { sources, indices } = gathered;
         let mut entries = vec![Entry::default(); blocks.count() as usize];
         let mut next: Vec<_> = indices.iter().map(|index| index.iter()).collect();
         for (number, block) in blocks.dealt(of) {
             let part = number - 1;
-            if let Some(&stored) = next[part as usize].next() {
-                entries[blocks.number(block)] = Entry { part, stored };
-            }
+            let stored = next[part as usize].next().copied().unwrap_or_default();
+            entries[blocks.number(block)] = Entry { part, stored };
         }
         let note = first.note()?;
-        Ok(Self { sources, about: first.about, blocks, entries, note, memory_bytes: needed })
+        let at_a_time = at_a_time(&first);
+        Ok(Self { sources, about: first.about, blocks, entries, note, memory_bytes: needed, at_a_time })
     }
 
     /// What the picture shows of the whole.
     #[must_use]
     pub fn region(&self) -> Region {
         self.about.region()
+    }
+
+    /// What of the region is in parts that are missing: rectangles that do not overlap.
+    #[must_use]
+    pub fn missing(&self) -> Vec<Region> {
+        let Region { columns, rows } = self.region();
+        let places = (0..self.blocks.rows).flat_map(|j| (0..self.blocks.columns).map(move |i| (i, j)));
+        let missing = places.filter(|&block| {
+            let entry = self.entries[self.blocks.number(block)];
+            self.sources[entry.part as usize].is_none()
+        });
+        let clipped = move |block| {
+            let block = self.blocks.region(block);
+            Region {
+                columns: block.columns.start.max(columns.start)..block.columns.end.min(columns.end),
+                rows: block.rows.start.max(rows.start)..block.rows.end.min(rows.end),
+            }
+        };
+        missing.map(clipped).filter(|region| region.pixels() > 0).collect()
     }
 
     /// Width and height of the whole picture in pixels.
@@ -146,7 +179,7 @@ impl Joined {
     /// What was rendered, a row of blocks at a time.
     fn rendered(&self, cancel: &CancelToken, sink: &mut (impl BandSink + ?Sized)) -> Result<(), PartError> {
         let rendered = self.about.rendered();
-        let mut open: Vec<Option<Arc<dyn Storage>>> = vec![None; self.sources.len().min(OPEN_FILES)];
+        let mut fetcher = Fetcher::of(self.sources.len());
         let mut done = 0;
         for j in 0..self.blocks.rows {
             if cancel.is_cancelled() {
@@ -156,8 +189,9 @@ impl Joined {
             let has_layers = self.about.contents.has_layers();
             let width = rendered.columns.len() as u32;
             let mut band = Band::new(rows.start, width, rows.len() as u32, has_layers);
-            for i in 0..self.blocks.columns {
-                self.read(&mut open, (i, j), &rendered, &mut band)?;
+            let columns: Vec<u32> = (0..self.blocks.columns).collect();
+            for together in columns.chunks(self.at_a_time) {
+                self.read(&mut fetcher, together, j, &rendered, &mut band)?;
             }
             sink.band(&band).map_err(PartError::Sink)?;
             done += band.pixels.len() as u64;
@@ -166,39 +200,53 @@ impl Joined {
         Ok(())
     }
 
-    /// Reads a block into its place in a band.
+    /// Reads blocks of a row into their places in a band.
     fn read(
         &self,
-        open: &mut [Option<Arc<dyn Storage>>],
-        block: (u32, u32),
+        fetcher: &mut Fetcher,
+        columns: &[u32],
+        row: u32,
+        rendered: &Region,
+        band: &mut Band,
+    ) -> Result<(), PartError> {
+        let mut there = Vec::with_capacity(columns.len());
+        for &column in columns {
+            let Entry { part, stored } = self.entries[self.blocks.number((column, row))];
+            let Some(source) = &self.sources[part as usize] else { continue };
+            let region = self.blocks.region((column, row));
+            let (length, pixels) = (stored.length as usize, region.pixels() as usize);
+            if length > pixels * self.about.contents.pixel_bytes() {
+                return Err(damaged(source, stored, &region, &format!("{length} bytes for {pixels} pixels")));
+            }
+            there.push((region, source, Entry { part, stored }));
+        }
+        let blocks: Vec<(&Source, Entry)> = there.iter().map(|&(_, source, entry)| (source, entry)).collect();
+        let fetched = fetcher.fetch(&blocks)?;
+        for ((region, source, Entry { stored, .. }), bytes) in there.into_iter().zip(fetched) {
+            self.unpack((source, stored), &bytes, &region, rendered, band)?;
+        }
+        Ok(())
+    }
+
+    /// Checks the bytes of a block, and unpacks them into their place in a band.
+    fn unpack(
+        &self,
+        (source, stored): (&Source, StoredBlock),
+        bytes: &[u8],
+        region: &Region,
         rendered: &Region,
         band: &mut Band,
     ) -> Result<(), PartError> {
         let contents = self.about.contents;
-        let region = self.blocks.region(block);
-        let Entry { part, stored: StoredBlock { at, length, crc } } = self.entries[self.blocks.number(block)];
-        let source = &self.sources[part as usize];
-        let damaged = |what: String| {
-            let Region { columns, rows } = &region;
-            PartError::damaged(&source.name, at, format!("columns {columns:?}, rows {rows:?}: {what}"))
-        };
+        if crc32c::crc32c_append(source.seed, bytes) != stored.crc {
+            return Err(damaged(source, stored, region, "the checksum is wrong"));
+        }
         let count = region.pixels() as usize;
-        if length as usize > count * contents.pixel_bytes() {
-            return Err(damaged(format!("{length} bytes for {count} pixels")));
-        }
-        let storage = match open.get_mut(part as usize) {
-            None => source.open()?,
-            Some(Some(storage)) => storage.clone(),
-            Some(closed) => closed.insert(source.open()?).clone(),
-        };
-        let mut bytes = vec![0; length as usize];
-        source.read(&*storage, &mut bytes, at)?;
-        if crc32c::crc32c_append(source.seed, &bytes) != crc {
-            return Err(damaged("the checksum is wrong".into()));
-        }
         let mut pixels = vec![[0.0; 4]; count];
         let mut layers = vec![LayerPixel::default(); if contents.has_layers() { count } else { 0 }];
-        contents.decode(&bytes, &mut pixels, &mut layers).map_err(damaged)?;
+        contents
+            .decode(bytes, &mut pixels, &mut layers)
+            .map_err(|what| damaged(source, stored, region, &what))?;
         let width = region.columns.len();
         let left = (region.columns.start - rendered.columns.start) as usize;
         for y in 0..region.rows.len() {
@@ -210,6 +258,17 @@ impl Joined {
         }
         Ok(())
     }
+}
+
+/// The error for a block that is damaged.
+fn damaged(source: &Source, stored: StoredBlock, region: &Region, what: &str) -> PartError {
+    let Region { columns, rows } = region;
+    PartError::damaged(&source.name, stored.at, format!("columns {columns:?}, rows {rows:?}: {what}"))
+}
+
+/// Blocks that are read at a time: where the first part is far away, more than one.
+fn at_a_time(part: &Part) -> usize {
+    if part.source.is_far() { AT_A_TIME } else { 1 }
 }
 
 /// An upper bound of the bytes that joining the parts of a picture takes, given one of them.
@@ -226,7 +285,9 @@ fn needed_bytes(part: &Part, blocks: &Blocks) -> u64 {
     let index = blocks.count() * 2 * size_of::<Entry>() as u64;
     let parts = u64::from(part.share().of()) * PART_BYTES;
     let rows = (block_rows + shading + ENCODER_ROWS) * width * pixel;
-    rows + rows / GAPS_PART + encoder + index + parts + part.note_bytes() + READING_BYTES
+    let block_bytes = block_rows * block_rows * about.contents.pixel_bytes() as u64 + WAITING_BYTES;
+    let together = block_bytes * (at_a_time(part) as u64 - 1);
+    rows + rows / GAPS_PART + encoder + index + parts + part.note_bytes() + READING_BYTES + together
 }
 
 /// Refuses a part of another picture than the first.
@@ -260,18 +321,5 @@ impl Gathered {
         self.indices[place] = part.index()?;
         self.sources[place] = Some(part.source.clone());
         Ok(())
-    }
-
-    /// All sources and their indices, unless some are missing.
-    fn complete(self, of: u32) -> Result<(Vec<Source>, Vec<Vec<StoredBlock>>), PartError> {
-        let missing: Vec<u32> = (1..)
-            .zip(&self.sources)
-            .filter(|(_, source)| source.is_none())
-            .map(|(number, _)| number)
-            .collect();
-        if !missing.is_empty() {
-            return Err(PartError::Missing { missing, of });
-        }
-        Ok((self.sources.into_iter().flatten().collect(), self.indices))
     }
 }

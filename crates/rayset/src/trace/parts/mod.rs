@@ -10,6 +10,7 @@
 
 mod block;
 mod error;
+mod fetch;
 mod header;
 mod join;
 mod part;

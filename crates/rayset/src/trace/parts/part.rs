@@ -1,6 +1,5 @@
 //! Reading a part: its head and its end when it is opened, its index and its blocks when they are asked for.
 
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,8 +10,8 @@ use super::header::{
     VERSION,
 };
 use super::share::Share;
-use crate::regular_file;
-use crate::storage::{FileStorage, Storage};
+use crate::storage::address::without_query;
+use crate::storage::{InputFile, Storage, address_of};
 
 /// A part of a picture, whose head and end have been checked. Its pixels are checked as they are read.
 pub struct Part {
@@ -27,7 +26,7 @@ pub struct Part {
 #[derive(Clone)]
 pub(super) struct Source {
     pub(super) name: String,
-    /// A file is opened for each use, because there may be more parts than files that can be open at a time.
+    /// A file or an object is opened for each use, because there may be more parts than can be open at a time.
     place: Place,
     pub(super) seed: u32,
 }
@@ -42,7 +41,7 @@ pub(super) struct StoredBlock {
 
 #[derive(Clone)]
 enum Place {
-    File(PathBuf),
+    Named(PathBuf),
     Storage(Arc<dyn Storage>),
 }
 
@@ -57,11 +56,17 @@ impl Source {
     pub(super) fn open(&self) -> Result<Arc<dyn Storage>, PartError> {
         match &self.place {
             Place::Storage(storage) => Ok(storage.clone()),
-            Place::File(path) => {
-                let file: File =
-                    regular_file::open(path).map_err(|error| PartError::read(&self.name, error))?;
-                Ok(Arc::new(FileStorage::from(file)))
-            }
+            Place::Named(path) => InputFile::open(path)
+                .map(InputFile::into_storage)
+                .map_err(|error| PartError::read(&self.name, error)),
+        }
+    }
+
+    /// Whether every read costs a round trip.
+    pub(super) fn is_far(&self) -> bool {
+        match &self.place {
+            Place::Named(path) => address_of(path).is_some(),
+            Place::Storage(storage) => storage.transport().is_some_and(|transport| transport.is_far()),
         }
     }
 
@@ -75,12 +80,12 @@ impl Source {
 }
 
 impl Part {
-    /// Opens a part.
+    /// Opens a part: a file, or an object at an address.
     ///
     /// # Errors
-    /// [`PartError`] if the file cannot be read, or is no complete part of this version.
+    /// [`PartError`] if it cannot be read, or is no complete part of this version.
     pub fn open(path: &Path) -> Result<Self, PartError> {
-        Self::at(path.display().to_string(), Place::File(path.to_owned()))
+        Self::at(without_query(path).display().to_string(), Place::Named(path.to_owned()))
     }
 
     /// Opens a part whose bytes are read from any storage; `name` is for messages.

@@ -55,6 +55,12 @@ impl Share {
         (1..=of).filter_map(move |number| Self::new(number, of))
     }
 
+    /// The squares of 32×32 pixels, cut off where the region ends, that are this share of a region.
+    pub fn squares(self, region: &Region) -> impl Iterator<Item = Region> + use<> {
+        let blocks = Blocks::of(region);
+        blocks.of_share(self).map(move |block| blocks.region(block))
+    }
+
     /// An upper bound of the bytes that rendering this share of a region takes besides the render itself and the pixels that are held.
     #[must_use]
     pub fn index_bytes(self, region: &Region) -> u64 {

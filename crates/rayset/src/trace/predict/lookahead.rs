@@ -3,28 +3,30 @@
 //! without using them, and retired once no later look-ahead tile can need them.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
-use super::deferral::Deferral;
-use super::found::{Found, PageId};
+use super::deferral::{Deferral, DeferredTiles};
+use super::found::{Found, Looked, PageId};
+use super::order::{Edge, Order};
 use super::pace::Pace;
-use super::probe::{Expected, ProbeRays};
+use super::probe::{Gap, ProbeRays};
 use super::view::View;
 use crate::field::LANES;
 use crate::geometry::{Aabb, DVec3, Ray};
+use crate::octree::node::Node;
 use crate::scene::RayMaker;
-use crate::trace::cloud::{CloudPlacement, CloudVolume};
-use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
+use crate::trace::shadow::{LitPlace, RaysToLight};
+use crate::trace::work::{Region, Tile};
 use crate::trace::world::World;
 use crate::working_set::{Object, PageClient, Reuse};
 
-/// Pages of far files stay for tiles that are deferred, as long as these are not more look-ahead tiles behind.
-const MOST_BEHIND: u32 = 4;
-
+/// Pages of far files stay for tiles that are deferred, for so many times as long as a page takes: if they were let go, such a
+/// tile would have to bring them in again. Longer, all others would wait for the few pages that take far longer than usual.
+const PATIENCE: u32 = 4;
+/// At least for so long.
+const LEAST_PATIENCE: Duration = Duration::from_millis(20);
 /// What is known about the picture being rendered and the rays to come.
 #[derive(Clone, Copy)]
 pub struct Lookahead<'a> {
@@ -38,109 +40,56 @@ pub struct Lookahead<'a> {
 
 /// The order in which a render visits its picture, and what has been found ahead.
 pub(in crate::trace) struct LookaheadState {
-    /// Every cloud of the graph: the index of its instruction, and its expected effect on light.
-    clouds: Vec<(usize, Expected)>,
     /// Bytes of the largest page.
     pub(super) page_bytes: u64,
-    /// The region that the tiles cover.
-    region: Region,
     pub(super) threads: usize,
-    columns: u32,
-    rows: u32,
-    /// Look-ahead tiles in the order in which tiles reach them; a look-ahead tile may occur several times.
-    pub(super) order: Vec<(u32, u32)>,
-    /// For each tile, the position of its look-ahead tile in `order`.
-    of_tile: Vec<u32>,
-    /// For each look-ahead tile, its last position in `order`.
-    last_place: Vec<u32>,
+    pub(super) order: Order,
     found: Mutex<Found>,
     /// Pages that fit the budget besides those that the look-ahead tiles being traced need.
     spare_pages: AtomicU64,
     pub(super) pace: Pace,
     /// Whether pages of any file come from far away.
     pub(super) far: bool,
-    /// Number of look-ahead tiles that have been examined, of far files.
+    /// Number of tiles that have been examined, of far files.
     pub(super) examined: AtomicU32,
-    /// Places of the tiles that are deferred, of far files, and how many are at each.
-    deferred: Mutex<BTreeMap<u32, u32>>,
+    /// Tiles that are deferred, of far files.
+    deferred: DeferredTiles,
 }
 
 impl LookaheadState {
     /// The order given by some tiles, of which there must be at least one.
-    pub(in crate::trace) fn new(world: &World, tiles: &[Tile], threads: usize) -> Self {
-        let region = Region::around(tiles);
-        let first = (region.columns.start / LOOKAHEAD_TILE_PIXELS, region.rows.start / LOOKAHEAD_TILE_PIXELS);
-        let columns = region.columns.end.div_ceil(LOOKAHEAD_TILE_PIXELS) - first.0;
-        let rows = region.rows.end.div_ceil(LOOKAHEAD_TILE_PIXELS) - first.1;
-        let mut order: Vec<(u32, u32)> = Vec::new();
-        let mut of_tile = Vec::with_capacity(tiles.len());
-        let mut last_place = vec![0; columns as usize * rows as usize];
-        for tile in tiles {
-            let lookahead_tile =
-                (tile.x / LOOKAHEAD_TILE_PIXELS - first.0, tile.y / LOOKAHEAD_TILE_PIXELS - first.1);
-            if order.last() != Some(&lookahead_tile) {
-                order.push(lookahead_tile);
-            }
-            let place = order.len() as u32 - 1;
-            of_tile.push(place);
-            last_place[(lookahead_tile.1 * columns + lookahead_tile.0) as usize] = place;
-        }
-        let stop = world.absorption.stop_transmittance as f32;
-        let far = world.program.files().any(|pages| pages.is_far());
-        let seen = world.program.clouds().filter(|(_, volume)| volume.placement.header().points > 0);
-        let page_bytes = |volume: &CloudVolume| u64::from(volume.placement.header().page_bytes);
+    pub(in crate::trace) fn new(world: &World, tiles: Arc<[Tile]>, threads: usize) -> Self {
         Self {
-            page_bytes: seen.clone().map(|(_, volume)| page_bytes(volume)).max().unwrap_or(1),
-            clouds: seen.map(|(at, volume)| (at, Expected::new(&volume.shading, stop, far))).collect(),
-            region,
+            page_bytes: world.foresight.page_bytes(),
             threads: threads.max(1),
-            columns,
-            rows,
-            order,
-            of_tile,
-            last_place,
+            order: Order::new(tiles),
             found: Mutex::default(),
             spare_pages: AtomicU64::new(0),
             pace: Pace::default(),
             examined: AtomicU32::new(0),
-            deferred: Mutex::default(),
-            far,
+            deferred: DeferredTiles::default(),
+            far: world.foresight.far,
         }
     }
 
-    /// A tile is deferred that was not before.
-    pub(in crate::trace) fn deferred(&self, tile: usize) {
+    /// A tile is deferred after so many attempts.
+    pub(in crate::trace) fn deferred(&self, tile: usize, attempts: u32) {
         if self.far {
-            *self.deferred_places().entry(self.of_tile[tile]).or_default() += 1;
+            self.deferred.add(tile as u32, attempts, Instant::now());
         }
     }
 
-    /// A tile that was deferred is finished.
-    pub(in crate::trace) fn undeferred(&self, tile: usize) {
-        if !self.far {
-            return;
+    /// A tile is finished with an attempt of this number.
+    pub(in crate::trace) fn finished(&self, tile: usize, attempt: u32) {
+        if self.far {
+            self.deferred.remove(tile as u32, attempt);
         }
-        if let Entry::Occupied(mut place) = self.deferred_places().entry(self.of_tile[tile]) {
-            *place.get_mut() -= 1;
-            if *place.get() == 0 {
-                place.remove();
-            }
-        }
-    }
-
-    fn deferred_places(&self) -> MutexGuard<'_, BTreeMap<u32, u32>> {
-        self.deferred.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The place of the first tile that is deferred.
-    fn oldest_deferred(&self) -> Option<u32> {
-        if self.far { self.deferred_places().first_key_value().map(|(&place, _)| place) } else { None }
     }
 
     /// Whether a tile should wait until those that are deferred are finished: the pages that it needs have not been looked for,
     /// because those of the deferred ones take all the room.
     pub(in crate::trace) fn is_too_early(&self, tile: usize) -> bool {
-        self.far && self.of_tile[tile] >= self.examined.load(Ordering::Relaxed)
+        self.far && tile as u32 >= self.examined.load(Ordering::Relaxed)
     }
 
     /// A thread has traced for so long, without waiting.
@@ -151,7 +100,7 @@ impl LookaheadState {
     /// How many of `count` tiles from one on are in the same look-ahead tile: at least that one. What a thread is still to
     /// trace must not count as passed.
     pub(in crate::trace) fn together(&self, tile: usize, count: usize) -> usize {
-        self.of_tile[tile..][..count].iter().take_while(|&&place| place == self.of_tile[tile]).count()
+        self.order.rest_of_square(tile as u32, Edge::MOST).len().min(count)
     }
 
     /// How many tiles a thread may defer: as many as there is room for besides those being traced. If rays need most of
@@ -168,7 +117,12 @@ impl LookaheadState {
             true => MOST_FAR as usize,
             false => (spare / (PAGES_EACH * self.threads as u64)).min(MOST) as usize,
         };
-        Deferral { most, far: self.far }
+        Deferral { most, far: self.far, stuck: self.is_stuck() }
+    }
+
+    /// Whether any tile has less room than it needs: nothing more is to be looked ahead at until it is finished.
+    pub(super) fn is_stuck(&self) -> bool {
+        self.deferred.is_any_stuck()
     }
 }
 
@@ -177,15 +131,16 @@ impl<'a> Lookahead<'a> {
     /// of far files, at as many as there is room for. Hints at their pages.
     pub(super) fn scout(&self, tile: usize, tiles_ahead: u32) {
         let state = self.state;
-        if state.clouds.is_empty() && !state.far {
+        if self.world.foresight.is_empty() {
             return;
         }
         // One thread at a time does this; the others have tiles to trace.
         let Ok(mut found) = state.found.try_lock() else { return };
-        let here = state.of_tile[tile];
-        let oldest = state.oldest_deferred().unwrap_or(here).max(here.saturating_sub(MOST_BEHIND));
-        let passed_to = here.min(oldest);
-        self.retire(&mut found, passed_to);
+        let here = tile as u32;
+        let patience =
+            if state.far { (PATIENCE * self.latency()).max(LEAST_PATIENCE) } else { Duration::ZERO };
+        let first = state.deferred.first_since(Instant::now(), patience).unwrap_or(here);
+        self.retire(&mut found, first.min(here));
         if found.next < here {
             found.next = here;
             found.nodes_hinted.clear();
@@ -193,13 +148,14 @@ impl<'a> Lookahead<'a> {
         if state.far {
             return self.fill_window(&mut found, here);
         }
-        let until = here.saturating_add(1).saturating_add(tiles_ahead).min(state.order.len() as u32);
+        let end_of = |place| state.order.rest_of_square(place, Edge::MOST).end;
+        let next = end_of(here);
+        let until =
+            (0..tiles_ahead).fold(next, |end, _| if end < state.order.len() { end_of(end) } else { end });
         // The current look-ahead tile and the next are examined even without room, to know how many pages they need.
-        while found.next < until
-            && (self.hint(&mut found, here) || found.next <= here + 1)
-            && self.look(found.next, &mut found)
-        {
-            found.next += 1;
+        while found.next < until && (self.hint(&mut found, here) || found.next <= next) {
+            let Some(looked) = self.look(found.next, Edge::MOST, &mut found) else { return };
+            found.take_in(looked);
         }
     }
 
@@ -239,15 +195,8 @@ impl<'a> Lookahead<'a> {
         found.waiting.is_empty()
     }
 
-    pub(super) fn clouds(&self) -> impl Iterator<Item = (&'a CloudPlacement, &'a Expected)> + use<'a> {
-        let world = self.world;
-        let clouds = self.state.clouds.iter();
-        clouds
-            .filter_map(|(at, expected)| world.program.cloud(*at).map(|volume| (&volume.placement, expected)))
-    }
-
     pub(super) fn object(&self, file: u32) -> Option<&'a Arc<Object>> {
-        self.clouds().find(|(cloud, _)| cloud.file == file).map(|(cloud, _)| &cloud.pages)
+        self.world.foresight.file(file)
     }
 
     /// Calls `tell` with some pages, grouped by file.
@@ -263,7 +212,7 @@ impl<'a> Lookahead<'a> {
 
     /// Pages that fit the budget besides those that the look-ahead tiles being traced need.
     pub(super) fn spare(&self, found: &mut Found, here: u32) -> u64 {
-        let past = found.demands.iter().take_while(|&&(lookahead_tile, _)| lookahead_tile < here).count();
+        let past = found.demands.iter().take_while(|&&(end, _)| end <= here).count();
         found.demands.drain(..past);
         // The pages of one look-ahead tile are replaced gradually by those of the next, and threads may be in different
         // ones.
@@ -280,10 +229,18 @@ impl<'a> Lookahead<'a> {
         spare
     }
 
-    /// Gives up the pages whose look-ahead tiles have passed, one look-ahead tile late because other threads may still
+    /// Gives up the pages whose squares have passed once rays are at `here`, one square late because other threads may still
     /// be there.
     fn retire(&self, found: &mut Found, here: u32) {
-        let passed = found.pass(here);
+        let order = &self.state.order;
+        let square = order.begin_of_square(here, found.edge);
+        let passed_to = match square.checked_sub(1) {
+            Some(before) if self.state.threads > 1 || !self.state.far => {
+                order.begin_of_square(before, found.edge)
+            }
+            _ => square,
+        };
+        let passed = found.pass(passed_to);
         if self.state.far {
             let let_go: Vec<PageId> =
                 found.to_let_go.drain(..).chain(passed.unused.iter().copied()).collect();
@@ -293,7 +250,7 @@ impl<'a> Lookahead<'a> {
         self.by_file(passed.finished, |object, pages| self.pages.retire(object, pages));
     }
 
-    /// Position in `order` of the last look-ahead tile whose rays may meet a box.
+    /// The last place whose rays may meet a box.
     pub(super) fn last_visit(&self, bounds: &Aabb) -> u32 {
         let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
         for corner in 0..8 {
@@ -301,71 +258,111 @@ impl<'a> Lookahead<'a> {
                 if corner >> bit & 1 == 0 { bounds.min[axis] } else { bounds.max[axis] }
             };
             let Some((x, y)) = self.rays.project(DVec3::new(pick(0, 0), pick(1, 1), pick(2, 2))) else {
-                return self.state.order.len() as u32;
+                return self.state.order.len();
             };
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
         }
-        let index = |v: f64, start: u32, count: u32| {
-            let first = f64::from(start / LOOKAHEAD_TILE_PIXELS);
-            (v / f64::from(LOOKAHEAD_TILE_PIXELS) - first).clamp(0.0, f64::from(count - 1)) as u32
-        };
-        let state = self.state;
-        let columns = index(low.0, state.region.columns.start, state.columns)
-            ..=index(high.0, state.region.columns.start, state.columns);
-        let rows = index(low.1, state.region.rows.start, state.rows)
-            ..=index(high.1, state.region.rows.start, state.rows);
-        rows.flat_map(|j| columns.clone().map(move |i| state.last_place[(j * state.columns + i) as usize]))
-            .max()
-            .unwrap_or(0)
+        self.state.order.last_place(low, high)
     }
 
-    /// Lists the pages that a look-ahead tile wants; false if node pages were absent, which are then hinted at.
-    pub(super) fn look(&self, at: u32, found: &mut Found) -> bool {
-        let (i, j) = self.state.order[at as usize];
-        let rays = self.rays_of(i, j);
-        let (mut complete, mut gone, mut pages) = (true, false, 0);
-        let last_visit = |bounds: &Aabb| self.last_visit(bounds);
-        for (cloud, expected) in self.clouds() {
-            let mut view = View::new(self.pages, self.state.far, &last_visit, cloud, found, at);
-            let root = cloud.header().root;
-            match view.node_at(root.page, root.index) {
-                Some(root) => {
-                    let rays = rays.map(|ray| cloud.local_ray(&ray));
-                    ProbeRays::new(self.world.program.simd, &rays).explore(root, expected, &mut view);
+    /// Lists the pages that a tile wants and those that follow it in its square; `None` if node pages were absent, which are then
+    /// hinted at.
+    pub(super) fn look(&self, at: u32, edge: Edge, found: &mut Found) -> Option<Looked> {
+        let rays = self.rays_of(&self.state.order.pixels_of_square(at, edge));
+        let mut looked = Looked::new(self.state.order.rest_of_square(at, edge));
+        let (mut complete, mut gone) = (true, false);
+        let (world, far) = (self.world, self.state.far);
+        let (casts_shadows, mut met) = (far && world.shadows.is_some(), Vec::new());
+        for (cloud, file, expected) in world.foresight.clouds(&world.program) {
+            let mut want = |node: &Node| {
+                let pages = if far { cloud.own_pages_at_most(node) } else { cloud.own_pages(node) };
+                if !pages.is_empty() {
+                    let use_by = self.last_visit(&cloud.bounds_world_of(node));
+                    pages.for_each(|page| looked.want(PageId { file, page }, use_by));
                 }
-                None => view.absent_nodes.push(cloud.first_node_page + root.page),
+            };
+            let mut view = View::new(self.pages, cloud, &mut want);
+            let local = rays.map(|ray| cloud.local_ray(&ray));
+            let mut probes = ProbeRays::new(world.program.simd, &local, Gap::of_lattice(&local));
+            if casts_shadows {
+                probes.note_met();
             }
-            pages += view.pages.len() as u64;
-            let (mut absent, file) = (view.absent_nodes, cloud.file);
+            view.explore(&mut probes, expected);
+            met.append(&mut probes.take_met());
+            let absent = view.absent_nodes;
             complete &= absent.is_empty();
-            absent.retain(|&page| {
-                let fresh = found.nodes_hinted.insert(PageId { file, page });
-                gone |= !fresh && cloud.pages.is_absent(page);
-                fresh
-            });
-            self.pages.hint_knowing(&cloud.pages, &absent, u64::MAX, Some(self.reuse));
+            gone |= self.hint_once(file, absent, found);
+        }
+        let gap = Gap::of_lattice(&rays);
+        for (grid, file, opaque) in world.foresight.grids(&world.program) {
+            let ahead = grid.pages_ahead(self.pages, &rays, |distance| gap.at(distance), opaque);
+            complete &= ahead.absent_ranges.is_empty();
+            gone |= self.hint_once(file, ahead.absent_ranges, found);
+            met.extend(ahead.met);
+            for page in ahead.bricks {
+                looked.want(PageId { file, page }, self.last_visit(&grid.bounds_world_of(page)));
+            }
         }
         found.nodes_do_not_fit = gone;
-        if complete {
-            found.nodes_hinted.clear();
-            found.demands.push_back((at, pages));
+        if casts_shadows && complete {
+            self.look_at_shadows(&rays, met, &mut looked, found);
         }
-        complete
+        complete.then_some(looked)
     }
 
-    /// A lattice of rays over a look-ahead tile, its edges included.
-    fn rays_of(&self, i: u32, j: u32) -> [Ray; LANES] {
-        let Region { columns, rows } = &self.state.region;
-        let x0 = ((columns.start / LOOKAHEAD_TILE_PIXELS + i) * LOOKAHEAD_TILE_PIXELS).max(columns.start);
-        let y0 = ((rows.start / LOOKAHEAD_TILE_PIXELS + j) * LOOKAHEAD_TILE_PIXELS).max(rows.start);
-        let x1 =
-            (x0 / LOOKAHEAD_TILE_PIXELS * LOOKAHEAD_TILE_PIXELS + LOOKAHEAD_TILE_PIXELS).min(columns.end);
-        let y1 = (y0 / LOOKAHEAD_TILE_PIXELS * LOOKAHEAD_TILE_PIXELS + LOOKAHEAD_TILE_PIXELS).min(rows.end);
+    /// Lists the pages that shadows are expected to need where probe rays have met something.
+    fn look_at_shadows(
+        &self,
+        rays: &[Ray; LANES],
+        mut met: Vec<(usize, f32)>,
+        looked: &mut Looked,
+        found: &Found,
+    ) {
+        let Some(shadows) = &self.world.shadows else { return };
+        for (lane, ray) in rays.iter().enumerate() {
+            met.extend(self.world.program.solids_met(ray).map(|t| (lane, t as f32)));
+        }
+        let places: Vec<LitPlace> = met
+            .into_iter()
+            .map(|(lane, t)| {
+                let (ray, t) = (&rays[lane], f64::from(t));
+                LitPlace { place: ray.at(t), pixel_width: self.rays.footprint(ray).at(t) }
+            })
+            .collect();
+        // Rays from the eye may come to these pages at any time.
+        let use_by = self.state.order.len();
+        let foresight = &self.world.foresight;
+        for RaysToLight { rays, tile } in shadows.rays_ahead(&places, &found.tiles_of_lights) {
+            let complete =
+                shadows.foresight.each_page(&shadows.program, self.pages, &rays, 1.0, |file, page| {
+                    if let Some(file) = foresight.number_of(&shadows.foresight, file) {
+                        looked.want(PageId { file, page }, use_by);
+                    }
+                });
+            looked.tiles_of_lights.extend(tile.filter(|_| complete));
+        }
+    }
+
+    /// Hints at pages without which a square cannot be looked at, each once; returns whether any has gone again since.
+    fn hint_once(&self, file: u32, mut absent: Vec<u32>, found: &mut Found) -> bool {
+        let Some(object) = self.object(file) else { return false };
+        let mut gone = false;
+        absent.retain(|&page| {
+            let fresh = found.nodes_hinted.insert(PageId { file, page });
+            gone |= !fresh && object.is_absent(page);
+            fresh
+        });
+        self.pages.hint_knowing(object, &absent, u64::MAX, Some(self.reuse));
+        gone
+    }
+
+    /// A lattice of rays over some pixels, their edges included.
+    fn rays_of(&self, Region { columns, rows }: &Region) -> [Ray; LANES] {
         std::array::from_fn(|lane| {
             let (u, v) = (lane % 8, lane / 8);
-            let x = f64::from(x0) + f64::from(x1 - x0) * u as f64 / 7.0;
-            let y = f64::from(y0) + f64::from(y1 - y0) * v as f64 / 7.0;
+            let x = f64::from(columns.start) + f64::from(columns.end - columns.start) * u as f64 / 7.0;
+            let y = f64::from(rows.start) + f64::from(rows.end - rows.start) * v as f64 / 7.0;
             self.rays.ray(x, y)
         })
     }

@@ -3,14 +3,17 @@
 use std::sync::Arc;
 
 mod deferral;
+mod foresight;
 mod found;
 mod lookahead;
+mod order;
 mod pace;
 mod probe;
 mod view;
 mod window;
 
 pub(super) use deferral::Deferral;
+pub(super) use foresight::Foresight;
 pub use lookahead::Lookahead;
 pub(super) use lookahead::LookaheadState;
 

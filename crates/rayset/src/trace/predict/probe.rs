@@ -1,4 +1,4 @@
-//! Sixty-four probe rays that are traced ahead through node records only, each as far as it is expected to reach.
+//! Up to sixty-four probe rays that are traced ahead through node records only, each as far as it is expected to reach.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -9,35 +9,87 @@ use crate::octree::node::Node;
 use crate::scene::OpacityRule;
 use crate::trace::cloud::CloudShading;
 
-/// A lattice of rays over a block of the picture, in the space of one cloud. The length of a direction is that of a
-/// unit of world space, so that distances are in world space.
+/// How far from each other rays are of which only some are probed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gap {
+    /// Half the distance between diagonal neighbours at distance 0.
+    at_start: f64,
+    /// Its increase per unit of distance.
+    growth: f64,
+    /// Whether the rays are an 8 × 8 lattice, row by row, over others between them.
+    is_lattice: bool,
+}
+
+impl Gap {
+    /// That of rays between which there are none.
+    pub(super) const NONE: Self = Self { at_start: 0.0, growth: 0.0, is_lattice: false };
+
+    /// That of an 8 × 8 lattice of rays, row by row.
+    pub(super) fn of_lattice(rays: &[Ray; LANES]) -> Self {
+        let half_gap = |v: fn(&Ray) -> DVec3| 0.5 * v(&rays[0]).distance(v(&rays[9]));
+        Self { at_start: half_gap(|r| r.origin), growth: half_gap(|r| r.direction), is_lattice: true }
+    }
+
+    /// The gap at a distance.
+    pub(super) fn at(self, distance: f64) -> f64 {
+        self.at_start + self.growth * distance
+    }
+}
+
+/// Rays that are probed, in the space of one cloud. The length of a direction is that of a unit of world space, so that distances are in
+/// world space.
 pub(super) struct ProbeRays {
     rays: RayColumns,
     beam: Beam,
-    /// Half the distance between diagonal neighbours: at distance 0, and its increase per unit of distance.
-    gap: (f64, f64),
+    gap: Gap,
     /// Distance at which each ray is expected to end.
     ends: [f32; LANES],
     /// Distance at which the rays around each, up to the next ones of the lattice, are expected to have ended.
     all_end: [f32; LANES],
+    /// A factor on the optical depth with which rays are expected to have ended.
+    reach: f32,
     /// Expected optical depth that each ray has accumulated.
     optical_depth: [f32; LANES],
+    /// Where rays have gone through boxes of points: the ray, and the distance of the middle. `None` if that is of no interest.
+    met: Option<Vec<(usize, f32)>>,
 }
 
+/// Most places at which it is noted that rays meet something.
+const MOST_MET: usize = 4096;
+
 impl ProbeRays {
-    /// Takes the rays of an 8 × 8 lattice, row by row.
-    pub(super) fn new(simd: SimdLevel, rays: &[Ray; LANES]) -> Self {
+    /// Takes at most 64 rays.
+    ///
+    /// Panics if there are none.
+    pub(super) fn new(simd: SimdLevel, rays: &[Ray], gap: Gap) -> Self {
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|ray| beam.include(ray));
-        let half_gap = |v: fn(&Ray) -> DVec3| 0.5 * v(&rays[0]).distance(v(&rays[9]));
         Self {
             rays: RayColumns::new(simd, rays.iter().copied()),
             beam,
-            gap: (half_gap(|r| r.origin), half_gap(|r| r.direction)),
+            gap,
             ends: [f32::INFINITY; LANES],
             all_end: [f32::INFINITY; LANES],
+            reach: 1.0,
             optical_depth: [0.0; LANES],
+            met: None,
         }
+    }
+
+    /// Lets them go on until so many times the optical depth with which they are expected to have ended.
+    pub(super) fn reaching(mut self, reach: f32) -> Self {
+        self.reach = reach;
+        self
+    }
+
+    /// Notes from now on where rays go through boxes of points.
+    pub(super) fn note_met(&mut self) {
+        self.met = Some(Vec::new());
+    }
+
+    /// Where rays have gone through boxes of points, if that was noted: each ray, and the distance of the middle.
+    pub(super) fn take_met(&mut self) -> Vec<(usize, f32)> {
+        self.met.take().unwrap_or_default()
     }
 
     /// Distance at which the rays first meet a box, if any does.
@@ -48,7 +100,7 @@ impl ProbeRays {
     /// Tests the rays against a box that they first meet at `distance`. Near are those from which rays within half the
     /// gap may meet the box. Rays that are expected to end before it are left out.
     fn cross(&self, bounds: &Aabb, distance: f64) -> Crossing {
-        let mut crossing = self.rays.cross(bounds, self.gap.0 + self.gap.1 * distance);
+        let mut crossing = self.rays.cross(bounds, self.gap.at(distance));
         let mut before_their_ends = 0;
         for lane in 0..LANES {
             before_their_ends |= u64::from(crossing.enter_near[lane] < self.all_end[lane]) << lane;
@@ -60,11 +112,14 @@ impl ProbeRays {
 
     /// Advances rays through a box of points; those that are then expected to be opaque end behind it.
     fn absorb(&mut self, crossing: &Crossing, extinction: f64, expected: &Expected) {
-        let opaque_optical_depth = expected.opaque_optical_depth;
+        let opaque_optical_depth = expected.opaque_optical_depth * self.reach;
         let (mut lanes, mut ended) = (crossing.through, false);
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
+            if let Some(met) = self.met.as_mut().filter(|met| met.len() < MOST_MET) {
+                met.push((lane, crossing.exit[lane] - 0.5 * crossing.length[lane]));
+            }
             self.optical_depth[lane] += extinction as f32 * crossing.length[lane];
             if self.optical_depth[lane] >= opaque_optical_depth {
                 self.ends[lane] = self.ends[lane].min(crossing.exit[lane]);
@@ -72,7 +127,7 @@ impl ProbeRays {
             }
         }
         if ended {
-            self.end_all(expected.careful);
+            self.end_all(expected.careful && self.gap.is_lattice);
         }
     }
 

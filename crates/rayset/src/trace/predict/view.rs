@@ -1,54 +1,42 @@
-//! The part of a cloud's octree that is in memory, as seen by one look-ahead tile.
+//! The part of a cloud's octree that is in memory.
 
-use std::collections::HashSet;
-
-use super::found::{Found, PageId};
-use super::probe::OctreeView;
+use super::probe::{Expected, OctreeView, ProbeRays};
 use crate::geometry::Aabb;
 use crate::octree::node::{Node, NodePage};
 use crate::trace::cloud::CloudPlacement;
 use crate::working_set::PageClient;
 
-/// The part of a cloud's octree that is in memory, as seen by one look-ahead tile.
+/// The part of a cloud's octree that is in memory, as probe rays go through it.
 pub(super) struct View<'v, 'a> {
     pages_in_memory: &'a PageClient,
-    /// Whether its pages come from far away.
-    far: bool,
-    /// The last look-ahead tile whose rays may meet a box, in world space.
-    last_visit: &'v dyn Fn(&Aabb) -> u32,
     cloud: &'a CloudPlacement,
-    found: &'v mut Found,
-    at: u32,
+    /// Called for each node that rays are expected to reach.
+    want: &'v mut dyn FnMut(&Node),
+    /// Node pages on the way that are not in memory.
     pub(super) absent_nodes: Vec<u32>,
-    /// The pages wanted.
-    pub(super) pages: HashSet<u32>,
     opened: u64,
 }
 
 impl<'v, 'a> View<'v, 'a> {
     pub(super) fn new(
         pages_in_memory: &'a PageClient,
-        far: bool,
-        last_visit: &'v dyn Fn(&Aabb) -> u32,
         cloud: &'a CloudPlacement,
-        found: &'v mut Found,
-        at: u32,
+        want: &'v mut dyn FnMut(&Node),
     ) -> Self {
-        Self {
-            pages_in_memory,
-            far,
-            last_visit,
-            cloud,
-            found,
-            at,
-            absent_nodes: Vec::new(),
-            pages: HashSet::new(),
-            opened: 1,
+        Self { pages_in_memory, cloud, want, absent_nodes: Vec::new(), opened: 1 }
+    }
+
+    /// Lets rays go through the octree from its root, if that is in memory.
+    pub(super) fn explore(&mut self, rays: &mut ProbeRays, expected: &Expected) {
+        let root = self.cloud.header().root;
+        match self.node_at(root.page, root.index) {
+            Some(root) => rays.explore(root, expected, self),
+            None => self.absent_nodes.push(self.cloud.first_node_page + root.page),
         }
     }
 
     /// A node record, if its page is in memory.
-    pub(super) fn node_at(&self, page: u32, index: u16) -> Option<Node> {
+    fn node_at(&self, page: u32, index: u16) -> Option<Node> {
         let guard = self.pages_in_memory.peek(&self.cloud.pages, self.cloud.first_node_page + page)?;
         NodePage::scaled(&guard, self.cloud.header()).get(usize::from(index))
     }
@@ -75,12 +63,6 @@ impl OctreeView for View<'_, '_> {
     }
 
     fn want(&mut self, node: &Node) {
-        let pages = if self.far { self.cloud.own_pages_at_most(node) } else { self.cloud.own_pages(node) };
-        if !pages.is_empty() {
-            self.pages.extend(pages.clone());
-            let use_by = (self.last_visit)(&self.cloud.bounds_world_of(node));
-            let file = self.cloud.file;
-            pages.for_each(|page| self.found.want(PageId { file, page }, self.at, use_by));
-        }
+        (self.want)(node);
     }
 }

@@ -1,20 +1,29 @@
 //! Looking ahead in files that are far away: pages are asked for as early as there is room for them, and stay until rays have passed.
 //!
-//! The window reaches from the first tile that is not finished to the last look-ahead tile whose pages have been asked for. All pages
+//! The window reaches from the first tile that is not finished to the last one whose pages have been asked for. All pages
 //! that its tiles want stay in memory together, so that each is read once for all of them; its length is limited by their
-//! number, and by what rays use up while a page is on its way.
+//! number, and by what rays use up while a page is on its way. Where there is little room, it goes on in smaller squares.
 
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use super::found::{Found, PageId};
 use super::lookahead::Lookahead;
 
-/// The window takes at most this share of the budget; the rest is for pages that nobody expected.
-const SHARE: (u64, u64) = (3, 4);
+/// So many pages are left to what nobody expected: measured, with fewer they evict each other before their tiles are traced again.
+const LEAST_RESERVE: u64 = 28;
+/// At least one part in this many of the budget.
+const RESERVE: u64 = 8;
+/// And at most one part in this many.
+const MOST_RESERVE: u64 = 4;
 /// It is filled in bursts of one part in this many: of few pages at a time, few would be neighbours that a request can join.
 const BURSTS: u64 = 4;
 /// Node pages are read at once, before anything else, if they take at most one part in this many of the budget.
-const NODES: u64 = 8;
+const NODES: u64 = 3;
+/// A square may add at most one part in this many to what the window may take; otherwise smaller ones are examined.
+const PARTS: u64 = 4;
+/// If it adds less than one part in this many, larger ones are examined.
+const SMALL_PARTS: u64 = 32;
 /// Latencies vary, and so does what rays use up.
 const MARGIN: u64 = 2;
 /// The least that the window reaches ahead, in pages that are not in memory yet.
@@ -28,35 +37,68 @@ impl Lookahead<'_> {
             found.begun = true;
             self.bring_nodes(found);
         }
-        // Kept up to date for what tells how much is spare.
+        // Forgets what squares wanted that have been traced.
         self.spare(found, here);
-        let examined = u64::from(found.next.max(1));
-        state.pace.needed(found.fresh * (u64::from(here) + 1).min(examined) / examined);
-        let room = self.pages.share_bytes() / state.page_bytes * SHARE.0 / SHARE.1;
+        let examined = found.next.max(1);
+        state.pace.needed(found.fresh * u64::from((here + 1).min(examined)) / u64::from(examined));
+        let room = self.room(found);
         let ahead = (MARGIN * self.pages_under_way()).max(LEAST_AHEAD);
         let unused = self.pages.hinted_bytes() / state.page_bytes;
         let is_full = |part: u64, found: &Found| {
             found.wanted >= room - room / part || unused + found.waiting.len() as u64 >= ahead - ahead / part
         };
-        let end = state.order.len() as u32;
-        // At its end nothing is left to do meanwhile, and any page is better than none.
-        if !is_full(BURSTS, found) || found.next <= here + 2 {
-            while found.next < end
-                && (!is_full(u64::MAX, found) || found.next <= here + 1)
-                && self.look(found.next, found)
-            {
-                found.next += 1;
-            }
+        if (!is_full(BURSTS, found) && !state.is_stuck()) || found.next <= here {
+            while found.next < state.order.len()
+                && (!(is_full(u64::MAX, found) || state.is_stuck()) || found.next <= here)
+                && self.widen(found, here, room)
+            {}
         }
         self.hint_to_stay(found);
         state.examined.store(found.next, Ordering::Relaxed);
     }
 
+    /// Pages that the window may take.
+    fn room(&self, found: &Found) -> u64 {
+        let pages = self.pages.share_bytes() / self.state.page_bytes;
+        let pages = pages.saturating_sub(found.nodes_to_let_go.len() as u64);
+        pages - LEAST_RESERVE.max(pages / RESERVE).min(pages / MOST_RESERVE)
+    }
+
+    /// Examines one more square; returns whether the window has room for it, and now reaches to its end. The tiles that are about to
+    /// be traced are taken in without room, as far as rays reach with what there is.
+    fn widen(&self, found: &mut Found, here: u32, room: u64) -> bool {
+        let looked = loop {
+            let put_off = found.put_off.take().filter(|looked| looked.places.start == found.next);
+            let Some(looked) = put_off.or_else(|| self.look(found.next, found.edge, found)) else {
+                return false;
+            };
+            match found.edge.halved() {
+                Some(smaller) if found.more_for(&looked) > room / PARTS => found.edge = smaller,
+                _ => break looked,
+            }
+        };
+        let more = found.more_for(&looked);
+        let fits = found.wanted + more <= room;
+        if !fits && found.next > here {
+            found.put_off = Some(looked);
+            return false;
+        }
+        if more < room / SMALL_PARTS {
+            found.edge = found.edge.doubled();
+        }
+        let left = room.saturating_sub(found.wanted).max(room / PARTS);
+        found.take_in_at_most(looked, left);
+        true
+    }
+
     /// Pages that rays use up while one is on its way.
     fn pages_under_way(&self) -> u64 {
-        let files = self.world.program.files();
-        let latency = files.map(|pages| pages.latency()).max().unwrap_or_default();
-        self.state.pace.pages_in(latency, self.state.threads)
+        self.state.pace.pages_in(self.latency(), self.state.threads)
+    }
+
+    /// The time that a page takes.
+    pub(super) fn latency(&self) -> Duration {
+        self.world.program.files().map(|pages| pages.latency()).max().unwrap_or_default()
     }
 
     fn hint_to_stay(&self, found: &mut Found) {
@@ -77,14 +119,20 @@ impl Lookahead<'_> {
         self.object(file).is_some_and(|object| self.pages.let_go(object, page))
     }
 
-    /// Asks for all node pages of far clouds, if they are few, and keeps them as long as the picture is made: walking down the octree page by page would take a round trip for
-    /// each level.
+    /// Asks for all node pages of far clouds, if they are few, and for all ranges of bricks of far grids likewise, and keeps them as long as
+    /// the picture is made: walking down the octree page by page would take a round trip for each level.
     fn bring_nodes(&self, found: &mut Found) {
-        for (cloud, _) in self.clouds().filter(|(cloud, _)| cloud.pages.is_far()) {
-            let nodes: Vec<u32> = (cloud.first_node_page..cloud.pages.pages()).rev().collect();
-            if nodes.len() as u64 * self.state.page_bytes <= self.pages.share_bytes() / NODES {
-                self.pages.hint_to_stay(&cloud.pages, &nodes, self.reuse);
-                found.nodes_to_let_go.extend(nodes.iter().map(|&page| PageId { file: cloud.file, page }));
+        let (foresight, program) = (&self.world.foresight, &self.world.program);
+        let clouds = foresight.clouds(program).map(|(cloud, file, _)| (file, cloud.first_node_page));
+        let grids = foresight.grids(program).map(|(grid, file, _)| (file, grid.first_ranges_page()));
+        for (file, first) in clouds.chain(grids) {
+            let Some(object) = self.object(file).filter(|object| object.is_far()) else { continue };
+            let nodes: Vec<u32> = (first..object.pages()).rev().collect();
+            let most = self.pages.share_bytes() / NODES;
+            let is_known = found.nodes_to_let_go.iter().any(|page| page.file == file);
+            if !is_known && nodes.len() as u64 * self.state.page_bytes <= most {
+                self.pages.hint_to_stay(object, &nodes, self.reuse);
+                found.nodes_to_let_go.extend(nodes.iter().map(|&page| PageId { file, page }));
             }
         }
     }

@@ -10,6 +10,9 @@
 //! shadows are larger than cells these are a small fraction of all samples. The decision is a function of sample and
 //! tile only, so it does not depend on execution settings.
 
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
 use super::map::{TILE_CELLS, Texel};
 use super::place::{lit_place, toward};
 use super::table::DeepShadowMap;
@@ -35,6 +38,8 @@ pub(super) struct DeepShadowLookups<'a> {
     maker: TileMaker<'a>,
     /// Of the rays of a packet.
     footprints: [Footprint; LANES],
+    /// Tiles of the tables of lights, by their objects, that a packet lacks and whose rays have been asked for.
+    asked: BTreeSet<(usize, u32)>,
 }
 
 impl<'a> DeepShadowLookups<'a> {
@@ -46,11 +51,12 @@ impl<'a> DeepShadowLookups<'a> {
             shares: Shares::new(),
             curves: TransmittanceCurves::new(),
         };
-        Self { maker, footprints: [Footprint::default(); LANES] }
+        Self { maker, footprints: [Footprint::default(); LANES], asked: BTreeSet::new() }
     }
 
     /// Starts a packet.
     pub(super) fn begin(&mut self, footprints: impl Iterator<Item = Footprint>) {
+        self.asked.clear();
         self.footprints.iter_mut().zip(footprints).for_each(|(own, of_ray)| *own = of_ray);
     }
 
@@ -88,6 +94,11 @@ impl<'a> DeepShadowLookups<'a> {
                 };
                 if last.as_ref().is_none_or(|(number, _)| *number != texel.tile) {
                     drop(last.take());
+                    if access.foresees.is_some()
+                        && self.maker.lacks(access, table, texel.tile, &mut self.asked)
+                    {
+                        continue;
+                    }
                     // Whoever comes first makes the tile: what it takes is of no pixel in particular.
                     let asked_bytes = access.asked_bytes.get();
                     let compute =
@@ -197,6 +208,25 @@ struct TileMaker<'a> {
 }
 
 impl TileMaker<'_> {
+    /// Whether a tile is not there and cannot be made in this attempt; asks for the pages that its rays are expected to need.
+    fn lacks(
+        &self,
+        access: Access<'_>,
+        table: &DeepShadowMap,
+        tile: u32,
+        asked: &mut BTreeSet<(usize, u32)>,
+    ) -> bool {
+        if table.tiles.is_resident(tile) {
+            return false;
+        }
+        if asked.insert((Arc::as_ptr(&table.tiles) as usize, tile)) {
+            let rays = table.map.rays(tile);
+            let packets = rays.chunks(LANES);
+            self.world.foresight.ask(&self.world.program, access, packets);
+        }
+        access.is_lacking()
+    }
+
     /// Computes a tile.
     fn make(
         &mut self,

@@ -58,22 +58,40 @@ impl<'a> ShadowRays<'a> {
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<(), Halt> {
-        let any = samples.iter().fold(0, |any, lane| any | lane);
+        if access.foresees.is_some() {
+            self.ask_ahead(access, light, packet, slab, node, samples);
+            if access.is_lacking() {
+                return Ok(());
+            }
+        }
         let mut rays = Vec::with_capacity(LANES);
-        for j in (0..slab.samples).filter(|j| any >> j & 1 == 1) {
-            for lane in (0..packet.len()).filter(|&lane| samples[lane] >> j & 1 == 1) {
-                match to_light(light, packet, slab, node, (lane, j)) {
-                    Some(ray) => rays.push(ray),
-                    // The sample is at the position of the light.
-                    None => rows[lane].0[j] = 1.0,
-                }
-                if rays.len() == LANES {
-                    self.trace_all(access, &rays, counts, rows)?;
-                    rays.clear();
-                }
+        for (lane, j) in lit(packet, slab, samples) {
+            match to_light(light, packet, slab, node, (lane, j)) {
+                Some(ray) => rays.push(ray),
+                // The sample is at the position of the light.
+                None => rows[lane].0[j] = 1.0,
+            }
+            if rays.len() == LANES {
+                self.trace_all(access, &rays, counts, rows)?;
+                rays.clear();
             }
         }
         self.trace_all(access, &rays, counts, rows)
+    }
+
+    /// Asks for the pages that the rays of some samples are expected to need.
+    fn ask_ahead(
+        &self,
+        access: Access<'_>,
+        light: &Light,
+        packet: &Packet,
+        slab: Slab,
+        node: &NodeSamples,
+        samples: &[u32; LANES],
+    ) {
+        let rays = lit(packet, slab, samples).filter_map(|of| to_light(light, packet, slab, node, of));
+        let rays: Vec<Ray> = rays.map(|to| to.ray).collect();
+        self.world.foresight.ask(&self.world.program, access, rays.chunks(LANES));
     }
 
     /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were traced alone.
@@ -175,6 +193,20 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) 
             }
         }
     }
+}
+
+/// The lanes and numbers of the samples of a slab whose bits are set: sample after sample, each on all rays.
+fn lit<'s>(
+    packet: &Packet,
+    slab: Slab,
+    samples: &'s [u32; LANES],
+) -> impl Iterator<Item = (usize, usize)> + use<'s> {
+    let lanes = packet.len();
+    let any = samples.iter().fold(0, |any, lane| any | lane);
+    let numbers = (0..slab.samples).filter(move |j| any >> j & 1 == 1);
+    numbers.flat_map(move |j| {
+        (0..lanes).filter(move |&lane| samples[lane] >> j & 1 == 1).map(move |lane| (lane, j))
+    })
 }
 
 /// The ray from a sample to a light; `None` if the sample is at the position of the light.

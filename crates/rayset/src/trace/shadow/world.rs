@@ -6,6 +6,7 @@ use crate::geometry::DVec3;
 use crate::scene::{Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
 use crate::trace::RenderError;
 use crate::trace::composite::Absorption;
+use crate::trace::predict::Foresight;
 use crate::trace::program::{Program, Purpose};
 use crate::trace::steps::StepRule;
 use crate::working_set::PagedFiles;
@@ -22,9 +23,11 @@ pub(super) struct LightWithShadows {
 /// The scene as shadow rays see it.
 pub(in crate::trace) struct ShadowWorld {
     /// The graph, compiled for its opacity only.
-    pub(super) program: Program,
+    pub(in crate::trace) program: Program,
     pub(super) steps: StepRule,
     pub(super) absorption: Absorption,
+    /// What its rays are expected to need.
+    pub(in crate::trace) foresight: Foresight,
     /// In the order of the scene's lights; `None` for those that cast no shadows.
     pub(super) lights: Vec<Option<LightWithShadows>>,
 }
@@ -56,6 +59,7 @@ impl ShadowWorld {
             };
             light.throws_shadows().then(|| LightWithShadows { light: *light, direction, table: table(light) })
         });
-        Ok(Some(Self { program, steps: steps.clone(), absorption, lights: lights.collect() }))
+        let foresight = Foresight::new(&program, absorption.stop_transmittance);
+        Ok(Some(Self { program, steps: steps.clone(), absorption, foresight, lights: lights.collect() }))
     }
 }
