@@ -27,6 +27,7 @@ mod uring;
 pub use self::address::{Addresses, open_addresses_with};
 #[doc(hidden)]
 pub use self::address::{address_of, beside, look_again, open};
+#[doc(hidden)]
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 #[doc(hidden)]
 pub use self::far::{Behaviour, SimulatedCounts, SimulatedObject};
