@@ -19,6 +19,8 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import refusals
+
 HERE = Path(__file__).resolve().parent
 FIRST_ROUND_TRIPS = 2.5
 """Before the first block and behind the last: node pages, then points, then what was not foreseen. One is known; the rest is fitted (`validate`)."""
@@ -49,6 +51,9 @@ class Parameters:
     attempts: int = 6
     first_pause: float = 0.1
     longest_pause: float = 5.0
+    decrease: float = 0.7  # the program's own: what a refusal leaves of the requests in flight
+    longest_quiet: float = 1.0
+    give_up_after: float = 150.0
 
 
 # --- how the program deals out a picture (crates/rayset/src/trace/parts/share.rs, geometry/curve.rs)
@@ -150,35 +155,6 @@ def run(work, p, window_pages, start=None, seed=1):
         assert used[w] == len(work[w]), "everything is traced"
         done[w] = last[w]
     return done, requests, size
-
-
-def throttled(workers, p, seconds=20.0, seed=1, size=0.0):
-    """Requests beyond the rate are refused (503), and tried again after a pause that doubles. Every request is followed."""
-    flight = max(p.latency + size / p.connection, p.in_flight * size / p.network)
-    randoms, rate = random.Random(seed), p.prefix_rate * p.prefixes
-    tokens, filled = rate / 10, 0.0
-    served = refused = lost = 0
-    events = [(randoms.random() * p.latency, i, 0) for i in range(workers * p.in_flight)]
-    heapq.heapify(events)
-    serial = len(events)
-    while events and events[0][0] < seconds:
-        now, _, failures = heapq.heappop(events)
-        tokens, filled = min(rate / 10, tokens + (now - filled) * rate), now
-        if tokens >= 1:
-            tokens -= 1
-            served += 1
-            after, failures = flight * (1 + p.jitter * (2 * randoms.random() - 1)), 0
-        else:
-            refused += 1
-            failures += 1
-            if failures == p.attempts:
-                lost += 1
-                failures = 0
-            pause = min(p.longest_pause, p.first_pause * 2 ** max(0, failures - 1)) if failures else 0.0
-            after = p.latency / 2 + pause * (0.75 + 0.5 * randoms.random())
-        serial += 1
-        heapq.heappush(events, (now + after, serial, failures))
-    return {"served_s": served / seconds, "refused_a_request": refused / max(1, served), "lost": lost / max(1, served + lost)}
 
 
 # --- the work
@@ -617,11 +593,13 @@ def skews(costs, p, out):
 
 
 def throttling(costs, p, out):
-    out("\n| workers | served a second | refused for each served | given up after six attempts |\n| ---: | ---: | ---: | ---: |")
+    out("\n| workers | served a second | refused for each served | longest wait for an answer | given up, if refusals were failures |\n| ---: | ---: | ---: | ---: | ---: |")
     read = next(r for r in costs.raw["reads"] if r["picture"] == "8K" and r["look"] == "opaque")["whole"]
     for n in (1, 4, 8, 16, 32, 64, 256, 1024):
-        row = throttled(n, p, seconds=10.0 if n > 64 else 20.0, size=read["bytes"] / read["requests"])
-        out(f"| {n} | {row['served_s']:.0f} | {row['refused_a_request']:.2f} | {100 * row['lost']:.2g} % |")
+        seconds, size = (60.0 if n > 64 else 30.0), read["bytes"] / read["requests"]
+        row, lost = refusals.paced(n, p, seconds, size=size), refusals.stubborn(n, p, seconds=10.0 if n > 64 else 20.0, size=size)
+        assert row["longest_s"] < p.give_up_after
+        out(f"| {n} | {row['served_s']:.0f} | {row['refused_a_request']:.2f} | {row['longest_s']:.1f} s | {100 * lost:.2g} % |")
 
 
 def svg(curves, path):

@@ -4,6 +4,7 @@ import unittest
 from dataclasses import replace
 
 import measure
+import refusals
 import simulate as s
 
 FAST = replace(s.Parameters(), threads=1, network=1e18, connection=1e18, latency=0.0, prefix_rate=1e18, dispatch=0.0)
@@ -58,11 +59,20 @@ class Limits(unittest.TestCase):
         self.assertAlmostEqual(done, 2.05, delta=0.05)
 
     def test_nothing_is_refused_below_the_rate(self):
-        self.assertEqual(s.throttled(1, s.Parameters(), seconds=5.0)["lost"], 0.0)
+        self.assertEqual(refusals.stubborn(1, s.Parameters(), seconds=5.0), 0.0)
+        row = refusals.paced(1, s.Parameters(), seconds=5.0)
+        self.assertEqual(row["refused_a_request"], 0.0)
+        self.assertAlmostEqual(row["served_s"], 64 / 0.05, delta=64)
 
-    def test_no_more_is_served_than_the_rate(self):
-        served = s.throttled(64, s.Parameters(), seconds=5.0)["served_s"]
+    def test_the_rate_is_served_and_no_more(self):
+        served = refusals.paced(64, s.Parameters(), seconds=5.0)["served_s"]
         self.assertTrue(0.9 * 5500 < served < 1.05 * 5500, served)
+
+    def test_workers_that_heed_refusals_give_up_nothing(self):
+        p = s.Parameters()
+        row = refusals.paced(256, p, seconds=10.0)
+        self.assertLess(row["refused_a_request"], 2.0)
+        self.assertGreater(refusals.stubborn(256, p, seconds=10.0), 0.2)
 
 
 class Dealing(unittest.TestCase):

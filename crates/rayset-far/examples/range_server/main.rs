@@ -1,5 +1,5 @@
 //! Serves the files of a folder by ranges, as far away and as faulty as is wanted:
-//! `range_server FOLDER PORT [latency_ms=50] [jitter=0.2] [failing=0.01] [slow=0.05] [slow_ms=2000] [cut=0.01]`.
+//! `range_server FOLDER PORT [latency_ms=50] [jitter=0.2] [failing=0.01] [slow=0.05] [slow_ms=2000] [cut=0.01] [rate=5500]`.
 
 #[allow(dead_code, reason = "tests use more of it")]
 mod server;
@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("expected FOLDER PORT [NAME=NUMBER …]".into());
     };
     let mut known: HashMap<&str, f64> =
-        ["latency_ms", "jitter", "failing", "slow", "slow_ms", "cut"].map(|name| (name, 0.0)).into();
+        ["latency_ms", "jitter", "failing", "slow", "slow_ms", "cut", "rate"].map(|name| (name, 0.0)).into();
     for setting in settings {
         let (name, number) = setting.split_once('=').ok_or("expected NAME=NUMBER")?;
         *known.get_mut(name).ok_or("no such setting")? = number.parse()?;
@@ -26,6 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         failing: known["failing"],
         slow: (known["slow"], Duration::from_secs_f64(known["slow_ms"] / 1000.0)),
         cut: known["cut"],
+        rate: known["rate"],
         ..Behaviour::default()
     };
     let server = RangeServer::start(Some(folder.into()), port.parse()?, behaviour)?;

@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::body::Body;
@@ -27,8 +27,10 @@ pub(crate) struct Behaviour {
     pub latency: Duration,
     /// Part of the latency by which it is longer or shorter, at random.
     pub jitter: f64,
-    /// Share of the requests that are answered by 503.
+    /// Share of the requests that are answered by 500.
     pub failing: f64,
+    /// The most requests a second that are answered; those beyond are answered by 503. All are answered if this is 0.
+    pub rate: f64,
     /// Share of the requests that take so much longer.
     pub slow: (f64, Duration),
     /// Share of the answers that are cut off in the middle.
@@ -64,14 +66,18 @@ pub(crate) struct Objects {
     /// What is to happen, and after how many more requests.
     next: Mutex<Option<(u64, Event)>>,
     random: AtomicU64,
+    /// When the next request may be answered, if there is a rate.
+    next_answer: Mutex<Option<Instant>>,
     /// Requests that came, of every kind.
     pub requests: AtomicU64,
     /// Requests that were answered, those for the head alone left out.
     pub reads: AtomicU64,
     /// Bytes of the bodies of answers.
     pub bytes: AtomicU64,
-    /// Requests that were answered by 503.
+    /// Requests that were answered by 500.
     pub failed: AtomicU64,
+    /// Requests beyond the rate.
+    pub refused: AtomicU64,
     /// Requests that took longer.
     pub slowed: AtomicU64,
     /// Answers that were cut off.
@@ -158,6 +164,21 @@ impl Objects {
         }
     }
 
+    /// Whether one more request is within so many a second. A tenth of a second's may come at once.
+    fn admits(&self, rate: f64) -> bool {
+        if rate <= 0.0 {
+            return true;
+        }
+        let mut next_answer = self.next_answer.lock().expect("no panic");
+        let now = Instant::now();
+        let next = next_answer.map_or(now, |next| next.max(now));
+        let is_admitted = next <= now + Duration::from_millis(100);
+        if is_admitted {
+            *next_answer = Some(next + Duration::from_secs_f64(1.0 / rate));
+        }
+        is_admitted
+    }
+
     /// A number from 0 to 1: the same sequence in every run.
     fn random(&self) -> f64 {
         let mut bits = self.random.fetch_add(0x9e37_79b9_7f4a_7c15, Ordering::Relaxed);
@@ -185,7 +206,12 @@ async fn answer(
         objects.slowed.fetch_add(1, Ordering::Relaxed);
         pause += behaviour.slow.1;
     }
+    let is_admitted = objects.admits(behaviour.rate);
     tokio::time::sleep(pause).await;
+    if !is_admitted {
+        objects.refused.fetch_add(1, Ordering::Relaxed);
+        return status(503);
+    }
     if behaviour.odd.contains("silent") {
         return std::future::pending().await;
     }
@@ -205,7 +231,7 @@ async fn answer(
     }
     if objects.random() < behaviour.failing {
         objects.failed.fetch_add(1, Ordering::Relaxed);
-        return status(503);
+        return status(500);
     }
     if !is_head && method != Method::GET {
         return bucket::write(&objects, &name, &query.unwrap_or_default(), &method, sent);

@@ -19,11 +19,20 @@ pub(super) fn may_pass(error: &Error) -> bool {
     }
 }
 
+/// Whether the server has refused to answer so many requests, and would answer fewer.
+pub(super) fn is_refusal(error: &Error) -> bool {
+    matches!(error, Error::Generic { .. }) && matches!(status(error), Some(429 | 503))
+}
+
 /// The error of a read.
 pub(super) fn of_range(error: &Error, name: &str) -> RangeError {
-    let passes = may_pass(error);
+    let (passes, refused) = (may_pass(error), is_refusal(error));
     let error = in_words(error, name);
-    if passes { RangeError::passing(error) } else { RangeError::lasting(error) }
+    match (refused, passes) {
+        (true, _) => RangeError::refused(error),
+        (_, true) => RangeError::passing(error),
+        (_, false) => RangeError::lasting(error),
+    }
 }
 
 /// The error as it is said to the user: of which object, what, and what to do.
@@ -152,15 +161,17 @@ mod tests {
     }
 
     #[test]
-    fn overload_passes_and_refusals_last() {
-        for (text, passes) in [
-            ("Server returned non-2xx status code: 503 Slow Down: ", true),
-            ("Server returned non-2xx status code: 429 Too Many: ", true),
-            ("error sending request", true),
-            ("Server returned non-2xx status code: 400 Bad Request: <Code>ExpiredToken</Code>", false),
-            ("Server returned non-2xx status code: 416 Range Not Satisfiable: ", false),
+    fn overload_passes_and_what_is_wrong_lasts() {
+        for (text, passes, refused) in [
+            ("Server returned non-2xx status code: 503 Slow Down: ", true, true),
+            ("Server returned non-2xx status code: 429 Too Many: ", true, true),
+            ("Server returned non-2xx status code: 500 Internal Server Error: ", true, false),
+            ("error sending request", true, false),
+            ("Server returned non-2xx status code: 400 Bad Request: <Code>ExpiredToken</Code>", false, false),
+            ("Server returned non-2xx status code: 416 Range Not Satisfiable: ", false, false),
         ] {
-            assert_eq!(may_pass(&generic(text)), passes, "{text}");
+            let error = generic(text);
+            assert_eq!((may_pass(&error), is_refusal(&error)), (passes, refused), "{text}");
         }
     }
 

@@ -35,13 +35,14 @@ impl Failure {
     }
 }
 
-/// Tries until it succeeds, fails for good, or the time is over.
+/// Tries until it succeeds, fails for good or too often, or the time is over. What a server refuses because it is asked for too much
+/// at a time does not count as a failure.
 pub(super) async fn attempts<T, F: Future<Output = Result<T, Error>>>(
     times: Times,
     renewal: &Renewal,
     mut work: impl FnMut() -> F,
 ) -> Result<T, Failure> {
-    let (begun, mut pause) = (Instant::now(), times.first_pause);
+    let (begun, mut pause, mut failures) = (Instant::now(), times.first_pause, 0);
     for attempt in 1.. {
         let patience = times.attempt.min(times.all.saturating_sub(begun.elapsed()));
         let outcome = tokio::time::timeout(patience, renewal.with(&mut work)).await;
@@ -50,14 +51,15 @@ pub(super) async fn attempts<T, F: Future<Output = Result<T, Error>>>(
             Ok(Err(error)) => error,
             Err(_) => failure::no_answer(patience),
         };
+        failures += u32::from(!failure::is_refusal(&error));
         let (took, rest) = (begun.elapsed(), pause.mul_f64(1.0 + JITTER * (2.0 * random() - 1.0)));
-        if !failure::may_pass(&error) || attempt >= times.attempts || took + rest >= times.all {
+        if !failure::may_pass(&error) || failures >= times.attempts || took + rest >= times.all {
             return Err(Failure { error, attempts: attempt, took });
         }
         tokio::time::sleep(rest).await;
         pause = (2 * pause).min(Times::LONGEST_PAUSE);
     }
-    unreachable!("the number of attempts is bounded")
+    unreachable!("the time is bounded")
 }
 
 /// A number from 0 to 1.
@@ -112,5 +114,22 @@ mod tests {
             std::future::ready(Err::<(), _>(generic("status code: 400 Bad Request")))
         }));
         assert!(failed.is_err() && tried.get() == 1, "tried {} times", tried.get());
+    }
+
+    #[test]
+    fn failures_are_counted_and_refusals_go_on_until_the_time_is_over() {
+        for (text, most) in [("status code: 500 Internal", 3), ("status code: 503 Slow Down", 100)] {
+            let (tried, begun) = (Cell::new(0), Instant::now());
+            let times = Times { attempts: 3, ..TIMES };
+            let failed = run(attempts(times, &Renewal::default(), || {
+                tried.set(tried.get() + 1);
+                std::future::ready(Err::<(), _>(Error::Generic { store: "S3", source: text.into() }))
+            }));
+            let said = failed.expect_err("it never succeeds").in_words("s3://b/a").to_string();
+            assert!(said.contains(&format!("tried {} times", tried.get())), "{said}");
+            // Pauses double from 10 ms, within a second.
+            assert!(tried.get() == most || most > 3 && tried.get() > 3, "{text}: tried {}", tried.get());
+            assert!(begun.elapsed() < Duration::from_secs(10), "{text}: {:?}", begun.elapsed());
+        }
     }
 }

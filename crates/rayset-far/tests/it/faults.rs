@@ -204,6 +204,29 @@ fn clouds_are_rendered_right_if_one_answer_of_twenty_takes_two_seconds() {
 }
 
 #[test]
+fn many_processes_share_a_server_that_refuses_what_is_too_much() {
+    let far = Far::cloud();
+    let address = far.server.address_of(far.name);
+    // Each of them alone asks for as much at a time as is answered in a second.
+    far.server.behave(Behaviour { rate: 64.0, ..Behaviour::default() });
+    let (all, before) =
+        (|objects: &Objects| objects.requests.load(Ordering::Relaxed), far.server.objects.clone());
+    let begun = all(&before);
+    std::thread::scope(|scope| {
+        let renders: Vec<_> = (0..4)
+            .map(|_| scope.spawn(|| Child::new(&["cloud", &address, far.budget]).within(6_000, 60_000).run()))
+            .collect();
+        for render in renders {
+            let said = render.join().expect("no panic");
+            assert!(said.as_ref().is_ok_and(|said| said.as_bytes() == far.expected), "{said:?}");
+        }
+    });
+    let refused = far.count(|objects| &objects.refused);
+    let requests = all(&far.server.objects) - begun;
+    assert!(refused > 0 && refused < requests / 2, "{refused} of {requests} requests were refused");
+}
+
+#[test]
 fn grids_are_rendered_right_whatever_passes() {
     let far = Far::grid();
     far.is_right(&failing(0.01), |objects| &objects.failed);

@@ -50,6 +50,7 @@ fn every_byte_is_right_though_requests_fail_are_cut_are_slow_and_are_never_answe
         cut: 0.1,
         slow: (0.05, Duration::from_millis(20)),
         silent: 0.02,
+        ..Behaviour::default()
     };
     let mut options = quick();
     options.most_bytes = 50_000;
@@ -78,6 +79,54 @@ fn a_storage_that_always_fails_gives_up_with_the_reason_and_the_number_of_attemp
     let error = storage.read_exact_at(&mut [0; 10], 0).expect_err("it fails").to_string();
     assert!(error.contains("503") && error.contains("tried 3 times"), "{error}");
     assert_eq!(object.counts().requests, 3);
+}
+
+/// Reads an object that answers at a rate, from so many storages at a time as of so many processes. Returns the requests and the
+/// refusals, and how long it took.
+fn read_at_a_rate(storages: usize, rate: f64) -> (u64, u64, Duration) {
+    let content = bytes(300_000);
+    let behaviour = Behaviour { latency: Duration::from_millis(5), rate, ..Behaviour::default() };
+    let mut options = FarOptions::default();
+    (options.most_bytes, options.attempts) = (1000, 1);
+    let near = MemoryStorage::new(Arc::new(content.clone()));
+    let object = Arc::new(SimulatedObject::new(Arc::new(near), behaviour, 42).expect("a thread"));
+    let started = Instant::now();
+    std::thread::scope(|scope| {
+        for _ in 0..storages {
+            scope.spawn(|| {
+                let storage = FarStorage::new(object.clone(), content.len() as u64, options);
+                let mut found = vec![0; content.len()];
+                storage.expect("a thread").read_exact_at(&mut found, 0).expect("nothing has failed");
+                assert!(found == content);
+            });
+        }
+    });
+    let counts = object.counts();
+    (counts.requests, counts.faults, started.elapsed())
+}
+
+#[test]
+fn an_object_that_refuses_what_is_too_much_is_asked_for_less_and_nothing_fails() {
+    let (requests, refused, took) = read_at_a_rate(1, 200.0);
+    assert!(refused > 0 && requests == 300 + refused, "{requests} requests, {refused} refused");
+    assert!(refused < 300, "{refused} refused");
+    assert!(took < Duration::from_secs(15), "300 requests at 200 a second took {took:?}");
+    let (requests, refused, _) = read_at_a_rate(8, 800.0);
+    assert!(refused > 0 && requests == 2400 + refused, "{requests} requests, {refused} refused");
+    assert!(refused < 2400, "{refused} refused");
+}
+
+#[test]
+fn an_object_that_refuses_everything_is_given_up_in_bounded_time() {
+    let behaviour = Behaviour { rate: 1e-9, ..Behaviour::default() };
+    let mut options = quick();
+    options.give_up_after = Duration::from_millis(500);
+    let (_, storage) = far(&bytes(1000), behaviour, options);
+    storage.read_exact_at(&mut [0; 10], 0).expect("the first is answered");
+    let started = Instant::now();
+    let error = storage.read_exact_at(&mut [0; 10], 0).expect_err("nothing else is").to_string();
+    assert!(error.contains("429") && error.contains("tried"), "{error}");
+    assert!(started.elapsed() < Duration::from_secs(5), "{:?}", started.elapsed());
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! Requests to a far object: started as long as few enough are in flight, tried again after a pause if they fail, given up in
-//! bounded time.
+//! Requests to a far object: started as long as few enough are in flight, tried again after a pause if they fail or are refused, given
+//! up in bounded time.
 
 use std::collections::HashMap;
 use std::io;
@@ -10,8 +10,9 @@ use super::counts::Counts;
 use super::flight::{Ended, Flight, Request};
 use super::limit::{RequestLimit, Waiting};
 use super::options::FarOptions;
+use super::pace::Pace;
 use super::queue::{Joining, Queue, Wanted};
-use super::reader::{RangeError, RangeReader, RangeSink};
+use super::reader::{Outlook, RangeError, RangeReader, RangeSink};
 use super::unread::unread;
 
 /// How far a retry's pause is shortened or lengthened, so that failed requests do not all come back at once.
@@ -31,13 +32,13 @@ pub(super) struct Engine {
     changed: Condvar,
 }
 
-#[derive(Default)]
 struct State {
     queue: Queue,
+    pace: Pace,
     flights: HashMap<u64, Arc<Flight>>,
     /// Requests that failed, and when they are to be tried again.
     paused: Vec<(Instant, Request)>,
-    /// Those whose pause is over.
+    /// Those whose pause is over, that were refused, or that had no room.
     again: Vec<Request>,
     last_flight: u64,
     /// A thread is starting requests; it will look at the queue again before it ends.
@@ -57,7 +58,7 @@ impl Engine {
             options,
             counts: Counts::default(),
             limit,
-            state: Mutex::default(),
+            state: Mutex::new(State::new(options.in_flight)),
             changed: Condvar::new(),
         });
         let weak = Arc::downgrade(&engine);
@@ -110,8 +111,8 @@ impl Engine {
     /// nothing waits or enough are in flight.
     fn next_flight(self: &Arc<Self>) -> Option<Arc<Flight>> {
         let mut state = self.lock();
-        let request =
-            if state.flights.len() < self.options.in_flight { self.next_request(&mut state) } else { None };
+        let may_begin = state.flights.len() < state.pace.allowed(Instant::now());
+        let request = if may_begin { self.next_request(&mut state) } else { None };
         let Some(request) = request else {
             state.starting = false;
             return None;
@@ -133,12 +134,12 @@ impl Engine {
     }
 
     fn next_request(&self, state: &mut State) -> Option<Request> {
-        if let Some(request) = state.again.pop() {
-            return Some(request);
+        if let Some(oldest) = (0..state.again.len()).min_by_key(|&index| state.again[index].since) {
+            return Some(state.again.swap_remove(oldest));
         }
         let joining = Joining { gap_bytes: self.options.gap_bytes, most_bytes: self.options.most_bytes };
         let reads = state.queue.take(joining);
-        (!reads.is_empty()).then(|| Request { reads, failures: 0, since: Instant::now() })
+        (!reads.is_empty()).then(|| Request { reads, failures: 0, refusals: 0, since: Instant::now() })
     }
 
     /// A request has ended, as its sink says.
@@ -150,21 +151,19 @@ impl Engine {
 
     /// Completes what a request has read; what it has not is tried again or fails.
     fn settle(self: &Arc<Self>, flight: &Flight, ended: Ended, outcome: Result<(), RangeError>) {
-        let Ended { mut request, missing } = ended;
+        let Ended { request, missing } = ended;
         self.lock().flights.remove(&flight.number);
         self.give_back(flight.bytes);
         let outcome = outcome.and_then(|()| if missing == 0 { Ok(()) } else { Err(too_short(missing)) });
         let failed = match outcome {
             Ok(()) => {
                 self.counts.took(flight.begun.elapsed());
+                self.lock().pace.answered();
                 None
             }
             // Everything that was asked for has come before the connection broke.
             Err(_) if request.reads.is_empty() => None,
-            Err(error) => {
-                request.failures += 1;
-                self.try_again(request, error)
-            }
+            Err(error) => self.try_again(request, error, flight.begun),
         };
         if let Some((request, error)) = failed {
             self.fail(request, &error);
@@ -179,25 +178,45 @@ impl Engine {
         }
     }
 
-    /// Lets a request pause before its next attempt; returns it if there is to be none.
-    fn try_again(&self, request: Request, error: RangeError) -> Option<(Request, RangeError)> {
-        let pause = self.options.pause_after(request.failures, JITTER);
-        let too_late = request.since.elapsed() + pause > self.options.give_up_after;
+    /// Lets a request pause before its next attempt; returns it if there is to be none. Its last one was begun then.
+    fn try_again(
+        &self,
+        mut request: Request,
+        error: RangeError,
+        begun: Instant,
+    ) -> Option<(Request, RangeError)> {
+        let now = Instant::now();
+        let pause = |times| self.options.pause_after(times, JITTER);
         let mut state = self.lock();
-        if !error.may_pass || too_late || request.failures >= self.options.attempts || state.closed {
+        let next = match error.outlook {
+            Outlook::Lasts => {
+                request.failures += 1;
+                None
+            }
+            Outlook::Passes => {
+                request.failures += 1;
+                (request.failures < self.options.attempts).then(|| now + pause(request.failures))
+            }
+            Outlook::Refused => {
+                request.refusals += 1;
+                Some(state.pace.refused(begun, now, pause))
+            }
+        };
+        let in_time = |next: &Instant| *next <= request.since + self.options.give_up_after;
+        let Some(next) = next.filter(in_time).filter(|_| !state.closed) else {
             return Some((request, error));
-        }
+        };
         self.counts.failed();
-        state.paused.push((Instant::now() + pause, request));
+        state.paused.push((next, request));
         self.changed.notify_all();
         None
     }
 
     fn fail(&self, request: Request, error: &RangeError) {
-        let Request { reads, failures, since } = request;
-        let tried = match failures {
+        let Request { reads, failures, refusals, since } = request;
+        let tried = match failures + refusals {
             0 | 1 => String::new(),
-            _ => format!(" (tried {failures} times in {:.1} s)", since.elapsed().as_secs_f64()),
+            times => format!(" (tried {times} times in {:.1} s)", since.elapsed().as_secs_f64()),
         };
         for read in reads {
             read.complete(Err(unread(error.source.kind(), format!("{}{tried}", error.source))));
@@ -234,7 +253,7 @@ impl Engine {
         let (due, paused): (Vec<_>, Vec<_>) = state.paused.drain(..).partition(|(due, _)| *due <= now);
         state.paused = paused;
         state.again.extend(due.into_iter().map(|(_, request)| request));
-        let goes_on = !state.again.is_empty();
+        let goes_on = state.pace.wake(now) || !state.again.is_empty();
         drop(state);
         for flight in late {
             if let Some(ended) = flight.take() {
@@ -262,12 +281,26 @@ impl std::fmt::Debug for Engine {
 }
 
 impl State {
+    fn new(most: usize) -> Self {
+        Self {
+            queue: Queue::default(),
+            pace: Pace::new(most),
+            flights: HashMap::new(),
+            paused: Vec::new(),
+            again: Vec::new(),
+            last_flight: 0,
+            starting: false,
+            closed: false,
+        }
+    }
+
     /// How long the clock may wait until it looks again, if nothing changes.
     fn until_next_look(&self) -> Duration {
         /// Without anything to wait for: long enough to cost nothing, short enough to notice that the engine has been dropped.
         const IDLE: Duration = Duration::from_secs(5);
         let now = Instant::now();
-        let pauses = self.paused.iter().map(|(due, _)| due.saturating_duration_since(now));
+        let ends = self.paused.iter().map(|(due, _)| *due).chain(self.pace.quiet_until());
+        let pauses = ends.map(|end| end.saturating_duration_since(now));
         let watched = (!self.flights.is_empty()).then_some(TICK);
         pauses.chain(watched).min().unwrap_or(IDLE)
     }

@@ -10,8 +10,10 @@ use super::queue::Wanted;
 pub(super) struct Request {
     /// By ascending offset; there is at least one.
     pub(super) reads: Vec<Wanted>,
-    /// Attempts before this one.
+    /// Attempts that have failed.
     pub(super) failures: u32,
+    /// Attempts that the server has refused because it was asked for too much at a time.
+    pub(super) refusals: u32,
     /// When its first attempt was begun.
     pub(super) since: Instant,
 }
@@ -130,7 +132,7 @@ mod tests {
                 });
                 Wanted { offset, length, buffer: PageBuffer::new(length), done }
             });
-            let request = Request { reads: reads.into(), failures: 0, since: Instant::now() };
+            let request = Request { reads: reads.into(), failures: 0, refusals: 0, since: Instant::now() };
             let range = request.range();
             assert_eq!(range, 10..160);
             let flight = Flight::new(1, request);

@@ -1,14 +1,16 @@
 //! Objects that are far away: many requests in flight, neighbours joined, failures tried again, all in bounded time.
 //!
 //! A [`RangeReader`] knows how to start reading a range of one object; [`FarStorage`] makes a [`Storage`] of it. Its `queue` joins
-//! reads to requests, its `engine` starts them, within a `limit` that objects share, and tries again what failed, a `flight` is a request on its way, `simulated` is an
-//! object that is only as far away as a test wants it to be, `unread` tells errors of reading from errors in what was read.
+//! reads to requests, its `engine` starts them, at a `pace` that the server bears and within a `limit` that objects share, and tries
+//! again what failed, a `flight` is a request on its way, `simulated` is an object that is only as far away as a test wants it to be,
+//! `unread` tells errors of reading from errors in what was read.
 
 mod counts;
 mod engine;
 mod flight;
 mod limit;
 mod options;
+mod pace;
 mod queue;
 mod reader;
 mod simulated;

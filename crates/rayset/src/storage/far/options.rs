@@ -6,13 +6,14 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct FarOptions {
-    /// Most requests in flight at a time, at least 1; 64 by default.
+    /// Most requests in flight at a time, at least 1; 64 by default. Fewer, while the server refuses some.
     pub in_flight: usize,
     /// Most bytes between two reads that are read for nothing, to save a request; 64 KiB by default.
     pub gap_bytes: u64,
     /// Most bytes of a request that joins several reads; 1 MiB by default.
     pub most_bytes: u64,
-    /// Attempts at a request before its reads fail, at least 1; 6 by default.
+    /// Attempts at a request before its reads fail, at least 1; 6 by default. Attempts that the server refuses, because it is asked for
+    /// too much at a time, do not count.
     pub attempts: u32,
     /// The pause after the first failure, which doubles with every further one; 100 ms by default.
     pub first_pause: Duration,

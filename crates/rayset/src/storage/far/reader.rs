@@ -23,20 +23,38 @@ pub trait RangeReader: Send + Sync {
 #[derive(Debug)]
 pub struct RangeError {
     pub(super) source: io::Error,
-    pub(super) may_pass: bool,
+    pub(super) outlook: Outlook,
+}
+
+/// What another attempt would meet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Outlook {
+    /// Another outcome, perhaps.
+    Passes,
+    /// A server that answers if it is asked for less at a time.
+    Refused,
+    /// The same error.
+    Lasts,
 }
 
 impl RangeError {
-    /// An error that may be gone at the next attempt: a connection that was cut, a server that is overloaded.
+    /// An error that may be gone at the next attempt: a connection that was cut, a server that had to be restarted.
     #[must_use]
     pub fn passing(source: io::Error) -> Self {
-        Self { source, may_pass: true }
+        Self { source, outlook: Outlook::Passes }
+    }
+
+    /// The server would answer, if it were not asked for so much at a time (429 and 503 in HTTP). It is asked for less then, and
+    /// as long as [`give_up_after`](super::FarOptions::give_up_after) says: this does not count as one of the attempts.
+    #[must_use]
+    pub fn refused(source: io::Error) -> Self {
+        Self { source, outlook: Outlook::Refused }
     }
 
     /// An error that another attempt would meet again: no permission, no such object, an object that has changed.
     #[must_use]
     pub fn lasting(source: io::Error) -> Self {
-        Self { source, may_pass: false }
+        Self { source, outlook: Outlook::Lasts }
     }
 }
 

@@ -26,6 +26,8 @@ pub struct Behaviour {
     pub slow: (f64, Duration),
     /// The fraction of requests that are never answered.
     pub silent: f64,
+    /// The most requests a second that are answered; those beyond are refused. All are if this is 0.
+    pub rate: f64,
 }
 
 /// What a simulated object was asked for.
@@ -37,7 +39,7 @@ pub struct SimulatedCounts {
     pub bytes: u64,
     /// Most requests at a time that waited for their answers.
     pub most_at_once: u64,
-    /// Requests that were made to fail, or were cut, delayed or not answered.
+    /// Requests that were made to fail, or were cut, delayed, refused or not answered.
     pub faults: u64,
 }
 
@@ -63,6 +65,8 @@ struct Schedule {
     /// Requests that will never be answered, kept so that they are not seen to end.
     silent: Vec<RangeSink>,
     last: u64,
+    /// When the next request may be answered, if there is a rate.
+    next_answer: Option<Instant>,
     closed: bool,
 }
 
@@ -75,6 +79,7 @@ struct Pending {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Fate {
     Served,
+    Refused,
     Fails,
     Cut,
 }
@@ -137,7 +142,7 @@ impl SimulatedObject {
 
 impl RangeReader for SimulatedObject {
     fn start(&self, range: Range<u64>, sink: RangeSink) {
-        let Behaviour { latency, jitter, failing, cut, slow, silent } = self.behaviour;
+        let Behaviour { latency, jitter, failing, cut, slow, silent, rate } = self.behaviour;
         let shared = &self.shared;
         shared.counts[REQUESTS].fetch_add(1, Ordering::Relaxed);
         shared.counts[BYTES].fetch_add(range.end - range.start, Ordering::Relaxed);
@@ -145,7 +150,7 @@ impl RangeReader for SimulatedObject {
         if self.fault(slow.0) {
             time += slow.1;
         }
-        let fate = match (self.fault(failing), self.fault(cut)) {
+        let mut fate = match (self.fault(failing), self.fault(cut)) {
             (true, _) => Fate::Fails,
             (_, true) => Fate::Cut,
             _ => Fate::Served,
@@ -154,6 +159,10 @@ impl RangeReader for SimulatedObject {
         let mut schedule = shared.schedule.lock().unwrap_or_else(PoisonError::into_inner);
         if is_silent {
             return schedule.silent.push(sink);
+        }
+        if !schedule.admits(rate) {
+            shared.counts[FAULTS].fetch_add(1, Ordering::Relaxed);
+            fate = Fate::Refused;
         }
         schedule.last += 1;
         let number = schedule.last;
@@ -166,6 +175,22 @@ impl RangeReader for SimulatedObject {
 
     fn name(&self) -> String {
         "a simulated object".into()
+    }
+}
+
+impl Schedule {
+    /// Whether one more request is within so many a second. A tenth of a second's may come at once.
+    fn admits(&mut self, rate: f64) -> bool {
+        if rate <= 0.0 {
+            return true;
+        }
+        let now = Instant::now();
+        let next = self.next_answer.map_or(now, |next| next.max(now));
+        if next > now + Duration::from_millis(100) {
+            return false;
+        }
+        self.next_answer = Some(next + Duration::from_secs_f64(1.0 / rate));
+        true
     }
 }
 
@@ -195,6 +220,9 @@ impl Shared {
     fn answer(&self, Pending { range, mut sink, fate }: Pending) {
         /// Bytes that arrive at a time.
         const PART: u64 = 16 << 10;
+        if fate == Fate::Refused {
+            return sink.end(Err(RangeError::refused(io::Error::other("429: too many requests a second"))));
+        }
         if fate == Fate::Fails {
             return sink.end(Err(RangeError::passing(io::Error::other("503: the server is overloaded"))));
         }
