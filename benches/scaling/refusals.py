@@ -66,7 +66,7 @@ class Pace:
         if begun < self.heeded:
             return False
         self.allowed, self.heeded, self.in_a_row = max(1.0, self.allowed * self.p.decrease), now, self.in_a_row + 1
-        self.quiet_until = now + min(self.p.longest_quiet, self.p.first_pause * 2 ** (self.in_a_row - 1) * shake)
+        self.quiet_until = now + min(self.p.longest_quiet, self.p.first_pause * 2 ** (self.in_a_row - 1)) * shake
         return True
 
 

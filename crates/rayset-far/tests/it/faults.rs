@@ -209,9 +209,7 @@ fn many_processes_share_a_server_that_refuses_what_is_too_much() {
     let address = far.server.address_of(far.name);
     // Each of them alone asks for as much at a time as is answered in a second.
     far.server.behave(Behaviour { rate: 64.0, ..Behaviour::default() });
-    let (all, before) =
-        (|objects: &Objects| objects.requests.load(Ordering::Relaxed), far.server.objects.clone());
-    let begun = all(&before);
+    let begun = far.count(|objects| &objects.requests);
     std::thread::scope(|scope| {
         let renders: Vec<_> = (0..4)
             .map(|_| scope.spawn(|| Child::new(&["cloud", &address, far.budget]).within(6_000, 60_000).run()))
@@ -222,7 +220,7 @@ fn many_processes_share_a_server_that_refuses_what_is_too_much() {
         }
     });
     let refused = far.count(|objects| &objects.refused);
-    let requests = all(&far.server.objects) - begun;
+    let requests = far.count(|objects| &objects.requests) - begun;
     assert!(refused > 0 && refused < requests / 2, "{refused} of {requests} requests were refused");
 }
 

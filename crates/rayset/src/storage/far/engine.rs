@@ -186,7 +186,7 @@ impl Engine {
         begun: Instant,
     ) -> Option<(Request, RangeError)> {
         let now = Instant::now();
-        let pause = |times| self.options.pause_after(times, JITTER);
+        let pause = |times, longest| self.options.pause_after(times, longest, JITTER);
         let mut state = self.lock();
         let next = match error.outlook {
             Outlook::Lasts => {
@@ -195,7 +195,8 @@ impl Engine {
             }
             Outlook::Passes => {
                 request.failures += 1;
-                (request.failures < self.options.attempts).then(|| now + pause(request.failures))
+                let pause = pause(request.failures, self.options.longest_pause);
+                (request.failures < self.options.attempts).then(|| now + pause)
             }
             Outlook::Refused => {
                 request.refusals += 1;

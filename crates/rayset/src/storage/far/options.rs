@@ -41,10 +41,11 @@ impl Default for FarOptions {
 }
 
 impl FarOptions {
-    /// The pause after a number of failures, shortened or lengthened at random by at most a fraction of itself.
-    pub(super) fn pause_after(&self, failures: u32, jitter: f64) -> Duration {
+    /// The pause after a number of failures: doubled with each up to the longest, then shortened or lengthened at random by at most a
+    /// fraction of itself.
+    pub(super) fn pause_after(&self, failures: u32, longest: Duration, jitter: f64) -> Duration {
         let doubled = 2_u32.saturating_pow(failures.saturating_sub(1));
-        let pause = self.first_pause.saturating_mul(doubled).min(self.longest_pause);
+        let pause = self.first_pause.saturating_mul(doubled).min(longest.min(self.longest_pause));
         pause.mul_f64(1.0 + jitter * (2.0 * random() - 1.0))
     }
 }
@@ -62,9 +63,14 @@ mod tests {
     #[test]
     fn pauses_double_up_to_the_longest() {
         let options = FarOptions::default();
-        let pauses: Vec<u128> = [1, 2, 3, 7, 40].map(|n| options.pause_after(n, 0.0).as_millis()).into();
-        assert_eq!(pauses, [100, 200, 400, 5000, 5000]);
-        let shaken = options.pause_after(1, 0.25).as_secs_f64();
-        assert!((0.075..=0.125).contains(&shaken), "{shaken}");
+        let pauses = |longest, jitter| {
+            [1, 2, 3, 7, 40].map(|n| options.pause_after(n, Duration::from_secs(longest), jitter).as_millis())
+        };
+        assert_eq!(pauses(60, 0.0), [100, 200, 400, 5000, 5000]);
+        assert_eq!(pauses(1, 0.0), [100, 200, 400, 1000, 1000]);
+        let shaken = pauses(1, 0.25);
+        assert!((75..=125).contains(&shaken[0]) && (750..=1250).contains(&shaken[4]), "{shaken:?}");
+        // Those who wait longest, too, come back at different times.
+        assert!((0..50).any(|_| pauses(1, 0.25)[4] != shaken[4]));
     }
 }

@@ -40,18 +40,18 @@ impl Pace {
     }
 
     /// A request that was begun then has been refused. Returns when the next ones may be begun. `pause` makes of the number of
-    /// refusals in a row how long nothing is begun.
+    /// refusals in a row, and of the longest pause, how long nothing is begun.
     pub(super) fn refused(
         &mut self,
         begun: Instant,
         now: Instant,
-        pause: impl Fn(u32) -> Duration,
+        pause: impl Fn(u32, Duration) -> Duration,
     ) -> Instant {
         if self.heeded.is_none_or(|heeded| begun >= heeded) {
             self.allowed = (self.allowed * DECREASE).max(1.0);
             self.in_a_row += 1;
             self.heeded = Some(now);
-            self.quiet_until = Some(now + pause(self.in_a_row).min(LONGEST_QUIET));
+            self.quiet_until = Some(now + pause(self.in_a_row, LONGEST_QUIET));
         }
         self.quiet_until.map_or(now, |end| end.max(now))
     }
@@ -71,8 +71,8 @@ impl Pace {
 mod tests {
     use super::*;
 
-    fn doubling(in_a_row: u32) -> Duration {
-        Duration::from_millis(100 << (in_a_row - 1).min(10))
+    fn doubling(in_a_row: u32, longest: Duration) -> Duration {
+        Duration::from_millis(100 << (in_a_row - 1).min(10)).min(longest)
     }
 
     #[test]
