@@ -61,16 +61,19 @@ fn parts_and_their_merge_that_are_killed_and_run_again_leave_the_right_bytes_and
     let folder = folder.path();
     let merge = ["merge", "c.rset.parts", "-o", "c.rset", "--memory", "24MiB"];
     let mut random = Random(11);
-    let mut killed = 0;
+    // The longest time that a run is given: on a quick machine, less.
+    let (mut killed, mut longest) = (0, 0.05);
     let mut disturbed = |arguments: &[&str]| {
         let mut child = in_folder(folder, arguments)
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
             .expect("the program runs");
-        std::thread::sleep(Duration::from_secs_f64(0.05 * random.unit()));
+        std::thread::sleep(Duration::from_secs_f64(longest * random.unit()));
         child.kill().expect("it can be killed");
-        killed += usize::from(!child.wait().expect("it ends").success());
+        let was_killed = !child.wait().expect("it ends").success();
+        killed += usize::from(was_killed);
+        longest *= if was_killed { 1.2 } else { 0.5 };
         must(folder, arguments);
     };
     for step in STEPS {
