@@ -15,6 +15,8 @@ import socket
 import threading
 import urllib.parse
 
+from local import Local
+
 # Of a connection alone: not passed on.
 HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "host"}
 
@@ -39,7 +41,7 @@ def kind_of(method, target, length):
     return method.lower()
 
 
-class Proxy:
+class Proxy(Local):
     """Listens on a port of this machine and passes requests on to another one."""
 
     def __init__(self, host, port):
@@ -62,12 +64,7 @@ class Proxy:
             def log_message(self, *_):
                 pass
 
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.server.daemon_threads = True
-        # A client that is killed breaks off its connections.
-        self.server.handle_error = lambda *_: None
-        self.address = f"http://127.0.0.1:{self.server.server_port}"
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        super().__init__(Handler)
 
     def fail(self, kind, how, times=1, after=0):
         """From now on, after some that pass, so many requests of a kind fail."""

@@ -2,10 +2,11 @@
 import http.server
 import pathlib
 import re
-import threading
+
+from local import Local
 
 
-class RangeServer:
+class RangeServer(Local):
     def __init__(self, folder):
         folder = pathlib.Path(folder).resolve()
 
@@ -39,11 +40,4 @@ class RangeServer:
             def log_message(self, *_):
                 pass
 
-        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.server.daemon_threads = True
-        self.server.handle_error = lambda *_: None
-        self.address = f"http://127.0.0.1:{self.server.server_port}"
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def stop(self):
-        self.server.shutdown()
+        super().__init__(Handler)

@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
@@ -15,7 +15,7 @@ use axum::extract::{DefaultBodyLimit, Path, RawQuery, State};
 use axum::http::{HeaderMap, Method, Response, StatusCode};
 use bytes::Bytes;
 use futures_util::stream;
-use rayset::storage::{FileStorage, MemoryStorage, Storage};
+use rayset::storage::{FileStorage, MemoryStorage, Rate, Storage};
 
 #[path = "bucket.rs"]
 mod bucket;
@@ -66,8 +66,7 @@ pub(crate) struct Objects {
     /// What is to happen, and after how many more requests.
     next: Mutex<Option<(u64, Event)>>,
     random: AtomicU64,
-    /// When the next request may be answered, if there is a rate.
-    next_answer: Mutex<Option<Instant>>,
+    rate: Mutex<Rate>,
     /// Requests that came, of every kind.
     pub requests: AtomicU64,
     /// Requests that were answered, those for the head alone left out.
@@ -164,21 +163,6 @@ impl Objects {
         }
     }
 
-    /// Whether one more request is within so many a second. A tenth of a second's may come at once.
-    fn admits(&self, rate: f64) -> bool {
-        if rate <= 0.0 {
-            return true;
-        }
-        let mut next_answer = self.next_answer.lock().expect("no panic");
-        let now = Instant::now();
-        let next = next_answer.map_or(now, |next| next.max(now));
-        let is_admitted = next <= now + Duration::from_millis(100);
-        if is_admitted {
-            *next_answer = Some(next + Duration::from_secs_f64(1.0 / rate));
-        }
-        is_admitted
-    }
-
     /// A number from 0 to 1: the same sequence in every run.
     fn random(&self) -> f64 {
         let mut bits = self.random.fetch_add(0x9e37_79b9_7f4a_7c15, Ordering::Relaxed);
@@ -206,7 +190,7 @@ async fn answer(
         objects.slowed.fetch_add(1, Ordering::Relaxed);
         pause += behaviour.slow.1;
     }
-    let is_admitted = objects.admits(behaviour.rate);
+    let is_admitted = objects.rate.lock().expect("no panic").admits(behaviour.rate);
     tokio::time::sleep(pause).await;
     if !is_admitted {
         objects.refused.fetch_add(1, Ordering::Relaxed);

@@ -85,10 +85,15 @@ pub(crate) fn build_cloud(input: &Path, output: &Path) -> Result<(), String> {
 
 /// The cloud of one input.
 pub(crate) fn built(input: &Path) -> Result<Vec<u8>, String> {
+    written(|output| build_cloud(input, output))
+}
+
+/// The file that something writes.
+fn written(write: impl FnOnce(&Path) -> Result<(), String>) -> Result<Vec<u8>, String> {
     let folder = tempfile::tempdir().expect("a folder");
     let output = folder.path().join("out.rset");
-    build_cloud(input, &output)?;
-    Ok(std::fs::read(output).expect("the cloud"))
+    write(&output)?;
+    Ok(std::fs::read(output).expect("the file"))
 }
 
 /// Builds the grid of a volume.
@@ -100,10 +105,7 @@ pub(crate) fn build_grid(input: &Path, output: &Path) -> Result<(), String> {
 
 /// The grid of a volume.
 pub(crate) fn built_grid(input: &Path) -> Result<Vec<u8>, String> {
-    let folder = tempfile::tempdir().expect("a folder");
-    let output = folder.path().join("out.rset");
-    build_grid(input, &output)?;
-    Ok(std::fs::read(output).expect("the grid"))
+    written(|output| build_grid(input, output))
 }
 
 /// splitmix64, as numbers of 0 to 1.

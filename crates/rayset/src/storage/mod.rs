@@ -30,7 +30,7 @@ pub use self::address::{address_of, beside, look_again, open};
 #[doc(hidden)]
 pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 #[doc(hidden)]
-pub use self::far::{Behaviour, SimulatedCounts, SimulatedObject};
+pub use self::far::{Behaviour, Rate, SimulatedCounts, SimulatedObject};
 pub use self::far::{FarCounts, FarOptions, FarStorage, RangeError, RangeReader, RangeSink, RequestLimit};
 pub(crate) use self::far::{copy_of_reading, is_of_reading};
 pub use self::file::FileStorage;

@@ -14,7 +14,7 @@ pub struct FarCounts {
     pub requests: u64,
     /// Bytes requested, gaps between pages and repetitions included.
     pub bytes: u64,
-    /// Requests that failed and were tried again.
+    /// Requests that failed or were refused, and were tried again.
     pub retries: u64,
     /// The usual time from a request to its last byte: a moving average. Zero as long as none has ended.
     pub latency: Duration,

@@ -27,7 +27,7 @@ pub use self::options::FarOptions;
 use self::queue::Wanted;
 pub use self::reader::{RangeError, RangeReader, RangeSink};
 #[doc(hidden)]
-pub use self::simulated::{Behaviour, SimulatedCounts, SimulatedObject};
+pub use self::simulated::{Behaviour, Rate, SimulatedCounts, SimulatedObject};
 pub(crate) use self::unread::{copy_of_reading, is_of_reading};
 use super::buffer::PageBuffer;
 use super::transport::{Read, Storage, Transport, ends_early};

@@ -43,6 +43,29 @@ pub struct SimulatedCounts {
     pub faults: u64,
 }
 
+/// So many requests a second, of which a tenth of a second's may come at once.
+#[derive(Debug, Default)]
+pub struct Rate {
+    /// When the next request may be answered. `None` before the first.
+    next: Option<Instant>,
+}
+
+impl Rate {
+    /// Whether one more request is within so many a second; all are if there is to be no limit, which is 0.
+    pub fn admits(&mut self, a_second: f64) -> bool {
+        if a_second <= 0.0 {
+            return true;
+        }
+        let now = Instant::now();
+        let next = self.next.map_or(now, |next| next.max(now));
+        let admitted = next <= now + Duration::from_millis(100);
+        if admitted {
+            self.next = Some(next + Duration::from_secs_f64(1.0 / a_second));
+        }
+        admitted
+    }
+}
+
 /// Another storage, seen from far away.
 pub struct SimulatedObject {
     shared: Arc<Shared>,
@@ -65,8 +88,7 @@ struct Schedule {
     /// Requests that will never be answered, kept so that they are not seen to end.
     silent: Vec<RangeSink>,
     last: u64,
-    /// When the next request may be answered, if there is a rate.
-    next_answer: Option<Instant>,
+    admitted: Rate,
     closed: bool,
 }
 
@@ -160,7 +182,7 @@ impl RangeReader for SimulatedObject {
         if is_silent {
             return schedule.silent.push(sink);
         }
-        if !schedule.admits(rate) {
+        if !schedule.admitted.admits(rate) {
             shared.counts[FAULTS].fetch_add(1, Ordering::Relaxed);
             fate = Fate::Refused;
         }
@@ -175,22 +197,6 @@ impl RangeReader for SimulatedObject {
 
     fn name(&self) -> String {
         "a simulated object".into()
-    }
-}
-
-impl Schedule {
-    /// Whether one more request is within so many a second. A tenth of a second's may come at once.
-    fn admits(&mut self, rate: f64) -> bool {
-        if rate <= 0.0 {
-            return true;
-        }
-        let now = Instant::now();
-        let next = self.next_answer.map_or(now, |next| next.max(now));
-        if next > now + Duration::from_millis(100) {
-            return false;
-        }
-        self.next_answer = Some(next + Duration::from_secs_f64(1.0 / rate));
-        true
     }
 }
 
