@@ -31,8 +31,8 @@ pub const VOLUMES: [&str; 12] = [
     "v.dx",
 ];
 
-/// A folder of this process, in memory where there is one.
-fn folder() -> &'static Path {
+/// A folder of this process, in memory where there is one. It stays when the process ends.
+pub fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let shared = Path::new("/dev/shm");

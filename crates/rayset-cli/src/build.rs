@@ -6,7 +6,8 @@ use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
-use rayset::points::{PointSource, ReadOptions};
+use rayset::output::Destination;
+use rayset::points::{ReadError, ReadOptions};
 use rayset::volumes::{RawLayout, VolumeSource};
 
 use crate::budget::{Budget, name_smallest_budget, name_smallest_grid_budget};
@@ -14,7 +15,7 @@ use crate::build_parts::{self, PartArgs, PartOf, Work};
 use crate::memory::peak_rss;
 use crate::outputs::Outputs;
 use crate::progress::Meter;
-use rayset_inputs::values;
+use rayset_inputs::{Files, Points, values};
 
 use crate::input::Program;
 use crate::report;
@@ -70,6 +71,10 @@ pub(crate) struct BuildArgs {
     /// By default gas where there is any, else all
     #[arg(long, value_delimiter = ',')]
     particles: Option<Vec<String>>,
+    /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming it at the end. Builds in parts
+    /// always do
+    #[arg(long)]
+    strict: bool,
     /// What to do with records whose position, radius or weight is no usable number
     #[arg(long, value_enum, default_value = "skip")]
     invalid: Invalid,
@@ -111,25 +116,29 @@ enum Invalid {
 pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let host = Program::quiet();
     let inputs = rayset_inputs::expand(&args.inputs, &host)?;
-    if args.raw.is_some() || rayset_inputs::has_volume(&inputs)? {
+    if args.raw.is_some() || rayset_inputs::has_volume(&inputs.paths)? {
         if args.parts.asked().is_some() {
             bail!("--part is for clouds; a grid is built by one process");
         }
-        return build_grid(args, &inputs);
+        return build_grid(args, &inputs.paths);
     }
     let options = options(args)?;
     build_parts::check(&args.parts, &args.output)?;
-    let output = Outputs::beside(&inputs).add(&args.output, args.temp_dir.as_deref())?;
+    let output = Outputs::beside(&inputs.paths).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
     if let Some(part) = args.parts.asked() {
         return run_part(args, part, &inputs, options);
     }
-    let (sources, options) = open(args, &inputs, options)?;
+    let (Points { sources, left_out }, options) = open(args, &inputs, options, args.strict)?;
     let meter = Meter::new("points", args.json);
-    let control = build::BuildControl::from(&meter as &dyn build::Progress);
+    let leaves_out = |source: usize, error: &ReadError| left_out.takes(source, error);
+    let control = build::BuildControl::from(&meter as &dyn build::Progress).with_leaving_out(&leaves_out);
     let built = build::to_file(sources, &args.output, &options, &control);
     meter.finish();
-    present(&args.output, &built.map_err(|e| name_smallest_budget(e, budget(args)))?, args.json)
+    let built = built.map_err(|e| name_smallest_budget(e, budget(args)))?;
+    present(&args.output, &built, args.json)?;
+    left_out.remark().into_iter().for_each(report::remark);
+    Ok(())
 }
 
 fn budget(args: &BuildArgs) -> Budget {
@@ -146,38 +155,45 @@ fn read_options(args: &BuildArgs) -> ReadOptions {
 /// Opens the points, and chooses the attributes that are kept of them.
 fn open(
     args: &BuildArgs,
-    inputs: &[PathBuf],
+    inputs: &Files,
     options: BuildOptions,
-) -> Result<(Vec<Box<dyn PointSource>>, BuildOptions)> {
-    let sources = rayset_inputs::open_points(inputs, &read_options(args), &Program::quiet())?;
+    strict: bool,
+) -> Result<(Points, BuildOptions)> {
+    let points = rayset_inputs::open_points(inputs, &read_options(args), strict, &Program::quiet())?;
+    let sources = &points.sources;
     let named = args.attributes.as_deref().unwrap_or_default();
     let attributes = match (&args.attributes, named) {
         (None, _) => {
-            let columns = rayset_inputs::customary_columns(&sources);
+            let columns = rayset_inputs::customary_columns(sources);
             columns.remark().into_iter().for_each(report::remark);
             columns.kept
         }
-        (Some(_), [one]) if one == "all" => rayset_inputs::all_columns(&sources).kept,
+        (Some(_), [one]) if one == "all" => rayset_inputs::all_columns(sources).kept,
         (Some(_), [one]) if one == "none" => Vec::new(),
         (Some(_), _) => named.to_vec(),
     };
-    Ok((sources, options.with_attributes(attributes)))
+    Ok((points, options.with_attributes(attributes)))
 }
 
 /// Does a step of a part.
-fn run_part(args: &BuildArgs, part: PartOf, inputs: &[PathBuf], options: BuildOptions) -> Result<()> {
+fn run_part(args: &BuildArgs, part: PartOf, inputs: &Files, options: BuildOptions) -> Result<()> {
     let nothing = BuildOptions::default();
     let chosen = options.clone().with_memory_bytes(nothing.memory_bytes).with_threads(1).with_temp_dir(None);
     let said = format!("{chosen:?} {:?} {:?}", args.attributes, read_options(args));
     let work = Work {
         args: &args.parts,
         output: &args.output,
-        request: rayset_inputs::fingerprint(inputs, &said)?,
+        request: rayset_inputs::fingerprint(&inputs.paths, &said)?,
         options: options.clone(),
         budget: budget(args),
         json: args.json,
     };
-    build_parts::run(&work, part, || open(args, inputs, options))
+    // All parts must agree on what the inputs are, so that none may leave one out by itself.
+    build_parts::run(&work, part, || {
+        let (points, options) = open(args, inputs, options, true)?;
+        Destination::new(&args.output)?.refuse_inputs(points.files())?;
+        Ok((points, options))
+    })
 }
 
 /// Says what was built.

@@ -7,8 +7,8 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use rayset::build::{BuildControl, BuildOptions, BuildParts, BuildStep, Progress};
 use rayset::output::Destination;
-use rayset::points::PointSource;
 use rayset::storage::address_of;
+use rayset_inputs::Points;
 
 use crate::budget::{Budget, name_smallest_budget};
 use crate::memory::peak_rss;
@@ -112,7 +112,7 @@ struct Done {
 pub(crate) fn run(
     work: &Work<'_>,
     PartOf { part, parts }: PartOf,
-    open: impl FnOnce() -> Result<(Vec<Box<dyn PointSource>>, BuildOptions)>,
+    open: impl FnOnce() -> Result<(Points, BuildOptions)>,
 ) -> Result<()> {
     let started = std::time::Instant::now();
     let folder = work.args.folder(work.output)?;
@@ -129,8 +129,8 @@ pub(crate) fn run(
         let meter = Meter::new("points", work.json);
         let control = BuildControl::from(&meter as &dyn Progress);
         let outcome = if step == BuildStep::Read {
-            let (sources, options) = open()?;
-            build.read(part, sources, &options, &control)
+            let (points, options) = open()?;
+            build.read(part, points.sources, &options, &control)
         } else {
             build.run(step, part, &work.options, &control)
         };

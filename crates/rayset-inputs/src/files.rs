@@ -13,13 +13,36 @@ use crate::host::Host;
 /// Deepest nesting of folders that is followed.
 const DEEPEST: usize = 32;
 
+/// The files that inputs stand for.
+#[derive(Clone, Debug, Default)]
+pub struct Files {
+    /// Their paths.
+    pub paths: Vec<PathBuf>,
+    /// Of each, whether a person named it; otherwise a folder or a pattern did.
+    named: Vec<bool>,
+}
+
+impl Files {
+    /// Files that a person named, every one.
+    #[must_use]
+    pub fn named(paths: Vec<PathBuf>) -> Self {
+        Self { named: vec![true; paths.len()], paths }
+    }
+
+    /// Each path, and whether a person named it.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (&Path, bool)> {
+        self.paths.iter().map(PathBuf::as_path).zip(self.named.iter().copied())
+    }
+}
+
 /// The files that inputs stand for: a file for itself, a folder for all files below it that can be read, a pattern such as
 /// `tiles/*.laz` for those that match. Sorted within each folder and pattern, so that the order of a directory does not
 /// matter. Hidden files and folders are left out. A folder that is one thing, as a series of DICOM or a Zarr array is, stands
 /// for itself.
-pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
+pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Files> {
+    let (mut files, mut named) = (Vec::new(), Vec::new());
     for input in inputs {
+        named.resize(files.len(), false);
         if input.is_dir() {
             let before = files.len();
             below(input, 0, &mut files)?;
@@ -32,9 +55,11 @@ pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Vec<PathBuf>> {
             matching(input, &mut files)?;
         } else {
             files.push(input.clone());
+            named.push(true);
         }
     }
-    Ok(files)
+    named.resize(files.len(), false);
+    Ok(Files { paths: files, named })
 }
 
 fn is_pattern(path: &Path) -> bool {

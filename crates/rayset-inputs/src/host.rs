@@ -1,6 +1,7 @@
 //! Who asks for an input.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Result;
 use rayset::CancelToken;
@@ -36,6 +37,55 @@ pub trait Host: Sync {
 pub trait TemporaryFolder: Send + Sync {
     /// Where it is.
     fn path(&self) -> &Path;
+}
+
+/// A host that remembers what it was told, so that it can be said again when what was built is used again.
+pub(crate) struct Remembering<'a> {
+    host: &'a dyn Host,
+    remarks: Mutex<Vec<String>>,
+}
+
+impl<'a> Remembering<'a> {
+    pub(crate) fn of(host: &'a dyn Host) -> Self {
+        Self { host, remarks: Mutex::default() }
+    }
+
+    fn remarks(&self) -> MutexGuard<'_, Vec<String>> {
+        self.remarks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Forgets what was said so far.
+    pub(crate) fn forget(&self) {
+        self.remarks().clear();
+    }
+
+    /// What was said.
+    pub(crate) fn into_inner(self) -> Vec<String> {
+        self.remarks.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Host for Remembering<'_> {
+    fn remark(&self, text: &str) {
+        self.remarks().push(text.to_owned());
+        self.host.remark(text);
+    }
+
+    fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64) {
+        self.host.progress(unit, doing, done, total);
+    }
+
+    fn cancel(&self) -> CancelToken {
+        self.host.cancel()
+    }
+
+    fn temporary_folder(&self) -> Result<Box<dyn TemporaryFolder>> {
+        self.host.temporary_folder()
+    }
+
+    fn writes(&self, output: &Path, inputs: &[PathBuf]) -> Result<()> {
+        self.host.writes(output, inputs)
+    }
 }
 
 /// The progress of a build, as hosts are told of it.

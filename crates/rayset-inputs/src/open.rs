@@ -1,22 +1,26 @@
 //! Opens any input, building what has not been built.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
-use rayset::build::{self, BuildControl, BuildOptions, GridBuildOptions, Progress};
-use rayset::points::ReadOptions;
+use anyhow::{Result, bail};
+use rayset::build::{
+    self, BuildControl, BuildError, BuildOptions, GridBuildError, GridBuildOptions, Progress,
+};
+use rayset::output::OutputError;
+use rayset::points::{ReadError, ReadOptions};
 use rayset::volumes::VolumeSource;
 use rayset::{Cloud, Grid};
 
-use super::cache::{self, CacheArgs, Place};
+use super::cache::{self, CacheArgs, Found, Name, Place};
 use super::columns;
-use super::files;
+use super::files::{self, Files};
 use super::kinds::{self, Built};
 use super::magnitude;
-use super::sources::{has_volume, open_points, remark_about};
-use crate::host::{Host, Reported};
+use super::sources::{Points, has_volume, open_points, remark_about};
+use crate::host::{Host, Remembering, Reported};
 use crate::text;
 
 /// What an input is.
@@ -53,7 +57,7 @@ pub struct Resources<'a> {
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
 pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
-    if let [file] = files.as_slice() {
+    if let [file] = files.paths.as_slice() {
         if cache.columns().is_some() && (kinds::is_scene(file)? || kinds::is_built(file)?) {
             bail!(
                 "--columns names the columns of text and of arrays, and {} is a scene or has been built: build it with them",
@@ -61,13 +65,13 @@ pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> 
             );
         }
         if kinds::is_scene(file)? {
-            return Ok(Opened { input: Input::Scene(file.clone()), files, _place: None });
+            return Ok(Opened { input: Input::Scene(file.clone()), files: files.paths, _place: None });
         }
         if kinds::is_built(file)? {
-            return Ok(Opened { input: built(file)?, files, _place: None });
+            return Ok(Opened { input: built(file)?, files: files.paths, _place: None });
         }
     }
-    for file in &files {
+    for file in &files.paths {
         if kinds::is_scene(file)? || kinds::is_built(file)? {
             bail!(
                 "{} is a scene or has been built: it is rendered by itself, or with others as objects of a scene \
@@ -76,7 +80,7 @@ pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> 
             );
         }
     }
-    of_raw(files, cache, resources)
+    of_raw(&files, cache, resources)
 }
 
 fn built(path: &Path) -> Result<Input> {
@@ -87,39 +91,95 @@ fn built(path: &Path) -> Result<Input> {
 }
 
 /// Builds files of points or voxels, unless that has been done before.
-fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+fn of_raw(files: &Files, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
-    let options = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
-    let place = cache.place(&files, &options, resources.host)?;
-    if let Place::Kept(path) = &place
-        && path.exists()
-    {
-        // One that does not open was damaged: it is built again.
-        if let Ok(input) = built(path) {
-            cache::touch(path);
-            resources.host.remark(&format!("using {}, built before", path.display()));
-            return Ok(Opened { input, files: with(files, path), _place: None });
-        }
-        std::fs::remove_file(path).with_context(|| format!("cannot replace {}", path.display()))?;
+    let columns = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
+    let name = Name::of(&files.paths, &format!("{columns} strict {}", cache.strict()))?;
+    if let Some(opened) = kept(files, cache.find(&name), resources.host) {
+        return Ok(opened);
     }
     let started = Instant::now();
-    resources.host.writes(place.path(), &files)?;
-    build(&files, &read, place.path(), resources)?;
+    let mut place = cache.place(&name, resources.host)?;
+    let mut work =
+        Work { files, read: &read, strict: cache.strict(), resources, said: Remembering::of(resources.host) };
+    let pulled_in = match (work.build(place.path()), &place) {
+        (Err(error), Place::Kept(_)) if no_room(&error) => {
+            resources.host.remark(&format!("nothing is kept: {error:#}; --cache names another folder"));
+            place = CacheArgs::none().place(&name, resources.host)?;
+            work.build(place.path())?
+        }
+        (built, _) => built?,
+    };
     let input = built(place.path())?;
+    let all: Vec<PathBuf> = [&*files.paths, &*pulled_in.files].concat();
     let seconds = started.elapsed().as_secs_f64();
-    match &place {
-        Place::Kept(path) => {
-            cache.prune(path, resources.host);
+    match &mut place {
+        Place::Kept(entry) => {
+            entry.complete(&all, pulled_in.stamps, work.said.into_inner())?;
+            cache.prune(entry, resources.host);
             resources.host.remark(&format!(
                 "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",
-                path.display()
+                entry.data().display()
             ));
         }
         Place::Temporary { .. } => {
             resources.host.remark(&format!("built in {seconds:.1} s; nothing is kept"));
         }
     }
-    Ok(Opened { input, files: with(files, place.path()), _place: Some(place) })
+    Ok(Opened { input, files: with(all, place.path()), _place: Some(place) })
+}
+
+/// The first of some entries that opens. One that does not was damaged, which is said, and goes.
+fn kept(files: &Files, found: Vec<Found>, host: &dyn Host) -> Option<Opened> {
+    for Found { entry, files: pulled_in, remarks } in found {
+        let path = entry.data().to_owned();
+        match built(&path) {
+            Ok(input) => {
+                entry.touch();
+                remarks.iter().for_each(|remark| host.remark(remark));
+                host.remark(&format!("using {}, built before", path.display()));
+                let files = with([&*files.paths, &*pulled_in].concat(), &path);
+                return Some(Opened { input, files, _place: Some(Place::Kept(entry)) });
+            }
+            Err(error) => {
+                host.remark(&format!("what was kept of this input is damaged and made again: {error:#}"));
+                entry.discard();
+            }
+        }
+    }
+    None
+}
+
+/// Whether a build failed because nothing more can be written where it was.
+fn no_room(error: &anyhow::Error) -> bool {
+    use std::io::ErrorKind;
+    let of_output = |error: &OutputError| match error {
+        OutputError::Io { source, .. } => Some(source.kind()),
+        _ => None,
+    };
+    let of_build = |error: &BuildError| match error {
+        BuildError::Io { source, .. } => Some(source.kind()),
+        BuildError::Output(error) => of_output(error),
+        _ => None,
+    };
+    let of_grid = |error: &GridBuildError| match error {
+        GridBuildError::Write { source, .. } | GridBuildError::Temporary { source, .. } => {
+            Some(source.kind())
+        }
+        GridBuildError::Output(error) => of_output(error),
+        _ => None,
+    };
+    let kind = error.downcast_ref().and_then(of_build).or_else(|| error.downcast_ref().and_then(of_grid));
+    matches!(
+        kind,
+        Some(
+            ErrorKind::StorageFull
+                | ErrorKind::QuotaExceeded
+                | ErrorKind::FileTooLarge
+                | ErrorKind::ReadOnlyFilesystem
+                | ErrorKind::PermissionDenied
+        )
+    )
 }
 
 fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
@@ -127,37 +187,105 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn build(files: &[PathBuf], read: &ReadOptions, output: &Path, resources: Resources<'_>) -> Result<()> {
-    let Resources { memory, host, .. } = resources;
-    if has_volume(files)? {
-        let [file] = files else {
+/// Files that inputs pull in by themselves.
+#[derive(Default)]
+struct PulledIn {
+    files: Vec<PathBuf>,
+    /// Taken before they were read.
+    stamps: Vec<(PathBuf, String)>,
+}
+
+impl PulledIn {
+    /// Those of all files that are read which were not named.
+    fn of(read: impl Iterator<Item = PathBuf>, files: &Files) -> Result<Self> {
+        let named: HashSet<&Path> = files.paths.iter().map(PathBuf::as_path).collect();
+        let files: Vec<PathBuf> = read.filter(|file| !named.contains(&**file)).collect();
+        Ok(Self { stamps: cache::stamps(&files)?, files })
+    }
+}
+
+/// A build of files of points, or of a volume.
+struct Work<'a> {
+    files: &'a Files,
+    read: &'a ReadOptions,
+    strict: bool,
+    resources: Resources<'a>,
+    said: Remembering<'a>,
+}
+
+impl Work<'_> {
+    /// Builds the file at `output`. Returns what the inputs pull in.
+    fn build(&mut self, output: &Path) -> Result<PulledIn> {
+        self.said.forget();
+        if !has_volume(&self.files.paths)? {
+            return self.cloud(output);
+        }
+        let [file] = self.files.paths.as_slice() else {
+            let files = &self.files.paths;
             bail!("these are {} files, volumes among them, {}", files.len(), what_to_do_with_volumes(files))
         };
-        return build_volume(file, output, resources);
+        self.volume(file, output)
     }
-    let options = BuildOptions::default().with_memory_bytes(memory);
-    let threads = resources.threads.unwrap_or(options.threads);
-    let sources = open_points(files, read, host)?;
-    let columns = columns::customary(&sources);
-    if let Some(remark) = columns.remark() {
-        resources.host.remark(&remark);
+
+    fn cloud(&self, output: &Path) -> Result<PulledIn> {
+        let Resources { memory, host, .. } = self.resources;
+        let options = BuildOptions::default().with_memory_bytes(memory);
+        let threads = self.resources.threads.unwrap_or(options.threads);
+        let points = open_points(self.files, self.read, self.strict, &self.said)?;
+        let pulled_in = PulledIn::of(points.files(), self.files)?;
+        host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
+        let Points { sources, left_out } = points;
+        let columns = columns::customary(&sources);
+        if let Some(remark) = columns.remark() {
+            self.said.remark(&remark);
+        }
+        let options = options.with_attributes(columns.kept);
+        let reported = Reported { host, unit: "points" };
+        let leaves_out = |source: usize, error: &ReadError| left_out.takes(source, error);
+        let control = control(&reported).with_leaving_out(&leaves_out);
+        let done = build::to_file(sources, output, &options.with_threads(threads), &control)?;
+        if let Some(remark) = left_out.remark() {
+            self.said.remark(&remark);
+        }
+        let skipped = done.skipped.total();
+        if done.points == 0 && skipped == 0 {
+            let [first, others @ ..] = self.files.paths.as_slice() else { bail!("no input files") };
+            let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
+            bail!(
+                "{}{more}: no points: the header says that there are none, so there is nothing to see",
+                first.display()
+            );
+        }
+        if skipped > 0 {
+            self.said.remark(&format!("skipped {} invalid records", text::count(skipped)));
+        }
+        Ok(pulled_in)
     }
-    let options = options.with_attributes(columns.kept);
-    let reported = Reported { host, unit: "points" };
-    let done = build::to_file(sources, output, &options.with_threads(threads), &control(&reported))?;
-    let skipped = done.skipped.total();
-    if done.points == 0 && skipped == 0 {
-        let [first, others @ ..] = files else { bail!("no input files") };
-        let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
-        bail!(
-            "{}{more}: no points: the header says that there are none, so there is nothing to see",
-            first.display()
-        );
+
+    /// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.
+    fn volume(&self, file: &Path, output: &Path) -> Result<PulledIn> {
+        let Resources { memory, host, .. } = self.resources;
+        let options = GridBuildOptions::default().with_memory_bytes(memory);
+        let build = |source| {
+            build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
+            anyhow::Ok(())
+        };
+        let source = VolumeSource::open(file)?;
+        let pulled_in = PulledIn::of(source.paths().into_iter().map(Path::to_owned), self.files)?;
+        host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
+        remark_about(file, &source, &self.said);
+        build(source)?;
+        let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(pulled_in) };
+        let mut source = VolumeSource::open(file)?;
+        let sentence =
+            format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
+        self.said.remark(&format!("{}: {sentence}", file.display()));
+        let factor = 10_f64.powi(exponent);
+        (source.scale, source.offset) = (source.scale * factor, source.offset * factor);
+        source.about.push(sentence);
+        build(source)?;
+        Ok(pulled_in)
     }
-    if skipped > 0 {
-        resources.host.remark(&format!("skipped {} invalid records", text::count(skipped)));
-    }
-    Ok(())
 }
 
 /// What makes one volume of several files.
@@ -174,26 +302,6 @@ fn what_to_do_with_volumes(files: &[PathBuf]) -> String {
         "slices in TIFF, which is not read; from Python, `numpy.save(\"volume.npy\", \
          tifffile.imread(\"{folder}/*.tif\"))` makes one volume of them that opens"
     )
-}
-
-/// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.
-fn build_volume(file: &Path, output: &Path, Resources { memory, host, .. }: Resources<'_>) -> Result<()> {
-    let options = GridBuildOptions::default().with_memory_bytes(memory);
-    let build = |source| {
-        build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
-        anyhow::Ok(())
-    };
-    let source = VolumeSource::open(file)?;
-    remark_about(file, &source, host);
-    build(source)?;
-    let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(()) };
-    let mut source = VolumeSource::open(file)?;
-    let sentence = format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
-    host.remark(&format!("{}: {sentence}", file.display()));
-    let factor = 10_f64.powi(exponent);
-    (source.scale, source.offset) = (source.scale * factor, source.offset * factor);
-    source.about.push(sentence);
-    build(source)
 }
 
 fn control<'a>(reported: &'a Reported<'_>) -> BuildControl<'a> {

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-use crate::output::{Destination, Purpose, create_unique};
+use crate::output::{Access, Destination, Purpose, create_unique};
 
 /// Temporarily stored records: in an unnamed file, or in memory if no file is to be created; or stretches of files that others
 /// have written, one after another.
@@ -90,7 +90,7 @@ impl Spill {
         if let Ok(file) = without_name(temp_dir) {
             return Ok(Self::File(TemporaryFile { file }));
         }
-        let (file, path) = create_unique(temp_dir, output.file_name(), Purpose::Temporary)?;
+        let (file, path) = create_unique(temp_dir, output.file_name(), Purpose::Temporary, Access::Private)?;
         #[cfg(unix)]
         if let Err(error) = std::fs::remove_file(&path) {
             // Try again: a file that keeps its name would be left behind.
@@ -208,6 +208,19 @@ impl SpillWriter {
         }
         self.buffer.extend_from_slice(bytes);
         Ok(())
+    }
+
+    /// The number of bytes pushed so far, to which [`rewind`](Self::rewind) goes back.
+    pub(crate) fn mark(&self) -> u64 {
+        self.written + self.buffer.len() as u64
+    }
+
+    /// Forgets what was pushed since the mark was taken.
+    pub(crate) fn rewind(&mut self, mark: u64) {
+        let held = usize::try_from(mark.saturating_sub(self.written)).unwrap_or(usize::MAX);
+        self.buffer.truncate(held);
+        // What has gone to the file behind the mark is overwritten, or lies beyond the last record.
+        self.written = self.written.min(mark);
     }
 
     fn flush(&mut self) -> io::Result<()> {

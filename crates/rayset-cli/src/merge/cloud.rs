@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Context, Result, ensure};
 use rayset::build::{BuildControl, BuildOptions, BuildParts, Progress};
+use rayset::output::Destination;
 
 use crate::budget::{Budget, name_smallest_budget};
 use crate::build;
@@ -22,9 +23,10 @@ pub(super) struct Merge<'a> {
 }
 
 pub(super) fn run(job: &Merge<'_>) -> Result<()> {
-    let nothing: [&Path; 0] = [];
-    Outputs::beside(nothing).add(job.output, None)?.require_file()?;
+    let output = Outputs::default().add(job.output, None)?;
+    output.require_file()?;
     let parts = BuildParts::open(job.folder)?;
+    refuse_within(&output, job.folder)?;
     let budget = Budget::of(job.memory, [job.folder, job.output]);
     // One thread lays out pages.
     let options = BuildOptions::default().with_memory_bytes(budget.left()).with_threads(1);
@@ -37,4 +39,18 @@ pub(super) fn run(job: &Merge<'_>) -> Result<()> {
         parts.remove()?;
     }
     build::present(job.output, &merged, job.json)
+}
+
+/// Refuses an output among the parts: they are read for it, and the folder is removed once it is whole.
+fn refuse_within(output: &Destination, folder: &Path) -> Result<()> {
+    let doing = || format!("cannot look at {}", folder.display());
+    let within = folder.canonicalize().with_context(doing)?;
+    let place = output.canonical().with_context(|| format!("cannot write {}", output.path().display()))?;
+    ensure!(
+        !place.is_some_and(|place| place.starts_with(within)),
+        "{} lies in {}, the folder of the parts, which is removed once they are merged; name a file outside of it",
+        output.path().display(),
+        folder.display()
+    );
+    Ok(())
 }

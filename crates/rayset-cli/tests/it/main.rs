@@ -11,6 +11,7 @@ mod common;
 mod faults;
 mod info;
 mod interrupted;
+mod kept;
 mod las_files;
 mod las_times;
 mod limits;
@@ -24,6 +25,7 @@ mod pictures;
 mod program;
 mod settings;
 mod splats_and_meshes;
+mod tiles;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
 mod value_ranges;

@@ -580,3 +580,91 @@ fn what_killed_runs_of_every_kind_leave_the_next_ones_remove() {
     File::open(f.join("cloud.rset")).and_then(|mut file| file.read_to_end(&mut bytes)).expect("it reads");
     assert!(!bytes.is_empty());
 }
+
+#[test]
+fn no_output_replaces_a_file_that_an_input_pulls_in() {
+    let folder = folder();
+    let f = folder.path();
+    let parts = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures/gadget");
+    let others: [(&str, &str, usize); 2] = [
+        ("v.mhd", "NDims = 3\nDimSize = 8 8 8\nElementType = MET_UCHAR\nElementDataFile = v.raw\n", 512),
+        (
+            "v.nhdr",
+            "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\ndata file: v.raw\n",
+            512,
+        ),
+    ];
+    let refused = |arguments: &[&str], kept: &str| {
+        let before = fs::read(f.join(kept)).expect("it reads");
+        let said = fails(f, arguments);
+        assert!(said.contains("is an input of this run"), "{arguments:?}: {said}");
+        assert!(fs::read(f.join(kept)).expect("it is still there") == before, "{arguments:?}");
+    };
+    for (header, text, bytes) in others {
+        fs::write(f.join(header), text).expect("a write");
+        fs::write(f.join("v.raw"), (0..bytes).map(|i| i as u8).collect::<Vec<_>>()).expect("a write");
+        refused(&["build", header, "-o", "v.raw"], "v.raw");
+        // Built now, and taken from the cache.
+        let render = ["render", header, "-o", "a.png", "--size", "8x8"];
+        succeeds(f, &[&render[..], &["--cache", "kept"]].concat());
+        fs::copy(f.join("v.raw"), f.join("w.png")).expect("a copy");
+        for option in ["--stats", "--write-scene"] {
+            refused(&[&render[..], &["--cache", "kept", option, "v.raw"]].concat(), "v.raw");
+            refused(&[&render[..], &[option, "v.raw", "--no-cache"]].concat(), "v.raw");
+        }
+    }
+    let png = "NDims = 3\nDimSize = 8 8 8\nElementType = MET_UCHAR\nElementDataFile = w.png\n";
+    fs::write(f.join("w.mhd"), png).expect("a write");
+    refused(&["render", "w.mhd", "-o", "w.png", "--size", "8x8", "--no-cache"], "w.png");
+    for name in ["parts.0", "parts.1"] {
+        fs::copy(parts.join(name), f.join(name)).expect("a snapshot");
+    }
+    refused(&["build", "parts.0", "-o", "parts.1"], "parts.1");
+    refused(&["build", "parts.0", "-o", "parts.1", "--part", "1/2"], "parts.1");
+    // A preset and a picture of a scene.
+    let scene = r#"{"rayset": 1, "image": {"size": [8, 8]}, "root": {"type": "sphere", "radius": 1,
+        "transferFunction": {"preset": {"file": "p.json"}}}}"#;
+    fs::write(f.join("s.json"), scene).expect("a write");
+    let preset = r#"[{"Name": "a", "RGBPoints": [0, 0, 0, 0, 1, 1, 1, 1]}]"#;
+    fs::write(f.join("p.json"), preset).expect("a write");
+    refused(&["render", "s.json", "-o", "a.png", "--stats", "p.json"], "p.json");
+}
+
+#[test]
+fn parts_are_not_merged_into_their_own_folder() {
+    let folder = folder();
+    let f = folder.path();
+    succeeds(f, &["generate", "sphere-2k", "-o", "p.ply"]);
+    for _ in 0..9 {
+        succeeds(f, &["build", "p.ply", "-o", "x", "--radius", "0.2", "--part", "1/1"]);
+    }
+    let before = names(&f.join("x.parts"));
+    for output in ["x.parts/order-1-of-1.data", "x.parts/new.rset", "x.parts/../x.parts/new.rset"] {
+        let said = fails(f, &["merge", "x.parts", "-o", output]);
+        assert!(said.contains("the folder of the parts"), "{output}: {said}");
+    }
+    assert_eq!(names(&f.join("x.parts")), before);
+    succeeds(f, &["merge", "x.parts", "-o", "x.rset"]);
+}
+
+#[test]
+fn an_output_keeps_the_mode_of_the_file_that_it_replaces() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = with_cloud();
+    let f = folder.path();
+    let outputs: [&[&str]; 4] = [
+        &["build", "points.ply", "-o"],
+        &["render", "cloud.rset", "--size", "8x8", "-o"],
+        &["render", "cloud.rset", "--size", "8x8", "-o", "other.png", "--stats"],
+        &["generate", "sphere-100", "-o"],
+    ];
+    for (arguments, name) in outputs.into_iter().zip(["o.rset", "o.png", "o.json", "o.ply"]) {
+        for mode in [0o600, 0o640, 0o664] {
+            fs::write(f.join(name), "an older file").expect("a write");
+            fs::set_permissions(f.join(name), fs::Permissions::from_mode(mode)).expect("a mode");
+            succeeds(f, &[arguments, &[name]].concat());
+            let now = fs::metadata(f.join(name)).expect("it is there");
+            assert!(now.len() != 13 && now.mode() & 0o777 == mode, "{name}: {:o}", now.mode());
+        }
+    }
+}

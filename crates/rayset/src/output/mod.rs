@@ -16,7 +16,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use self::destination::Destination;
-pub(crate) use self::partial::{Purpose, create_unique, remove_leftovers, remove_partials};
+pub(crate) use self::partial::{Access, Purpose, create_unique, remove_leftovers, remove_partials};
 pub use self::writer::{OutputFile, OutputWriter};
 
 /// Why an output cannot be written.

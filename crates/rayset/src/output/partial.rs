@@ -54,15 +54,37 @@ fn process_of(name: &OsStr, prefix: &str) -> Option<u32> {
     if digits(number) { process.parse().ok() } else { None }
 }
 
+/// Who may read a file while it is written.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Access {
+    /// Whoever the process's mask of modes admits.
+    Usual,
+    /// Its owner alone.
+    Private,
+}
+
 /// Creates a file in `folder` under a unique name derived from `output`, and locks it.
-pub(crate) fn create_unique(folder: &Path, output: &OsStr, purpose: Purpose) -> io::Result<(File, PathBuf)> {
+pub(crate) fn create_unique(
+    folder: &Path,
+    output: &OsStr,
+    purpose: Purpose,
+    access: Access,
+) -> io::Result<(File, PathBuf)> {
     let prefix = purpose.prefix(output);
     let process = std::process::id();
     let mut number = 0_u32;
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create_new(true);
+    #[cfg(unix)]
+    if access == Access::Private {
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    }
+    #[cfg(not(unix))]
+    let _ = access;
     loop {
         let path = folder.join(format!("{prefix}{process}-{number}"));
         number = number.wrapping_add(1);
-        let file = match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
+        let file = match options.open(&path) {
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
             result => result?,
         };

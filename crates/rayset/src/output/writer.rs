@@ -1,12 +1,12 @@
 //! Output files, written beside their destinations.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::destination::Target;
-use super::partial::{Purpose, create_unique, remove_leftovers};
+use super::partial::{Access, Purpose, create_unique, remove_leftovers};
 use super::{Destination, OutputError};
 use crate::storage::{address, address_of};
 
@@ -19,6 +19,8 @@ pub struct OutputFile {
     growing: Arc<Growing>,
     /// `None` for a stream, and once the file has its name.
     partial: Option<PathBuf>,
+    /// The file that will be replaced, whose mode and owner are kept.
+    replaced: Option<Metadata>,
 }
 
 /// The state that all writers of a file share.
@@ -38,18 +40,27 @@ impl OutputFile {
     /// [`OutputError::Io`].
     pub fn create(destination: &Destination) -> Result<Self, OutputError> {
         let io = |source| OutputError::Io { action: "write", path: destination.path().to_owned(), source };
-        let (file, partial) = match &destination.target {
-            Target::Stream => (File::options().write(true).open(destination.path()).map_err(io)?, None),
-            Target::File(_) | Target::Far(_) => {
-                let folder = destination.folder();
-                remove_leftovers(folder, destination);
-                let (file, partial) =
-                    create_unique(folder, destination.file_name(), Purpose::Partial).map_err(io)?;
-                (file, Some(partial))
+        let mut replaced = None;
+        let access = match &destination.target {
+            Target::File(path) => {
+                replaced = std::fs::metadata(path).ok();
+                // Until it has the mode of the other, which may be as strict.
+                if replaced.is_some() { Access::Private } else { Access::Usual }
             }
+            Target::Far(_) => Access::Private,
+            Target::Stream => Access::Usual,
+        };
+        let (file, partial) = if destination.is_stream() {
+            (File::options().write(true).open(destination.path()).map_err(io)?, None)
+        } else {
+            let folder = destination.folder();
+            remove_leftovers(folder, destination);
+            let created = create_unique(folder, destination.file_name(), Purpose::Partial, access);
+            let (file, partial) = created.map_err(io)?;
+            (file, Some(partial))
         };
         let growing = Arc::new(Growing { file, failure: Mutex::default() });
-        Ok(Self { destination: destination.clone(), growing, partial })
+        Ok(Self { destination: destination.clone(), growing, partial, replaced })
     }
 
     /// The destination.
@@ -98,12 +109,39 @@ impl OutputFile {
             Target::Far(_) => return put(partial, self.destination.path()),
             Target::Stream => return Ok(()),
         };
+        if let Some(replaced) = &self.replaced {
+            keep_access(&self.growing.file, replaced)?;
+        }
         if durable {
             self.growing.file.sync_all()?;
         }
         std::fs::rename(partial, path)?;
         self.partial = None;
         if durable { sync_folder(self.destination.folder()) } else { Ok(()) }
+    }
+}
+
+/// Gives a file the mode of the one that it replaces, and its owner and group where the system allows that.
+fn keep_access(file: &File, replaced: &Metadata) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+        let own = file.metadata()?;
+        if (own.uid(), own.gid()) != (replaced.uid(), replaced.gid())
+            && fchown(file, Some(replaced.uid()), Some(replaced.gid())).is_err()
+        {
+            // A member of the group may give the file to it, if not to another owner.
+            let _ = fchown(file, None, Some(replaced.gid()));
+        }
+        // The group's rights are those of that group alone.
+        let same_group = file.metadata()?.gid() == replaced.gid();
+        let mode = replaced.mode() & if same_group { 0o777 } else { 0o707 };
+        file.set_permissions(std::fs::Permissions::from_mode(mode))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = (file, replaced);
+        Ok(())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Longitudes and latitudes in degrees become metres, so that heights, which are metres already, are as large as they look.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{Place, PointBatch, PointSource, ReadError, Schema};
 use crate::cancel::CancelToken;
@@ -115,6 +115,10 @@ impl PointSource for InMetres {
 
     fn path(&self) -> Option<&Path> {
         self.degrees.path()
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        self.degrees.files()
     }
 
     fn memory_needed(&self) -> u64 {

@@ -12,6 +12,7 @@ mod error;
 mod formats;
 mod gadget;
 mod geographic;
+mod in_turn;
 #[cfg(feature = "las")]
 mod las;
 mod lines;
@@ -53,6 +54,8 @@ pub(crate) use self::array::ArraySource;
 pub use self::column::{ColumnInfo, ColumnType, Values};
 pub use self::error::{Place, ReadError};
 pub use self::formats::{ReadOptions, open};
+#[doc(hidden)]
+pub use self::in_turn::InTurn;
 #[cfg(all(feature = "internals", feature = "las"))]
 #[doc(hidden)]
 pub use self::las::LasSource;

@@ -1,6 +1,6 @@
 //! Streams of points: sources, their schemas, and batches.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::column::{ColumnInfo, Values};
 use super::error::ReadError;
@@ -114,9 +114,13 @@ pub trait PointSource: Send {
     fn schema(&self) -> &Schema;
     /// Number of points that the source claims to hold, if known; never trusted for an allocation.
     fn count_hint(&self) -> Option<u64>;
-    /// The file that is read, if the source is a file; an output never replaces it.
+    /// The file that is read, if the source is a file; the first of several.
     fn path(&self) -> Option<&Path> {
         None
+    }
+    /// Every file that is read: an output never replaces one of them.
+    fn files(&self) -> Vec<PathBuf> {
+        self.path().map(Path::to_owned).into_iter().collect()
     }
     /// Chooses the columns that [`fill`](Self::fill) delivers, by their index in the schema; one may be chosen more than
     /// once. Initially, none are chosen.
@@ -124,6 +128,11 @@ pub trait PointSource: Send {
     /// Upper bound on the memory in bytes that reading needs besides the batch. Sources that need almost none return 0.
     fn memory_needed(&self) -> u64 {
         0
+    }
+    /// Upper bound on the memory in bytes that the source takes before its first [`fill`](Self::fill). A source that opens its
+    /// file only then needs little until its turn comes.
+    fn memory_idle(&self) -> u64 {
+        self.memory_needed()
     }
     /// Whether [`skip`](Self::skip) takes about as long for many points as for few. Builds in parts divide such sources among
     /// the parts, and give others to one part as a whole.

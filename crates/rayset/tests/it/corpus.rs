@@ -231,20 +231,35 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// Leaves an input for a target, where that is asked for.
-fn keep(target: &str, number: usize, parts: &[&[u8]]) {
-    if let Some(root) = std::env::var_os("RAYSET_CORPUS") {
-        let folder = Path::new(&root).join(target);
-        std::fs::create_dir_all(&folder).expect("a folder");
-        std::fs::write(folder.join(format!("seed-{number:03}")), parts.concat()).expect("a write");
-    }
+/// An input of a fuzzer: the target, and the bytes.
+pub(crate) type Input = (&'static str, Vec<u8>);
+
+/// All inputs, each of which is read here.
+pub(crate) fn inputs() -> Vec<Input> {
+    let folder = folder();
+    let mut inputs = of_readers(folder.path());
+    inputs.extend(files(folder.path()));
+    inputs.extend(scenes(folder.path()));
+    inputs
 }
 
 #[test]
 fn every_input_that_the_fuzzers_begin_with_is_read() {
-    let folder = folder();
-    for (number, (name, bytes)) in point_files().into_iter().chain(splats_and_meshes()).enumerate() {
-        let path = folder.path().join(name);
+    let inputs = inputs();
+    assert!(inputs.len() > 60);
+    let Some(root) = std::env::var_os("RAYSET_CORPUS") else { return };
+    for (number, (target, bytes)) in inputs.iter().enumerate() {
+        let folder = Path::new(&root).join(target);
+        std::fs::create_dir_all(&folder).expect("a folder");
+        std::fs::write(folder.join(format!("seed-{number:03}")), bytes).expect("a write");
+    }
+}
+
+/// Points, meshes and volumes.
+fn of_readers(folder: &Path) -> Vec<Input> {
+    let mut inputs = Vec::new();
+    for (name, bytes) in point_files().into_iter().chain(splats_and_meshes()) {
+        let path = folder.join(name);
         std::fs::write(&path, &bytes).expect("a write");
         let mut source: Box<dyn PointSource> = if name == "mesh.ply" {
             Box::new(MeshSource::open(&path, 10).expect("a mesh"))
@@ -255,31 +270,31 @@ fn every_input_that_the_fuzzers_begin_with_is_read() {
         source.fill(&mut batch, 100).unwrap_or_else(|e| panic!("{e}"));
         assert!(batch.len() > 1, "{name}");
         let choice = POINTS.iter().position(|n| *n == name).expect("a name") as u8;
-        keep("points", number, &[&[choice], &bytes]);
+        inputs.push(("points", [&[choice], &*bytes].concat()));
     }
-    for (number, (name, bytes)) in volume_files().into_iter().enumerate() {
-        let path = folder.path().join(name);
+    for (name, bytes) in volume_files() {
+        let path = folder.join(name);
         std::fs::write(&path, &bytes).expect("a write");
         let mut source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
         let mut voxels = vec![0; source.size.iter().product::<u64>() as usize * source.kind.bytes()];
         source.read(&mut voxels).unwrap_or_else(|e| panic!("{e}"));
         let choice = VOLUMES.iter().position(|n| *n == name).expect("a name") as u8;
-        keep("volumes", number, &[&[choice], &bytes]);
+        inputs.push(("volumes", [&[choice], &*bytes].concat()));
     }
-    files(folder.path());
-    scenes(folder.path());
+    inputs
 }
 
 /// Clouds and grids.
-fn files(folder: &Path) {
+fn files(folder: &Path) -> Vec<Input> {
     use rayset::grid::build::{GridBuildOptions, build};
+    let mut inputs = Vec::new();
     let path = folder.join("cloud.rset");
-    for (number, points) in [0, 1, 40, 5000].into_iter().enumerate() {
+    for points in [0, 1, 40, 5000] {
         let options = BuildOptions { attributes: vec!["weight".into()], ..BuildOptions::default() };
         build_at(&path, Box::new(mixed_points(points, 3.0, 1)), &options);
         let bytes = std::fs::read(&path).expect("a read");
         if bytes.len() < 131_072 {
-            keep("files", number, &[&bytes]);
+            inputs.push(("files", bytes));
         }
     }
     let raw = folder.join("voxels.raw");
@@ -288,10 +303,11 @@ fn files(folder: &Path) {
     let path = folder.join("grid.rset");
     build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
         .expect("it builds");
-    keep("files", 9, &[&std::fs::read(&path).expect("a read")]);
+    inputs.push(("files", std::fs::read(&path).expect("a read")));
+    inputs
 }
 
-fn scenes(folder: &Path) {
+fn scenes(folder: &Path) -> Vec<Input> {
     let maps = r#"[{"Name": "Fire", "RGBPoints": [0, 0, 0, 0, 1, 1, 0.5, 0], "Points": [0, 0, 0.5, 0, 1, 1, 0.5, 0]}]"#;
     std::fs::write(folder.join("maps.json"), maps).expect("a write");
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples");
@@ -301,8 +317,9 @@ fn scenes(folder: &Path) {
         r#"{"rayset": 1, "camera": {"position": [9, 4, 30], "direction": [0, 0, -1]}, "lights": [{"type": "point", "position": [5, 20, 5]}, {"type": "directional", "direction": [0, -1, 0]}], "rendering": {"shadows": "exact"}, "root": {"type": "blend", "children": [{"type": "grid", "file": "grid.rset", "transferFunction": {"opacity": [[0, 0], [200, 0.9]], "preset": {"file": "maps.json", "name": "Fire"}}}, {"type": "noise", "radii": [3, 2, 1], "scale": 1}]}}"#,
         r##"{"rayset": 1, "animation": {"keys": [{"frame": 0, "camera": {"position": [0, 0, 5]}}, {"frame": 9, "camera": {"position": [0, 5, 5]}}]}, "define": {"ball": {"type": "sphere", "radius": 1, "edge": 0.1, "color": "#ff8000", "material": {"reflectance": 0.4}}}, "root": {"type": "union", "children": [{"ref": "ball"}, {"ref": "ball", "transform": {"scale": 2, "translate": [2, 0, 0]}}, {"type": "torus", "majorRadius": 1, "minorRadius": 0.2, "material": {"refractiveIndex": 1.5}}]}}"##,
     ];
-    for (number, text) in own.into_iter().chain([mirrors.as_str()]).enumerate() {
+    let parsed = own.into_iter().chain([mirrors.as_str()]).map(|text| {
         SceneFile::parse(&folder.join("scene.json"), text).unwrap_or_else(|e| panic!("{e}"));
-        keep("scenes", number, &[text.as_bytes()]);
-    }
+        ("scenes", text.as_bytes().to_vec())
+    });
+    parsed.collect()
 }

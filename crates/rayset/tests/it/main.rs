@@ -47,6 +47,7 @@ mod ply_files;
 mod ptx;
 mod readers;
 mod refusals;
+mod replay;
 mod right_picture;
 mod same_picture;
 mod samples;

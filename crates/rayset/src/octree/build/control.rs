@@ -1,6 +1,7 @@
 //! Progress reports and cancellation of a build.
 
 use crate::cancel::CancelToken;
+use crate::points::ReadError;
 
 /// The stages of a build, for progress reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,12 +38,15 @@ pub struct BuildControl<'a> {
     /// Cancels the build, which then returns [`BuildError::Cancelled`](super::BuildError::Cancelled) and leaves no file
     /// behind.
     pub cancel: CancelToken,
+    /// Is asked, of an input that turns out to be damaged, whether the build goes on without any of its points. It is given the
+    /// index of the source and its error. If `None`, and in builds in parts, the first damaged input ends the build.
+    pub leaves_out: Option<&'a (dyn Fn(usize, &ReadError) -> bool + Sync)>,
 }
 
 impl Default for BuildControl<'_> {
     /// No progress reports, and a new token.
     fn default() -> Self {
-        Self { progress: &NoProgress, cancel: CancelToken::new() }
+        Self { progress: &NoProgress, cancel: CancelToken::new(), leaves_out: None }
     }
 }
 
@@ -52,7 +56,13 @@ impl<'a> From<&'a dyn Progress> for BuildControl<'a> {
     }
 }
 
-impl BuildControl<'_> {
+impl<'a> BuildControl<'a> {
+    /// Sets who is asked whether a build goes on without a damaged input.
+    #[must_use]
+    pub fn with_leaving_out(self, leaves_out: &'a (dyn Fn(usize, &ReadError) -> bool + Sync)) -> Self {
+        Self { leaves_out: Some(leaves_out), ..self }
+    }
+
     /// Sets the token that stops the build.
     #[must_use]
     pub fn with_cancel(self, cancel: &CancelToken) -> Self {

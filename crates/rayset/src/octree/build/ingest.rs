@@ -26,10 +26,22 @@ pub(super) fn run(
 ) -> Result<Ingested, BuildError> {
     let (form, columns) = Form::choose(context.options, &sources)?;
     let mut writer = SpillWriter::new(context.spill()?, 1 << 20);
-    let stretches = sources.into_iter().enumerate().map(Stretch::whole).collect();
-    let totals = read(context, &columns, stretches, |record| {
-        writer.push(record).map_err(context.io("write temporary files in"))
-    })?;
+    let stretches: Vec<_> = sources.into_iter().enumerate().map(Stretch::whole).collect();
+    let mut reader = Reader::new(context, &columns, &stretches);
+    for stretch in stretches {
+        let (input, mark, before) = (stretch.input, writer.mark(), reader.tally.totals.clone());
+        let read = reader
+            .read(stretch, &mut |record| writer.push(record).map_err(context.io("write temporary files in")));
+        match (read, context.control.leaves_out) {
+            (Err(BuildError::Read(error)), Some(leaves_out)) if leaves_out(input, &error) => {
+                // As if it had not been there: pages must not depend on how far it could be read.
+                writer.rewind(mark);
+                reader.tally.totals = before;
+            }
+            (read, _) => read?,
+        }
+    }
+    let totals = reader.tally.totals;
     totals.refuse_unusable(context.options)?;
     let spill = writer.finish().map_err(context.io("write temporary files in"))?;
     Ok(Ingested { spill, survey: Survey::new(&form, &totals) })
@@ -64,18 +76,45 @@ pub(super) fn read(
     stretches: Vec<Stretch<'_>>,
     mut write: impl FnMut(&[u8]) -> Result<(), BuildError>,
 ) -> Result<Totals, BuildError> {
-    let mut tally = Tally {
-        options: context.options,
-        columns,
-        depth: 0,
-        totals: Totals::none(columns.attributes.len()),
-        record: Vec::with_capacity(columns.layout.stride()),
-    };
-    let total = stretches.iter().map(Stretch::count_hint).sum::<Option<u64>>().unwrap_or(0);
-    let mut batch = PointBatch::default();
-    for mut stretch in stretches {
+    let mut reader = Reader::new(context, columns, &stretches);
+    for stretch in stretches {
+        reader.read(stretch, &mut write)?;
+    }
+    Ok(reader.tally.totals)
+}
+
+/// Reads one source after another.
+struct Reader<'a> {
+    context: &'a Context<'a>,
+    tally: Tally<'a>,
+    batch: PointBatch,
+    /// Records of all sources, as far as they say; 0 if one of them does not.
+    records_hint: u64,
+}
+
+impl<'a> Reader<'a> {
+    fn new(context: &'a Context<'a>, columns: &'a Columns, stretches: &[Stretch<'_>]) -> Self {
+        let tally = Tally {
+            options: context.options,
+            columns,
+            depth: 0,
+            totals: Totals::none(columns.attributes.len()),
+            record: Vec::with_capacity(columns.layout.stride()),
+        };
+        let records_hint = stretches.iter().map(Stretch::count_hint).sum::<Option<u64>>().unwrap_or(0);
+        Self { context, tally, batch: PointBatch::default(), records_hint }
+    }
+
+    /// Reads a stretch and closes its source.
+    fn read(
+        &mut self,
+        mut stretch: Stretch<'_>,
+        write: &mut impl FnMut(&[u8]) -> Result<(), BuildError>,
+    ) -> Result<(), BuildError> {
+        let Self { context, tally, batch, .. } = self;
         let source = &mut stretch.source;
-        let selection: Vec<usize> = columns.names.iter().filter_map(|n| source.schema().find(n)).collect();
+        let names = &tally.columns.names;
+        let selection: Vec<usize> = names.iter().filter_map(|name| source.schema().find(name)).collect();
         source.select(&selection);
         source.watch(&context.control.cancel);
         tally.depth = Depths::number(source.schema());
@@ -87,20 +126,19 @@ pub(super) fn read(
             let left = stretch.end.map_or(u64::MAX, |end| end.saturating_sub(index));
             let limit = left.min(BATCH_POINTS as u64) as usize;
             if limit == 0 {
-                break;
+                return Ok(());
             }
-            or_cancelled(context, source.fill(&mut batch, limit))?;
+            or_cancelled(context, source.fill(batch, limit))?;
             if batch.is_empty() {
-                break;
+                return Ok(());
             }
-            check_batch(&batch, stretch.input, selection.len())?;
-            tally.take(&batch, (stretch.input, index), &mut write)?;
+            check_batch(batch, stretch.input, selection.len())?;
+            tally.take(batch, (stretch.input, index), write)?;
             index += batch.len() as u64;
             context.check()?;
-            context.progress(Stage::Read, tally.totals.records, total);
+            context.progress(Stage::Read, tally.totals.records, self.records_hint);
         }
     }
-    Ok(tally.totals)
 }
 
 /// The outcome of a read, where one that was cancelled is a build that was.

@@ -89,7 +89,7 @@ pub fn run(
     check_options(options, &sources)?;
     let destination = Destination::new(output)?;
     destination.require_file()?;
-    destination.refuse_inputs(sources.iter().filter_map(|source| source.path()))?;
+    destination.refuse_inputs(sources.iter().flat_map(|source| source.files()))?;
     let temp_dir = options.temp_dir.clone().unwrap_or_else(|| destination.folder().to_owned());
     // Before any work, so that an unwritable output is detected immediately.
     let file = OutputFile::create(&destination)?;

@@ -156,6 +156,13 @@ pub(super) fn check_resources(options: &BuildOptions, least_bytes: u64) -> Resul
     Ok(())
 }
 
+/// Memory in bytes that the sources need. One is read after another, before anything else needs much memory; the others are idle.
+fn reading_bytes(sources: &[Box<dyn PointSource + '_>]) -> u64 {
+    let idle: u64 = sources.iter().map(|source| source.memory_idle()).sum();
+    let more = sources.iter().map(|source| source.memory_needed().saturating_sub(source.memory_idle()));
+    idle + more.max().unwrap_or(0)
+}
+
 /// Checks that the options are in range.
 ///
 /// # Errors
@@ -168,9 +175,7 @@ pub(super) fn check_options(
     if sources.is_empty() {
         return Err(BuildError::NoInput);
     }
-    // Sources are read one after another, before anything else needs much memory, but all are open at once.
-    let reading: u64 = sources.iter().map(|s| s.memory_needed()).sum();
-    check_resources(options, READING_BYTES + reading)?;
+    check_resources(options, READING_BYTES + reading_bytes(sources))?;
     if let Some(page) = options.page_bytes
         && (page == 0 || page % 4096 != 0 || page as usize > MAX_PAGE_BYTES || page < 16384)
     {

@@ -257,6 +257,10 @@ impl PointSource for GadgetSource {
         self.files.first().map(PathBuf::as_path)
     }
 
+    fn files(&self) -> Vec<PathBuf> {
+        self.files.clone()
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
     }

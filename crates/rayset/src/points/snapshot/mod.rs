@@ -246,6 +246,10 @@ impl PointSource for SnapshotSource {
         self.files.first().map(PathBuf::as_path)
     }
 
+    fn files(&self) -> Vec<PathBuf> {
+        self.files.clone()
+    }
+
     fn select(&mut self, columns: &[usize]) {
         self.selected = columns.to_vec();
     }
