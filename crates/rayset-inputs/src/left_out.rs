@@ -80,16 +80,14 @@ impl LeftOut {
     #[must_use]
     pub fn remark(&self) -> Option<String> {
         let named = self.named();
-        let (first, more) = (named.iter().take(MOST_NAMED), named.len().saturating_sub(MOST_NAMED));
-        let list: String = first.map(|said| format!("\n  {said}")).collect();
-        let more = if more > 0 { format!("\n  and {more} more") } else { String::new() };
-        let damaged = if named.len() == 1 { "file, which is damaged" } else { "files, which are damaged" };
+        let more = named.len().saturating_sub(MOST_NAMED);
+        let mut list = named.iter().take(MOST_NAMED).cloned().collect::<Vec<_>>().join("; ");
+        if more > 0 {
+            list += &format!("; and {more} more");
+        }
         (!named.is_empty()).then(|| {
-            format!(
-                "left out {} of {} {damaged} (--strict stops at the first):{list}{more}",
-                named.len(),
-                self.files
-            )
+            let (count, files) = (named.len(), self.files);
+            format!("left out {count} of {files} files as damaged (--strict stops at the first): {list}")
         })
     }
 }

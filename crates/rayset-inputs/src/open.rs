@@ -80,7 +80,7 @@ pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> 
             );
         }
     }
-    of_raw(&files, cache, resources)
+    of_raw(inputs, &files, cache, resources)
 }
 
 fn built(path: &Path) -> Result<Input> {
@@ -91,10 +91,10 @@ fn built(path: &Path) -> Result<Input> {
 }
 
 /// Builds files of points or voxels, unless that has been done before.
-fn of_raw(files: &Files, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
     let columns = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
-    let name = Name::of(&files.paths, &format!("{columns} strict {}", cache.strict()))?;
+    let name = Name::of(inputs, &files.paths, &format!("{columns} strict {}", cache.strict()))?;
     if let Some(opened) = kept(files, cache.find(&name), resources.host) {
         return Ok(opened);
     }

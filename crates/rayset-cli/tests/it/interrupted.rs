@@ -10,7 +10,7 @@ use rayset::grid::Grid;
 use rayset::octree::Cloud;
 use rayset::octree::verify::Depth;
 
-use crate::common::{Random, folder};
+use crate::common::{Random, folder, mebibytes};
 
 fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
@@ -41,6 +41,32 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
+/// Kills a run at random moments, until `wanted` runs were ended in the middle, however fast the machine is. `begin` is told the
+/// number of the round; `look` looks at what is left.
+fn kill_at_random(
+    (seed, wanted): (u64, usize),
+    whole: Duration,
+    mut begin: impl FnMut(usize) -> Command,
+    mut look: impl FnMut(usize),
+) {
+    const MOST_ROUNDS: usize = 1000;
+    let (mut random, mut span, mut interrupted) = (Random(seed), whole, 0);
+    for round in 0..MOST_ROUNDS {
+        let mut child = begin(round).spawn().expect("the program runs");
+        std::thread::sleep(span.mul_f64(random.unit()));
+        child.kill().expect("it can be killed");
+        let was_ended = !child.wait().expect("it ends").success();
+        look(round);
+        // The machine may be quicker now than it was, or slower again.
+        span = if was_ended { whole.min(span.mul_f64(1.25)) } else { span / 2 };
+        interrupted += usize::from(was_ended);
+        if interrupted == wanted {
+            return;
+        }
+    }
+    panic!("of {MOST_ROUNDS} builds {interrupted} were interrupted");
+}
+
 #[test]
 fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans_up() {
     let folder = folder();
@@ -53,21 +79,22 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
     let reference = std::fs::read(folder.path().join("c.rset")).expect("the cloud reads");
     std::fs::remove_file(folder.path().join("c.rset")).expect("it goes");
 
-    let mut random = Random(5);
-    let mut interrupted = 0;
-    for round in 0..24 {
-        let had_file = folder.path().join("c.rset").exists();
-        let mut child = build(folder.path()).spawn().expect("the program runs");
-        std::thread::sleep(Duration::from_secs_f64(whole.as_secs_f64() * random.unit()));
-        child.kill().expect("it can be killed");
-        let status = child.wait().expect("it ends");
-        interrupted += usize::from(!status.success());
-        let path = folder.path().join("c.rset");
+    let path = folder.path().join("c.rset");
+    let had_file = std::cell::Cell::new(false);
+    let begin = |round| {
+        if round == 6 {
+            // From now on there is an earlier file.
+            assert!(build(folder.path()).status().expect("the program runs").success());
+        }
+        had_file.set(path.exists());
+        build(folder.path())
+    };
+    let look = |round| {
         if path.exists() {
             // Either the build had ended, or this is the file of an earlier one: whole in both cases.
             assert!(std::fs::read(&path).expect("the cloud reads") == reference, "round {round}");
         } else {
-            assert!(!had_file, "round {round}: the earlier file is gone");
+            assert!(!had_file.get(), "round {round}: the earlier file is gone");
         }
         for name in names(folder.path()).iter().filter(|n| n.contains("rayset-")) {
             // A file that was whole but for its name may open; half a file may not.
@@ -76,11 +103,8 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
                 assert!(bytes == reference, "round {round}: {name} is half a file, and opens");
             }
         }
-        if round == 12 {
-            assert!(build(folder.path()).status().expect("the program runs").success());
-        }
-    }
-    assert!(interrupted > 5, "only {interrupted} builds were interrupted");
+    };
+    kill_at_random((5, 12), whole, begin, look);
     assert!(build(folder.path()).status().expect("the program runs").success());
     assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
     let cloud = Cloud::open(&folder.path().join("c.rset")).expect("the cloud opens");
@@ -94,7 +118,8 @@ fn a_grid_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans
     std::fs::write(folder.path().join("v.raw"), voxels).expect("a write");
     let build = || {
         let mut command = program();
-        let arguments = ["build", "v.raw", "--raw", "700x700x64,u8", "-o", "v.rset", "--memory", "17MiB"];
+        let arguments =
+            ["build", "v.raw", "--raw", "700x700x64,u8", "-o", "v.rset", "--memory", &mebibytes(17.0).0];
         command.current_dir(folder.path()).args(arguments);
         command
     };
@@ -103,22 +128,19 @@ fn a_grid_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans
     assert!(build().status().expect("the program runs").success());
     let whole = started.elapsed();
     let reference = std::fs::read(&path).expect("the grid reads");
-    let mut random = Random(6);
-    let mut interrupted = 0;
-    for round in 0..16 {
+    let begin = |_| {
         let _ = std::fs::remove_file(&path);
-        let mut child = build().spawn().expect("the program runs");
-        std::thread::sleep(Duration::from_secs_f64(whole.as_secs_f64() * random.unit()));
-        child.kill().expect("it can be killed");
-        interrupted += usize::from(!child.wait().expect("it ends").success());
+        build()
+    };
+    let look = |round| {
         for name in names(folder.path()).iter().filter(|n| n.contains(".rset")) {
             if Grid::open(&folder.path().join(name)).is_ok() {
                 let bytes = std::fs::read(folder.path().join(name)).expect("it reads");
                 assert!(bytes == reference, "round {round}: {name} is half a file, and opens");
             }
         }
-    }
-    assert!(interrupted > 3, "only {interrupted} builds were interrupted");
+    };
+    kill_at_random((6, 8), whole, begin, look);
     assert!(build().status().expect("the program runs").success());
     assert_eq!(names(folder.path()), ["v.raw", "v.rset"]);
 }

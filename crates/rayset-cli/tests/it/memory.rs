@@ -5,7 +5,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::common::{folder, real_data};
+use crate::common::{folder, mebibytes, real_data};
 
 fn rayset(folder: &Path, arguments: &[&str]) -> serde_json::Value {
     let output = Command::new(env!("CARGO_BIN_EXE_rayset"))
@@ -59,13 +59,13 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
     let least = if cfg!(debug_assertions) { 13.5 } else { 12.0 };
     for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (least, 10.0)] {
         for predictor in ["packet", "none"] {
-            let budget = format!("{memory}MiB");
+            let (budget, budget_bytes) = mebibytes(memory);
             let stats = render(
                 folder.path(),
                 &["--memory", &budget, "--threads", "2", "--size", "256x256", "--predictor", predictor],
             );
             let (peak, pages) = (number(&stats, "peak_rss_bytes"), number(&stats, "pages_budget_bytes"));
-            assert!(peak <= memory * MIB, "{peak} bytes resident with --memory {budget}: {stats}");
+            assert!(peak <= budget_bytes, "{peak} bytes resident with --memory {budget}: {stats}");
             assert!(file / pages >= at_least, "{} times as many page bytes as budget", file / pages);
             pictures.push(std::fs::read(folder.path().join("c.png")).expect("the picture reads"));
         }
@@ -84,8 +84,9 @@ fn a_grid_whose_layers_exceed_memory_builds_within_the_budget() {
             ["build", "v.raw", "--raw", "1200x1200x33,u8", "-o", output, "--memory", memory, "--json"];
         rayset(folder.path(), &arguments)
     };
-    let small = build("small.rset", "17MiB");
-    assert!(number(&small, "peak_rss_bytes") <= 17.0 * MIB, "{small}");
+    let (budget, budget_bytes) = mebibytes(17.0);
+    let small = build("small.rset", &budget);
+    assert!(number(&small, "peak_rss_bytes") <= budget_bytes, "{small}");
     build("large.rset", "400MiB");
     let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a grid");
     assert!(read("small.rset") == read("large.rset"), "the grid depends on the budget");
@@ -101,10 +102,11 @@ fn a_picture_larger_than_the_budget_goes_out_in_bands_and_is_the_same() {
     rayset(folder.path(), &["generate", "sphere-20k", "-o", "p.ply"]);
     rayset(folder.path(), &["build", "p.ply", "-o", "c.rset", "--radius", "0.09"]);
     let size = ["--size", "1400x1200", "--threads", "2", "--memory"];
-    let small = render(folder.path(), &[&size[..], &["20MiB"]].concat());
+    let (budget, budget_bytes) = mebibytes(20.0);
+    let small = render(folder.path(), &[&size[..], &[&budget]].concat());
     let bands = std::fs::read(folder.path().join("c.png")).expect("the picture reads");
     // The whole picture takes 26.9 MB before it is encoded.
-    assert!(number(&small, "peak_rss_bytes") <= 20.0 * MIB, "{small}");
+    assert!(number(&small, "peak_rss_bytes") <= budget_bytes, "{small}");
     render(folder.path(), &[&size[..], &["400MiB"]].concat());
     assert!(std::fs::read(folder.path().join("c.png")).expect("the picture reads") == bands);
 }
@@ -121,11 +123,12 @@ fn the_budget_holds_where_pages_and_shadows_of_different_sizes_replace_each_othe
         "root": {"type": "cloud", "file": "c.rset",
             "transferFunction": {"opacity": [[0.25, 0], [0.55, 1]], "color": "points"}}}"#;
     std::fs::write(folder.path().join("s.json"), scene).expect("the scene is written");
-    let output = ["-o", "c.png", "--stats", "stats.json", "--threads", "2", "--memory", "18MiB"];
+    let (budget, budget_bytes) = mebibytes(18.0);
+    let output = ["-o", "c.png", "--stats", "stats.json", "--threads", "2", "--memory", &budget];
     rayset(folder.path(), &[&["render", "s.json"], &output[..]].concat());
     let text = std::fs::read_to_string(folder.path().join("stats.json")).expect("statistics are written");
     let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
-    assert!(number(&stats, "peak_rss_bytes") <= 18.0 * MIB, "{stats}");
+    assert!(number(&stats, "peak_rss_bytes") <= budget_bytes, "{stats}");
 }
 
 #[test]
@@ -133,9 +136,10 @@ fn the_budget_holds_where_every_ray_meets_every_point() {
     let folder = folder();
     rayset(folder.path(), &["generate", "cube-2m", "-o", "p.ply"]);
     rayset(folder.path(), &["build", "p.ply", "-o", "c.rset", "--radius", "1.5", "--memory", "64MiB"]);
-    let look = ["--memory", "13.75MiB", "--threads", "2", "--size", "8x8", "--opacity", "extinction:1e-7"];
+    let (budget, budget_bytes) = mebibytes(13.75);
+    let look = ["--memory", &budget, "--threads", "2", "--size", "8x8", "--opacity", "extinction:1e-7"];
     let stats = render(folder.path(), &look);
-    assert!(number(&stats, "peak_rss_bytes") <= 13.75 * MIB, "{stats}");
+    assert!(number(&stats, "peak_rss_bytes") <= budget_bytes, "{stats}");
 }
 
 #[test]

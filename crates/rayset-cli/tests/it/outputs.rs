@@ -623,7 +623,7 @@ fn no_output_replaces_a_file_that_an_input_pulls_in() {
     refused(&["build", "parts.0", "-o", "parts.1", "--part", "1/2"], "parts.1");
     // A preset and a picture of a scene.
     let scene = r#"{"rayset": 1, "image": {"size": [8, 8]}, "root": {"type": "sphere", "radius": 1,
-        "transferFunction": {"preset": {"file": "p.json"}}}}"#;
+        "transfers": [{"preset": {"file": "p.json"}}]}}"#;
     fs::write(f.join("s.json"), scene).expect("a write");
     let preset = r#"[{"Name": "a", "RGBPoints": [0, 0, 0, 0, 1, 1, 1, 1]}]"#;
     fs::write(f.join("p.json"), preset).expect("a write");

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::common::folder;
+use crate::common::{folder, mebibytes};
 
 fn rayset(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_rayset"))
@@ -34,7 +34,7 @@ fn the_demo_renders_a_cloud_larger_than_its_budget() {
     let folder = folder();
     let said = succeeds(
         folder.path(),
-        &["demo", "--workload", "knot-1600k", "--memory", "18.5MiB", "--size", "160x120"],
+        &["demo", "--workload", "knot-1600k", "--memory", &mebibytes(18.5).0, "--size", "160x120"],
     );
     assert!(said.contains("times the memory"), "{said}");
     let picture = std::fs::read(folder.path().join("demo.png")).expect("the picture is there");

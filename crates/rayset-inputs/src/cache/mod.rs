@@ -153,12 +153,12 @@ pub(super) struct Name {
 }
 
 impl Name {
-    /// Of what is built of `inputs` with `options`, a text that says what they are.
+    /// Of what is built of the files that `inputs` stand for, with `options`, a text that says what they are.
     ///
     /// # Errors
-    /// If an input cannot be looked at.
-    pub(super) fn of(inputs: &[PathBuf], options: &str) -> Result<Self> {
-        let key = stamp::key(inputs, &format!("{GENERATION} {options}"))?;
+    /// If a file cannot be looked at.
+    pub(super) fn of(inputs: &[PathBuf], files: &[PathBuf], options: &str) -> Result<Self> {
+        let key = stamp::key(files, &format!("{GENERATION} {options}"))?;
         let Some(first) = inputs.first() else { bail!("no input") };
         let stem: String = first
             .file_stem()

@@ -205,7 +205,7 @@ fn a_build_is_cancelled_at_once_in_every_stage_and_leaves_nothing() {
     for stage in [Stage::Read, Stage::Spacing, Stage::Write] {
         let cancel = CancelToken::new();
         let canceller = CancelsIn(stage, cancel.clone());
-        let control = BuildControl { progress: &canceller, cancel };
+        let control = BuildControl { progress: &canceller, cancel, ..BuildControl::default() };
         let outcome = build::run(vec![workload.source()], &path, &options, &control);
         assert!(matches!(outcome, Err(BuildError::Cancelled)), "{stage:?}: {outcome:?}");
         assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), 0, "{stage:?}");
