@@ -160,7 +160,8 @@ const GENERATION: u32 = 4;
 fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {
     let hash = fingerprint(inputs, &format!("{GENERATION} {options}"))?;
     let Some(first) = inputs.first() else { bail!("no input") };
-    let stem: String = first
+    // A query, which may grant access, is no part of a name that others may see.
+    let stem: String = Path::new(&storage::shown(first))
         .file_stem()
         .unwrap_or_default()
         .to_string_lossy()

@@ -22,6 +22,7 @@ mod owned;
 mod parts;
 mod pictures;
 mod program;
+mod secrets;
 mod settings;
 mod splats_and_meshes;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
