@@ -13,6 +13,7 @@ pub mod look;
 mod magnitude;
 mod open;
 mod sources;
+mod temporary;
 pub mod text;
 pub mod values;
 
@@ -23,3 +24,4 @@ pub use self::host::{Host, TemporaryFolder, stage_name};
 pub use self::kinds::{Built, is_built, is_scene, open_built};
 pub use self::open::{Input, Opened, Resources, open};
 pub use self::sources::{has_volume, open_points, remark_about};
+pub use self::temporary::OwnFolder;
