@@ -1,27 +1,65 @@
 """The build backend: maturin, with the program `rayset` built first and put into the wheel as a script.
 
 A script that is a native program has no Python in its process, so that `--memory` bounds all of it; an entry point would start an
-interpreter first. Both are built with the settings below, nearly as fast as the release's own and in a third of the time; what
-the environment says of Cargo's release profile comes first. `RAYSET_PROGRAM_FILE` names a program that has been built already.
+interpreter first. The program and the extension module are targets of one package: what both are made of, the engine above all, is
+compiled once. The settings are those of `Cargo.toml`; what the environment says of Cargo's release profile comes first.
+`RAYSET_PROGRAM_FILE` names a program that has been built already.
+
+A build takes minutes, and pip hides what it prints unless it is called with `-v`. What is being done is therefore said on the
+terminal, too, if there is one.
 """
 
+import contextlib
 import os
 import shutil
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import maturin
 from maturin import get_requires_for_build_editable, get_requires_for_build_wheel  # noqa: F401
 
 HERE = Path(__file__).resolve().parent.parent
-#: The same for both, so that what both are made of is compiled once.
-SETTINGS = {"CARGO_PROFILE_RELEASE_LTO": "thin", "CARGO_PROFILE_RELEASE_CODEGEN_UNITS": "8", "CARGO_PROFILE_RELEASE_DEBUG": "0"}
+#: Seconds between two lines of a compilation that goes on.
+EVERY = 15.0
 
 
-def _put_program() -> None:
+class _Teller:
+    """Says what is done to whoever waits for it."""
+
+    def __init__(self) -> None:
+        self._begun = time.monotonic()
+
+    def say(self, words: str) -> None:
+        seconds = round(time.monotonic() - self._begun)
+        line = f"rayset [{seconds // 60}:{seconds % 60:02}] {words}"
+        print(line, file=sys.stderr, flush=True)
+        if not sys.stderr.isatty():
+            # Of a build without a terminal, as on a server, nobody waits there.
+            with contextlib.suppress(OSError), open("/dev/tty", "w") as terminal:
+                terminal.write(f"\r{line}\n")
+
+
+def _compile(command: list, teller: _Teller) -> None:
+    """Runs Cargo, whose lines are passed on, and says now and then how far it is."""
+    count, last = 0, time.monotonic()
+    process = subprocess.Popen(command, cwd=HERE, stderr=subprocess.PIPE, text=True, errors="replace")
+    for line in process.stderr:
+        print(line, end="", file=sys.stderr, flush=True)
+        words = line.split()
+        if words[:1] == ["Compiling"]:
+            count += 1
+            is_engine = words[1] == "rayset"
+            if is_engine or time.monotonic() - last > EVERY:
+                last = time.monotonic()
+                teller.say(f"compiling package {count}: {'the engine, the longest of them' if is_engine else words[1]}")
+    if process.wait() != 0:
+        raise SystemExit(f"{' '.join(command)} failed; what it said is above, or shown by `pip install -v`")
+
+
+def _put_program(teller: _Teller) -> None:
     """Builds the program, and puts it where maturin takes it from."""
-    for key, value in SETTINGS.items():
-        os.environ.setdefault(key, value)
     target = os.environ.get("CARGO_BUILD_TARGET", "")
     name = "rayset.exe" if (os.name == "nt" if not target else "windows" in target) else "rayset"
     scripts = HERE / "wheel-data" / "scripts"
@@ -31,8 +69,8 @@ def _put_program() -> None:
         shutil.copy2(given, scripts / name)
         return
     folder = Path(os.environ.setdefault("CARGO_TARGET_DIR", str(HERE / "target"))).resolve()
-    command = ["cargo", "build", "--release", "--locked", "--package", "rayset-cli", "--features", "far"]
-    subprocess.run(command, cwd=HERE.parent, check=True)
+    teller.say(f"compiling the engine and the program, with Cargo in {folder}: some minutes; what is there already is used again")
+    _compile(["cargo", "build", "--release", "--locked", "--bin", "rayset"], teller)
     shutil.copy2(folder / target / "release" / name, scripts / name)
 
 
@@ -44,14 +82,21 @@ def prepare_metadata_for_build_wheel(metadata_directory, config_settings=None):
 prepare_metadata_for_build_editable = prepare_metadata_for_build_wheel
 
 
+def _build(build, wheel_directory, config_settings, metadata_directory):
+    teller = _Teller()
+    _put_program(teller)
+    teller.say("linking the extension module of the same engine")
+    wheel = build(wheel_directory, config_settings, metadata_directory)
+    teller.say("done")
+    return wheel
+
+
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
-    _put_program()
-    return maturin.build_wheel(wheel_directory, config_settings, metadata_directory)
+    return _build(maturin.build_wheel, wheel_directory, config_settings, metadata_directory)
 
 
 def build_editable(wheel_directory, config_settings=None, metadata_directory=None):
-    _put_program()
-    return maturin.build_editable(wheel_directory, config_settings, metadata_directory)
+    return _build(maturin.build_editable, wheel_directory, config_settings, metadata_directory)
 
 
 def build_sdist(sdist_directory, config_settings=None):

@@ -121,7 +121,7 @@ def path(value: Any, name: str) -> Path:
     """The path of a file or a folder on this machine."""
     text = file(value, name)
     if is_address(text):
-        raise ValueError(f"{name}={text!r}: expected a path on this machine, and got an address")
+        raise ValueError(f"{name}={_native.shown(text)!r}: expected a path on this machine, and got an address")
     return Path(text)
 
 
@@ -130,7 +130,7 @@ def file(value: Any, name: str) -> str:
     try:
         text = os.fspath(value)
     except TypeError:
-        raise TypeError(f"{name}={value!r}: expected the path of a file") from None
+        raise TypeError(f"{name}={_native.shown(repr(value))}: expected the path of a file") from None
     return os.fsdecode(text)
 
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _native
+
 #: Names of columns that mean something by themselves, and have arguments of their own.
 OWN = ("radius", "weight", "red", "green", "blue")
 #: Types of columns that are read as they are.
@@ -61,7 +63,7 @@ def plain(value: Any, name: str, unit: Any = None) -> NDArray[Any]:
     if hasattr(value, "filled") and hasattr(value, "mask"):  # of NumPy or astropy: what is masked is not a number
         value = value.astype(float).filled(np.nan) if np.any(value.mask) else value.filled(0)
     if isinstance(value, (str, bytes)) or hasattr(value, "__fspath__"):
-        raise TypeError(f"{name}={value!r}: expected an array; rayset.open reads files")
+        raise TypeError(f"{name}={_native.shown(repr(value))}: expected an array; rayset.open reads files")
     try:
         array = np.asarray(value)
     except ValueError:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import tempfile
 import warnings
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
@@ -257,16 +255,10 @@ class TemporaryFile:
     """The name of a file that is removed when nobody has this any more."""
 
     def __init__(self, suffix: str = ".rset") -> None:
-        handle, self.name = tempfile.mkstemp(prefix="rayset-", suffix=suffix)
-        os.close(handle)
-        weakref.finalize(self, _remove, self.name, os.getpid())
-
-
-def _remove(name: str, process: int) -> None:
-    # A forked process has the same name, and does not own the file.
-    if os.getpid() == process:
-        with contextlib.suppress(OSError):
-            os.remove(name)
+        # In a folder of its own: if this process is killed, the next one that makes such a folder removes it.
+        folder = _native.TemporaryFolder()
+        self.name = os.path.join(folder.path, f"file{suffix}")
+        weakref.finalize(self, folder.close)
 
 
 def _slabs(voxels: Any, shape: tuple[int, ...], stored: str) -> Iterator[bytes]:

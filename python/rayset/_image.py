@@ -88,7 +88,7 @@ class Image:
         where = _arguments.file(path, "path")
         suffix = os.path.splitext(where)[1].lower()
         if suffix not in (".png", ".exr"):
-            raise ValueError(f"path={where!r}: the name of a picture ends in .png or .exr")
+            raise ValueError(f"path={_native.shown(where)!r}: the name of a picture ends in .png or .exr")
         if suffix == ".exr" and not self._picture.has_layers:
             raise ValueError("an OpenEXR holds the layers; render with layers=True")
         self._picture.save(where)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import os
-import tempfile
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -227,8 +227,9 @@ class Viewer:
     def __init__(self, scene: Scene, memory: int | str | None, block: bool) -> None:
         from ._program import start
 
-        self._folder = tempfile.TemporaryDirectory(prefix="rayset-")
-        file = Path(self._folder.name) / "scene.json"
+        self._folder = _native.TemporaryFolder()
+        weakref.finalize(self, self._folder.close)
+        file = Path(self._folder.path) / "scene.json"
         text = scene._on_disk(file.parent, "scene")
         where = json.loads(text)
         for node in _nodes(where):
@@ -250,7 +251,7 @@ class Viewer:
             self.process.wait()
         if self.process.stdout is not None:
             self.process.stdout.close()
-        self._folder.cleanup()
+        self._folder.close()
 
     def __enter__(self) -> Viewer:
         return self

@@ -5,7 +5,9 @@ use numpy::{
     Element, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArray,
     PyUntypedArrayMethods,
 };
+use pyo3::intern;
 use pyo3::prelude::*;
+use pyo3::types::PyWeakrefReference;
 use rayset::points::{
     ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, Values,
 };
@@ -67,6 +69,33 @@ macro_rules! columns {
 }
 
 columns!(U8: u8, I8: i8, U16: u16, I16: i16, U32: u32, I32: i32, U64: u64, I64: i64, F32: f32, F64: f64);
+
+/// An array whose numbers stay where they are while this exists.
+///
+/// It is a view of the caller's array, so that no change of shape reaches it. Every array that the numbers belong to has a weak reference:
+/// NumPy then refuses to resize it, also with `refcheck=False`, which would give back memory that is being read.
+pub(crate) struct Pinned<'py> {
+    array: Bound<'py, PyUntypedArray>,
+    _owners: Vec<Bound<'py, PyWeakrefReference>>,
+}
+
+impl<'py> Pinned<'py> {
+    pub(crate) fn new(array: &Bound<'py, PyUntypedArray>) -> PyResult<Self> {
+        let py = array.py();
+        let view = array.as_any().call_method0("view")?;
+        let mut owners = Vec::new();
+        let mut base = array.as_any().clone();
+        while base.is_instance_of::<PyUntypedArray>() {
+            owners.push(PyWeakrefReference::new(&base)?);
+            base = base.getattr(intern!(py, "base"))?;
+        }
+        Ok(Self { array: view.cast_into()?, _owners: owners })
+    }
+
+    pub(crate) fn array(&self) -> &Bound<'py, PyUntypedArray> {
+        &self.array
+    }
+}
 
 /// An array as one of a type and one axis, if it is one.
 fn held<'py, T: Element, H>(

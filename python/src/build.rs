@@ -3,16 +3,17 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use numpy::PyUntypedArray;
+use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayset::build::{self, BuildControl, BuildOptions, BuildReport, InvalidPolicy, Precision, Rule};
 use rayset::points::PointSource;
 use rayset::{CancelToken, Cloud};
 
-use crate::arrays::{ArraySource, HeldColumn, HeldPositions, Named};
+use crate::arrays::{ArraySource, HeldColumn, HeldPositions, Named, Pinned};
 use crate::chunks::{Chunk, ChunkSource, Raised};
 use crate::errors::{self, Kind};
 use crate::files::CloudFile;
+use crate::room;
 use crate::wait::{self, Progress, lock};
 
 /// The options of a build, checked and named by the package.
@@ -84,6 +85,9 @@ impl Options {
     }
 }
 
+/// What a point of a cloud takes at least.
+const LEAST_POINT_BYTES: u64 = 6;
+
 /// Builds a cloud of arrays. Returns it with the numbers of records that were skipped for their positions, radii and weights.
 #[pyfunction]
 pub(crate) fn build_arrays(
@@ -93,6 +97,11 @@ pub(crate) fn build_arrays(
     told: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<(CloudFile, [u64; 3])> {
     let py = positions.py();
+    if options.path.is_none() {
+        let points = positions.shape().first().copied().unwrap_or(0) as u64;
+        let advice = "name a file for it by path=, which may be larger than memory";
+        room::check(points, LEAST_POINT_BYTES, &format!("a cloud of {points} points in memory"), advice)?;
+    }
     with_arrays(positions, columns, |source| run(py, source, &options, told, &Raised::default()))
 }
 
@@ -102,12 +111,17 @@ pub(crate) fn with_arrays<T>(
     columns: Vec<(Named, Bound<'_, PyUntypedArray>)>,
     read: impl FnOnce(Box<dyn PointSource + '_>) -> PyResult<T>,
 ) -> PyResult<T> {
-    let held = HeldPositions::new(positions)?;
-    let held_columns = columns
+    let pinned = Pinned::new(positions)?;
+    let pinned_columns = columns
         .into_iter()
-        .map(|(named, array)| Ok((HeldColumn::new(&named.name, &array)?, named)))
+        .map(|(named, array)| Ok((Pinned::new(&array)?, named)))
         .collect::<PyResult<Vec<_>>>()?;
-    let views = held_columns.iter().map(|(held, named)| (named.clone(), held.view())).collect();
+    let held = HeldPositions::new(pinned.array())?;
+    let held_columns = pinned_columns
+        .into_iter()
+        .map(|(pinned, named)| Ok((HeldColumn::new(&named.name, pinned.array())?, named, pinned)))
+        .collect::<PyResult<Vec<_>>>()?;
+    let views = held_columns.iter().map(|(held, named, _)| (named.clone(), held.view())).collect();
     read(Box::new(ArraySource::new(held.view(), views)?))
 }
 

@@ -1,4 +1,4 @@
-//! Exceptions: the library's errors, with the same words, in a small hierarchy.
+//! Exceptions: the library's errors, with the same words, in a small hierarchy. Addresses in them are without what grants access.
 
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
@@ -6,6 +6,7 @@ use pyo3::types::PyType;
 use rayset::build::{BuildError, GridBuildError};
 use rayset::parts::PartError;
 use rayset::scene_file::SceneFileError;
+use rayset::storage::redacted;
 use rayset::{OpenError, RenderError};
 
 /// The classes of exceptions, which the package defines in Python.
@@ -41,11 +42,16 @@ impl Kind {
     }
 }
 
+/// Words as people may see them.
+pub(crate) fn shown(words: impl Into<String>) -> String {
+    redacted(&words.into()).into_owned()
+}
+
 /// An exception of the package.
 pub(crate) fn error(py: Python<'_>, kind: Kind, words: impl Into<String>) -> PyErr {
     let class = py.import(MODULE).and_then(|module| module.getattr(kind.class()));
     match class.and_then(|class| Ok(class.cast_into::<PyType>()?)) {
-        Ok(class) => PyErr::from_type(class, (words.into(),)),
+        Ok(class) => PyErr::from_type(class, (shown(words),)),
         Err(other) => other,
     }
 }
@@ -116,7 +122,7 @@ pub(crate) fn of_input(py: Python<'_>, error: anyhow::Error) -> PyErr {
         Err(Ok(error)) => of_grid_build(py, error),
         Err(Err(other)) => match other.downcast_ref::<std::io::Error>() {
             Some(io) if io.kind() == std::io::ErrorKind::NotFound => {
-                PyFileNotFoundError::new_err(format!("{other:#}"))
+                PyFileNotFoundError::new_err(shown(format!("{other:#}")))
             }
             _ => self::error(py, Kind::Input, format!("{other:#}")),
         },
@@ -124,11 +130,11 @@ pub(crate) fn of_input(py: Python<'_>, error: anyhow::Error) -> PyErr {
 }
 
 pub(crate) fn value(words: impl Into<String>) -> PyErr {
-    PyValueError::new_err(words.into())
+    PyValueError::new_err(shown(words))
 }
 
 pub(crate) fn os(words: impl Into<String>) -> PyErr {
-    PyOSError::new_err(words.into())
+    PyOSError::new_err(shown(words))
 }
 
 /// The thread that did the work has panicked.

@@ -122,6 +122,12 @@ impl FarFiles {
     }
 }
 
+/// A path or an address as people may see it: without what grants access.
+#[pyfunction]
+pub(crate) fn shown(path: PathBuf) -> String {
+    storage::shown(&path)
+}
+
 /// The text of an object.
 #[pyfunction]
 pub(crate) fn read_text(py: Python<'_>, path: PathBuf) -> PyResult<String> {

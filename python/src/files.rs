@@ -13,11 +13,12 @@ use rayset::file::FileKind;
 use rayset::geometry::DVec3;
 use rayset::{CancelToken, Cloud, Grid, OpenError};
 use rayset_inputs::look::{self, Looks};
-use rayset_inputs::{CacheArgs, Host, Input, Opened, Resources};
+use rayset_inputs::{CacheArgs, Host, Input, Opened, OwnFolder, Resources};
 
 use crate::errors::{self, Kind};
 use crate::far;
 use crate::looks::{self, ChosenLook};
+use crate::room;
 use crate::wait::{self, Progress, lock};
 
 /// A cloud.
@@ -218,6 +219,8 @@ impl GridFile {
 
     /// All voxels as they are stored, as an array of three axes, z first; `scale` and `offset` of the values besides.
     fn voxels<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<f32>>, f64, f64)> {
+        let count = self.grid.header().size.iter().fold(1, |all: u64, &n| all.saturating_mul(n));
+        room::check(count, 4, "the grid as an array", "render it, or build one of fewer voxels")?;
         let read = py.detach(|| self.grid.load());
         let voxels = read.map_err(|error| errors::error(py, Kind::Input, error.to_string()))?;
         let header = self.grid.header();
@@ -286,17 +289,9 @@ pub(crate) struct Package<'a> {
     pub(crate) folder: Option<PathBuf>,
 }
 
-struct Folder(tempfile::TempDir);
-
-impl rayset_inputs::TemporaryFolder for Folder {
-    fn path(&self) -> &Path {
-        self.0.path()
-    }
-}
-
 impl Host for Package<'_> {
     fn remark(&self, text: &str) {
-        lock(&self.remarks).push(text.to_owned());
+        lock(&self.remarks).push(errors::shown(text));
     }
 
     fn progress(&self, _unit: &'static str, doing: &'static str, done: u64, total: u64) {
@@ -308,13 +303,8 @@ impl Host for Package<'_> {
     }
 
     fn temporary_folder(&self) -> anyhow::Result<Box<dyn rayset_inputs::TemporaryFolder>> {
-        let mut builder = tempfile::Builder::new();
-        builder.prefix("rayset-");
-        let folder = match &self.folder {
-            Some(folder) => builder.tempdir_in(folder),
-            None => builder.tempdir(),
-        };
-        Ok(Box::new(Folder(folder?)))
+        let folder = self.folder.clone().unwrap_or_else(std::env::temp_dir);
+        Ok(Box::new(OwnFolder::create(&folder, "python")?))
     }
 
     fn writes(&self, output: &Path, inputs: &[PathBuf]) -> anyhow::Result<()> {

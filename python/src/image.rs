@@ -10,8 +10,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use rayset::image::{Band, DisplayTransform, ExrBands, LayerPixel, PngBands};
 use rayset::output::{Destination, OutputFile};
+use rayset::storage::shown;
 
 use crate::errors;
+use crate::room::{self, TooLarge};
 use crate::wait::lock;
 
 /// A picture in linear light, with layers if they were asked for.
@@ -30,7 +32,9 @@ struct Shared(Arc<Mutex<Vec<u8>>>);
 
 impl Write for Shared {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        lock(&self.0).extend_from_slice(bytes);
+        let mut held = lock(&self.0);
+        held.try_reserve(bytes.len()).map_err(|_| io::ErrorKind::OutOfMemory)?;
+        held.extend_from_slice(bytes);
         Ok(bytes.len())
     }
 
@@ -75,7 +79,7 @@ impl Picture {
     }
 
     /// The same picture with each pixel as a block, for a picture of `width` by `height`.
-    pub(crate) fn enlarged(self, width: u32, height: u32) -> Self {
+    pub(crate) fn enlarged(self, width: u32, height: u32) -> Result<Self, TooLarge> {
         let rayset::Picture { width: own_width, height: own_height, pixels, layers } = self.picture;
         let places = || {
             (0..height).flat_map(move |y| {
@@ -86,10 +90,45 @@ impl Picture {
                 })
             })
         };
-        let layers = if layers.is_empty() { layers } else { places().map(|at| layers[at]).collect() };
-        let pixels = places().map(|at| pixels[at]).collect();
-        Self { picture: rayset::Picture { width, height, pixels, layers }, whole: (width, height), ..self }
+        let mut large = empty(width, height, !layers.is_empty())?;
+        large.pixels.extend(places().map(|at| pixels[at]));
+        if !layers.is_empty() {
+            large.layers.extend(places().map(|at| layers[at]));
+        }
+        (large.width, large.height) = (width, height);
+        Ok(Self { picture: large, whole: (width, height), ..self })
     }
+
+    /// Its numbers as an array: as many for each pixel as it has channels.
+    fn numbers<T>(&self, channels: usize) -> Result<Vec<T>, TooLarge> {
+        let (width, height) = (self.picture.width, self.picture.height);
+        let what = format!("the array of a picture of {width} by {height} pixels");
+        room::vector(width as usize * height as usize * channels, &what, PARTS)
+    }
+
+    /// Checks that a copy fits, which is made to be written.
+    fn check_copy(&self) -> PyResult<()> {
+        let rayset::Picture { width, height, pixels, layers } = &self.picture;
+        let each = size_of_val(&pixels[..]) + size_of_val(&layers[..]);
+        let what = format!("a copy of a picture of {width} by {height} pixels, to be encoded,");
+        Ok(room::check(1, each as u64, &what, PARTS)?)
+    }
+}
+
+/// What to do about a picture that is too large.
+const PARTS: &str = "render parts of it, by crop=, or with the program, which holds none of it";
+
+/// A picture without pixels yet, with memory for those of `width` by `height`.
+pub(crate) fn empty(width: u32, height: u32, has_layers: bool) -> Result<rayset::Picture, TooLarge> {
+    let count = u64::from(width) * u64::from(height);
+    let (pixel, layer) = (size_of::<[f32; 4]>(), size_of::<LayerPixel>());
+    let each = pixel + if has_layers { layer } else { 0 };
+    let what = format!("a picture of {width} by {height} pixels");
+    room::check(count, each as u64, &what, PARTS)?;
+    let count = usize::try_from(count).unwrap_or(usize::MAX);
+    let pixels = room::vector(count, &what, PARTS)?;
+    let layers = room::vector(if has_layers { count } else { 0 }, &what, PARTS)?;
+    Ok(rayset::Picture { width: 0, height: 0, pixels, layers })
 }
 
 #[pymethods]
@@ -107,14 +146,17 @@ impl Picture {
 
     /// Red, green, blue and alpha in linear light, multiplied by alpha.
     fn linear<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        self.array(py, self.picture.pixels.concat(), 4)
+        let mut numbers = self.numbers::<f32>(4)?;
+        py.detach(|| numbers.extend(self.picture.pixels.iter().flatten()));
+        self.array(py, numbers, 4)
     }
 
     /// Red, green, blue and alpha, as screens show them, not multiplied by alpha.
     fn rgba8<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        let bytes = py.detach(|| {
+        let mut bytes = self.numbers::<u8>(4)?;
+        py.detach(|| {
             let encode = self.display.rgba8();
-            self.picture.pixels.iter().flat_map(|&pixel| encode(pixel)).collect()
+            bytes.extend(self.picture.pixels.iter().flat_map(|&pixel| encode(pixel)));
         });
         self.array(py, bytes, 4)
     }
@@ -125,10 +167,12 @@ impl Picture {
         if layers.is_empty() {
             return Ok(None);
         }
-        let numbers = |of: fn(&LayerPixel) -> f32| self.plane(py, layers.iter().map(of).collect());
-        let counts = |of: fn(&LayerPixel) -> u32| self.plane(py, layers.iter().map(of).collect());
+        let numbers = |of: fn(&LayerPixel) -> f32| self.plane(py, layers.iter().map(of));
+        let counts = |of: fn(&LayerPixel) -> u32| self.plane(py, layers.iter().map(of));
         let vectors = |of: fn(&LayerPixel) -> [f32; 3]| {
-            PyResult::Ok(self.array(py, layers.iter().flat_map(of).collect(), 3)?.into_any().unbind())
+            let mut numbers = self.numbers::<f32>(3)?;
+            numbers.extend(layers.iter().flat_map(of));
+            PyResult::Ok(self.array(py, numbers, 3)?.into_any().unbind())
         };
         Ok(Some(match name {
             "depth" => numbers(|layer| layer.depth)?,
@@ -144,6 +188,7 @@ impl Picture {
 
     /// The picture as a file in PNG.
     fn png<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        self.check_copy()?;
         let bytes = py.detach(|| {
             let bytes = Shared::default();
             self.write_png(bytes.clone()).map(|()| std::mem::take(&mut *lock(&bytes.0)))
@@ -153,8 +198,9 @@ impl Picture {
 
     /// Writes a PNG, or an OpenEXR if the name ends in `.exr`.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        self.check_copy()?;
         py.detach(|| self.save_as(&path)).map_err(|error| {
-            let name = path.display().to_string();
+            let name = shown(&path);
             errors::os(if error.contains(&name) { error } else { format!("cannot write {name}: {error}") })
         })
     }
@@ -172,7 +218,13 @@ impl Picture {
         Ok(array.into_pyarray(py))
     }
 
-    fn plane<T: numpy::Element>(&self, py: Python<'_>, numbers: Vec<T>) -> PyResult<Py<PyAny>> {
+    fn plane<T: numpy::Element>(
+        &self,
+        py: Python<'_>,
+        values: impl Iterator<Item = T>,
+    ) -> PyResult<Py<PyAny>> {
+        let mut numbers = self.numbers::<T>(1)?;
+        numbers.extend(values);
         let shape = (self.picture.height as usize, self.picture.width as usize);
         let array = Array2::from_shape_vec(shape, numbers).map_err(|e| errors::value(e.to_string()))?;
         Ok(array.into_pyarray(py).into_any().unbind())

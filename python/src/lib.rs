@@ -12,7 +12,9 @@ mod looks;
 mod parts;
 mod points;
 mod render;
+mod room;
 mod steps;
+mod temporary;
 mod voxels;
 mod wait;
 
@@ -25,10 +27,12 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(far::read_text, module)?)?;
     module.add_function(wrap_pyfunction!(far::beside, module)?)?;
+    module.add_function(wrap_pyfunction!(far::shown, module)?)?;
     module.add_function(wrap_pyfunction!(far::versions, module)?)?;
     module.add_class::<files::CloudFile>()?;
     module.add_class::<files::GridFile>()?;
     module.add_class::<image::Picture>()?;
+    module.add_class::<temporary::TemporaryFolder>()?;
     module.add_class::<render::Session>()?;
     module.add_class::<render::Passes>()?;
     module.add_function(wrap_pyfunction!(build::build_arrays, module)?)?;

@@ -8,6 +8,7 @@ use rayset_inputs::look::{CameraArgs, Chosen, LookArgs};
 use rayset_inputs::values;
 
 use crate::errors::{self, Kind};
+use crate::room;
 
 /// A scene as JSON, what is said of it, the name of the look, and what is up.
 pub(crate) type ChosenLook = (String, String, String, String);
@@ -52,6 +53,7 @@ pub(crate) fn colormap(py: Python<'_>, name: &str, count: usize) -> PyResult<Vec
     let map: Colormap = name
         .parse()
         .map_err(|error: rayset::ParseError| errors::error(py, Kind::Scene, error.to_string()))?;
+    room::check(count as u64, 256, "the list of the colours", "ask for fewer")?;
     let last = count.saturating_sub(1).max(1) as f64;
     Ok((0..count).map(|i| map.display_color(i as f64 / last)).collect())
 }

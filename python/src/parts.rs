@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 use rayset::image::{DisplayTransform, ToneMapping};
-use rayset::parts::{Joined, Part, PartError, PartOptions, Share};
+use rayset::parts::{Joined, Part, PartOptions, Share};
 use rayset::scene::{Camera, Projection};
 use rayset::storage::{self, MemoryStorage, Storage};
 use rayset::{CancelToken, Region, SimdLevel};
@@ -15,7 +15,8 @@ use rayset_inputs::look::turned;
 
 use crate::errors;
 use crate::image::Picture;
-use crate::render::{self, Job, Session};
+use crate::render::{self, Failure, Job, PIXEL_BYTES, Session};
+use crate::room;
 use crate::wait::{self, Progress};
 
 /// Most pixels of a part that are held while it is rendered; with layers they take 15 MiB.
@@ -78,13 +79,14 @@ pub(crate) fn render_part<'py>(
 type Named = (String, PyBackedBytes);
 
 /// The parts of a picture; of those that are missing there is nothing, if `partly`. Pictures are the caller's, and no budget counts them.
-fn joined(parts: Vec<Named>, partly: bool) -> Result<(Joined, Picture), PartError> {
+fn joined(parts: Vec<Named>, partly: bool) -> Result<(Joined, Picture), Failure> {
     let parts = parts.into_iter().map(|(name, bytes)| {
         let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(Arc::new(bytes)));
         Part::from_storage(&name, storage)
     });
     let joined = if partly { Joined::join_partly(parts, u64::MAX)? } else { Joined::join(parts, u64::MAX)? };
     let region = joined.region();
+    room::check(region.pixels(), PIXEL_BYTES, "the picture of these parts", "join fewer of them, by crop=")?;
     let picture = Picture {
         picture: joined.picture()?,
         display: display(joined.note()).unwrap_or_default(),
@@ -118,7 +120,7 @@ pub(crate) fn join_parts(py: Python<'_>, parts: Vec<Named>, below: Option<&Pictu
         }
         Ok(picture)
     });
-    picture.map_err(|error: PartError| errors::of_part(py, error))
+    picture.map_err(|failure: Failure| render::raised(py, failure))
 }
 
 /// The picture of parts whose pixels are squares, as part `crop` of a picture of size `whole`.
@@ -132,9 +134,9 @@ pub(crate) fn join_coarse(
     let [x, y, width, height] = crop;
     let picture = py.detach(|| {
         let (_, picture) = joined(parts, false)?;
-        Ok(Picture { corner: (x, y), whole, ..picture.enlarged(width, height) })
+        Ok(Picture { corner: (x, y), whole, ..picture.enlarged(width, height)? })
     });
-    picture.map_err(|error: PartError| errors::of_part(py, error))
+    picture.map_err(|failure: Failure| render::raised(py, failure))
 }
 
 /// What each of `of` shares of part `crop` of a picture is expected to cost. `costs` are those of the pixels of a coarse picture, row after
@@ -173,6 +175,9 @@ fn numbers(camera: &Camera) -> HashMap<&'static str, Vec<f64>> {
     all
 }
 
+/// What the numbers of a camera take, with their keys.
+const CAMERA_BYTES: u64 = 1024;
+
 /// The cameras of a turntable of so many pictures, or else of the animation of the scene: of all its frames.
 #[pyfunction]
 pub(crate) fn cameras(
@@ -187,6 +192,7 @@ pub(crate) fn cameras(
     };
     let file = py.detach(parse).map_err(|failure| render::raised(py, failure))?;
     if let Some(turns) = turntable {
+        room::check(u64::from(turns), CAMERA_BYTES, "the list of the cameras", "ask for fewer pictures")?;
         let turn = |k| turned(&file.camera, &file.scene, f64::from(k) / f64::from(turns));
         return Ok((0..turns).map(|k| numbers(&turn(k))).collect());
     }

@@ -20,13 +20,14 @@ use rayset::{
 use crate::errors::{self, Kind};
 use crate::far::FarFiles;
 use crate::files::{CloudFile, GridFile};
-use crate::image::Picture;
+use crate::image::{self, Picture};
+use crate::room::TooLarge;
 use crate::wait::{self, Closing, Mailbox, PATIENCE, Progress, Waited, lock};
 
 /// Bytes of a band, about: what is held of a picture besides the picture itself.
 const BAND_BYTES: u32 = 8 << 20;
 /// Bytes of a pixel with its layers.
-const PIXEL_BYTES: u32 = 64;
+pub(crate) const PIXEL_BYTES: u64 = 64;
 
 /// The pages, threads and tables of renders.
 #[pyclass(frozen, module = "rayset._native")]
@@ -89,6 +90,13 @@ pub(crate) enum Failure {
     Render(RenderError),
     Part(PartError),
     Crop(String),
+    TooLarge(TooLarge),
+}
+
+impl From<TooLarge> for Failure {
+    fn from(error: TooLarge) -> Self {
+        Self::TooLarge(error)
+    }
 }
 
 impl From<RenderError> for Failure {
@@ -109,6 +117,7 @@ pub(crate) fn raised(py: Python<'_>, failure: Failure) -> PyErr {
         Failure::Render(error) => errors::of_render(py, error),
         Failure::Part(error) => errors::of_part(py, error),
         Failure::Crop(words) => errors::value(words),
+        Failure::TooLarge(error) => error.into(),
     }
 }
 
@@ -152,6 +161,7 @@ pub(crate) struct Shot {
     size: (u32, u32),
     samples: u32,
     pub(crate) region: Region,
+    has_layers: bool,
 }
 
 impl Shot {
@@ -178,10 +188,10 @@ impl Shot {
         region: &Region,
         cancel: &CancelToken,
         progress: &Progress,
-    ) -> Result<Picture, RenderError> {
-        let rows = (BAND_BYTES / PIXEL_BYTES / (region.columns.len() as u32).max(1)).max(32);
-        let mut sink = Told { picture: rayset::Picture::default(), progress };
-        sink.picture.pixels.reserve_exact(region.pixels() as usize);
+    ) -> Result<Picture, Failure> {
+        let rows = (BAND_BYTES / PIXEL_BYTES as u32 / (region.columns.len() as u32).max(1)).max(32);
+        let picture = image::empty(region.columns.len() as u32, region.rows.len() as u32, self.has_layers)?;
+        let mut sink = Told { picture, progress };
         view.render_bands(region, rows, cancel, &mut sink)?;
         Ok(Picture {
             picture: sink.picture,
@@ -254,6 +264,7 @@ impl Session {
             size,
             samples: file.settings.samples,
             region: region(wanted.crop, size)?,
+            has_layers: wanted.layers,
         })
     }
 }
@@ -304,7 +315,7 @@ impl Session {
         let work = || {
             storage::look_again();
             let shot = self.shot(&engine, &wanted)?;
-            Ok(shot.picture(&shot.view()?, &shot.region, &cancel, &progress)?)
+            shot.picture(&shot.view()?, &shot.region, &cancel, &progress)
         };
         wait::run(py, &cancel, &progress, told, work)?.map_err(|failure| raised(py, failure))
     }
@@ -398,7 +409,7 @@ impl Passes {
                 match coarse(&shot, step, &stop) {
                     Ok(Some(picture)) => done.put(Ok(picture)),
                     Ok(None) => {}
-                    Err(error) => return done.put(Err(error.into())),
+                    Err(failure) => return done.put(Err(failure)),
                 }
             }
         };
@@ -420,7 +431,7 @@ fn coarse(
     shot: &Shot,
     (edge, one_ray): (u32, bool),
     cancel: &CancelToken,
-) -> Result<Option<Picture>, RenderError> {
+) -> Result<Option<Picture>, Failure> {
     if edge == 1 && one_ray && shot.samples == 1 {
         return Ok(None);
     }
@@ -432,7 +443,7 @@ fn coarse(
     let (view, part) = shot.coarse(edge)?;
     let picture = shot.picture(&view, &part, cancel, &progress)?;
     let Region { columns, rows } = &shot.region;
-    let enlarged = picture.enlarged(columns.len() as u32, rows.len() as u32);
+    let enlarged = picture.enlarged(columns.len() as u32, rows.len() as u32)?;
     Ok(Some(Picture { corner: (columns.start, rows.start), whole: shot.size, ..enlarged }))
 }
 

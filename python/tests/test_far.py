@@ -132,3 +132,35 @@ def test_workers_render_and_build_what_is_at_addresses(tmp_path: Path) -> None:
         for action in (lambda: rs.render(rs.Scene.from_json(SCENE, f"{address}/no"), executor=client), lambda: rs.build(f"{address}/no.npy", path=tmp_path / "no.rset", executor=client)):
             with pytest.raises((rs.RaysetError, OSError), match="no such object"):
                 action()
+
+
+def test_no_exception_shows_what_an_address_grants_access_with(tmp_path: Path) -> None:
+    secret = "hunter2"
+    with served(tmp_path, f"sig={secret}") as (address, _):
+        (tmp_path / "damaged.rset").write_bytes(b"rayset")
+        host = address.removeprefix("http://")
+        for there in (
+            f"http://user:{secret}@{host}/damaged.rset?sig={secret}",
+            f"http://user:{secret}@{host}/none.laz?sig={secret}",
+            f"http://user:{secret}@{host}/damaged.rset?other={secret}",
+            f"http:/user:{secret}@{host}/none.laz?sig={secret}",
+            f"http://user:{secret}/@{host}/none.laz?sig={secret}",
+        ):
+            wrong = [
+                lambda: rs.open(there),
+                lambda: rs.open([there, there]),
+                lambda: rs.open(Path(there)),
+                lambda: rs.Scene.load(there),
+                lambda: rs.render(there, size=8),
+                lambda: rs.build(there),
+                lambda: rs.build(np.zeros((3, 3)), radius=1, path=there),
+                lambda: rs.build(np.zeros((3, 3)), radius=there),
+                lambda: rs.build(np.zeros((3, 3)), radius=1, path="a.rset", temp_dir=there),
+                lambda: rs.render(rs.build(np.ones((3, 3)), radius=1), size=8).save(there),
+                lambda: rs.render(rs.Scene.from_json({"rayset": 1, "root": {"type": "cloud", "file": there}}), size=8),
+            ]
+            for work in wrong:
+                with pytest.raises(Exception) as raised:
+                    work()
+                said = [str(raised.value), repr(raised.value)]
+                assert not any(secret in text for text in said), said

@@ -9,6 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result};
 use rayset::output::Destination;
+use rayset_inputs::OwnFolder;
 
 /// What has to be cleaned up when a signal arrives.
 #[derive(Default)]
@@ -41,8 +42,8 @@ pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
     status
 }
 
-/// A temporary folder. It is removed when dropped, and when a signal arrives.
-pub(crate) struct TemporaryFolder(PathBuf);
+/// A temporary folder. It is removed when dropped, when a signal arrives, and by the next run if this one is killed.
+pub(crate) struct TemporaryFolder(OwnFolder);
 
 impl TemporaryFolder {
     /// Creates one in the system's folder for temporary files.
@@ -52,31 +53,24 @@ impl TemporaryFolder {
 
     /// Creates one in another folder.
     pub(crate) fn within(all: &Path, purpose: &str) -> Result<Self> {
-        let mut number = 0_u32;
-        loop {
-            let path = all.join(format!("rayset-{purpose}-{}-{number}", std::process::id()));
-            // Locked while the folder is created, so that no signal finds it created but not registered.
-            let mut watched = watched();
-            match std::fs::create_dir(&path) {
-                Ok(()) => {
-                    watched.folders.push(path.clone());
-                    return Ok(Self(path));
-                }
-                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
-                Err(e) => return Err(e).with_context(|| format!("cannot create {}", path.display())),
-            }
-        }
+        // Locked while the folder is created, so that no signal finds it created but not registered.
+        let mut watched = watched();
+        let folder = OwnFolder::create(all, purpose)
+            .with_context(|| format!("cannot create a temporary folder in {}", all.display()))?;
+        watched.folders.push(folder.path().to_owned());
+        Ok(Self(folder))
     }
 
     pub(crate) fn path(&self) -> &Path {
-        &self.0
+        self.0.path()
     }
 }
 
 impl Drop for TemporaryFolder {
     fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-        watched().folders.retain(|path| *path != self.0);
+        // Once it is not registered any more, nothing else removes it.
+        let _ = std::fs::remove_dir_all(self.0.path());
+        watched().folders.retain(|path| path != self.0.path());
     }
 }
 

@@ -1,12 +1,16 @@
 //! What is printed, and where: results to standard output, progress and errors to standard error.
 //!
 //! Names and texts from files are not trusted: characters that would move the cursor, colour the terminal or change the
-//! direction of writing are shown by their numbers instead.
+//! direction of writing are shown by their numbers instead. Addresses are shown without what grants access to them, wherever in
+//! a text they stand; only [`say_invitation`] writes one that does.
 
+use std::fmt::Write as _;
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use rayset::storage::{redacted, shown};
 pub(crate) use rayset_inputs::text::{bytes, count};
 
 /// Why results could not be printed. A closed pipe is the reader's wish, not a failure.
@@ -21,11 +25,40 @@ pub(crate) fn say(line: impl std::fmt::Display) {
 
 /// A value as indented JSON.
 pub(crate) fn json(value: &impl serde::Serialize) -> anyhow::Result<()> {
-    let text = serde_json::to_string_pretty(value)?;
+    let text = json_text(value)?;
     let lines: Vec<String> =
         text.lines().map(|line| printable(line, |c| format!("\\u{:04x}", u32::from(c)))).collect();
     result(&lines.join("\n"));
     Ok(())
+}
+
+/// A value as indented JSON, as it may be printed or written to a file.
+pub(crate) fn json_text(value: &impl serde::Serialize) -> anyhow::Result<String> {
+    let text = serde_json::to_string_pretty(value)?;
+    if matches!(redacted(&text), std::borrow::Cow::Borrowed(_)) {
+        return Ok(text);
+    }
+    // Each string by itself: in the text, its end could be taken for a part of an address.
+    let (mut out, mut rest) = (String::with_capacity(text.len()), text.as_str());
+    while let Some(start) = rest.find('"') {
+        let (before, literal) = rest.split_at(start);
+        let mut is_escaped = false;
+        let end = literal.char_indices().skip(1).find(|&(_, c)| {
+            let ends = c == '"' && !is_escaped;
+            is_escaped = c == '\\' && !is_escaped;
+            ends
+        });
+        let (literal, after) = literal.split_at(end.map_or(literal.len(), |(at, _)| at + 1));
+        let string: String = serde_json::from_str(literal)?;
+        let _ = write!(out, "{before}{}", serde_json::to_string(&redacted(&string))?);
+        rest = after;
+    }
+    Ok(out + rest)
+}
+
+/// Writes an address that lets in whoever has it, to the person who is to open it.
+pub(crate) fn say_invitation(address: &str) {
+    result(address);
 }
 
 fn result(text: &str) {
@@ -84,16 +117,23 @@ pub(crate) fn misused(error: &clap::Error) {
     error.render().to_string().lines().for_each(remark);
 }
 
-/// Replaces characters that a terminal would obey, as `shown` says.
+/// Leaves out the secrets of addresses, and replaces characters that a terminal would obey, as `shown` says.
 fn printable(text: &str, shown: impl Fn(char) -> String) -> String {
+    let text = redacted(text);
     let obeyed = |c: char| {
         c.is_control()
             || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
     };
     if !text.contains(obeyed) {
-        return text.to_owned();
+        return text.into_owned();
     }
     text.chars().map(|c| if obeyed(c) { shown(c) } else { c.to_string() }).collect()
+}
+
+/// The name of a file or an object, without its folder.
+pub(crate) fn name_of(path: &Path) -> String {
+    let shown = PathBuf::from(shown(path));
+    shown.file_name().unwrap_or(shown.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// A number in as few digits as represent it exactly, in scientific notation if it is very small or very large.

@@ -14,6 +14,7 @@ pub mod look;
 mod magnitude;
 mod open;
 mod sources;
+mod temporary;
 pub mod text;
 pub mod values;
 
@@ -25,3 +26,4 @@ pub use self::kinds::{Built, is_built, is_scene, open_built};
 pub use self::left_out::LeftOut;
 pub use self::open::{Input, Opened, Resources, open};
 pub use self::sources::{Points, has_volume, open_points, remark_about};
+pub use self::temporary::OwnFolder;

@@ -29,7 +29,7 @@ pub(crate) use self::work::PredictorArg;
 use self::work::Work;
 use crate::annotate::Overlay;
 use crate::outputs::{self, Outputs};
-use crate::report::{bytes, remark};
+use crate::report::{bytes, json_text, remark};
 use rayset_inputs::look::turned;
 use rayset_inputs::values::Frames;
 
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
             Some(share) => rendering.part(camera, overlay, share, output)?,
         };
         if let Some(stats) = &stats {
-            outputs::write(stats, serde_json::to_string_pretty(&report)?.as_bytes())?;
+            outputs::write(stats, json_text(&report)?.as_bytes())?;
         }
     }
     Ok(())

@@ -7,6 +7,7 @@ use rayset::image::DisplayTransform;
 use rayset::output::Destination;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
 use rayset::scene_file::SceneFile;
+use rayset::storage::redacted;
 
 use super::args::RenderArgs;
 use super::warnings;
@@ -88,9 +89,9 @@ impl Shot {
         if !args.annotate.annotate {
             return Ok(None);
         }
-        let name = args.inputs[0].file_name().unwrap_or(args.inputs[0].as_os_str()).to_string_lossy();
+        let name = report::name_of(&args.inputs[0]);
         let name = match args.inputs.len() {
-            1 => name.into_owned(),
+            1 => name,
             several => format!("{name} and {} more", several - 1),
         };
         let size = (self.settings.width, self.settings.height);
@@ -101,7 +102,14 @@ impl Shot {
     /// Writes the scene that was chosen.
     pub(super) fn write_scene(&self, to: &Destination) -> Result<()> {
         let text = self.chosen.as_ref().context("--write-scene: the input is a scene file already")?;
-        outputs::write(to, text.as_bytes())
+        outputs::write(to, text.as_bytes())?;
+        if redacted(text) != text.as_str() {
+            report::remark(format_args!(
+                "{} names its data by addresses that grant access: whoever reads it can read them",
+                to.path().display()
+            ));
+        }
+        Ok(())
     }
 }
 

@@ -24,7 +24,7 @@ use crate::demo;
 use crate::input::{self, Resources};
 use crate::interrupts::TemporaryFolder;
 use crate::memory::PROCESS_BYTES;
-use crate::report::{bytes, remark, say};
+use crate::report::{bytes, name_of, remark, say_invitation};
 use rayset_inputs::look::{CameraArgs, LookArgs, Looks};
 use rayset_inputs::values;
 
@@ -139,7 +139,7 @@ impl Door {
 
     fn open(&self) {
         self.once.call_once(|| {
-            say(&self.invitation);
+            say_invitation(&self.invitation);
             remark("the address opens once; Enter prints another, Ctrl-C ends");
             if self.opens_browser {
                 state::open_browser(&self.invitation);
@@ -156,7 +156,7 @@ fn answer_the_terminal(invite: impl Fn() -> std::io::Result<String> + Send + 'st
     std::thread::spawn(move || {
         for _ in std::io::stdin().lines().map_while(Result::ok) {
             match invite() {
-                Ok(address) => say(address),
+                Ok(address) => say_invitation(&address),
                 Err(error) => remark(format_args!("no address: {error}")),
             }
         }
@@ -171,8 +171,7 @@ fn password(path: &Path) -> Result<String> {
 
 /// The scene to look at: a scene file, or what is chosen for a cloud or grid.
 fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject> {
-    let name = inputs[0].file_name().unwrap_or(inputs[0].as_os_str()).to_string_lossy();
-    let title = if args.inputs.is_empty() { "a knot of points".into() } else { name.into_owned() };
+    let title = if args.inputs.is_empty() { "a knot of points".into() } else { name_of(&inputs[0]) };
     let (path, looks) = match input {
         Input::Scene(path) => {
             if let Some(option) = args.look.given() {

@@ -155,3 +155,60 @@ fn a_build_that_fails_leaves_what_was_there() {
     assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
     assert_eq!(std::fs::read(folder.path().join("c.rset")).expect("it reads"), b"precious");
 }
+
+#[test]
+fn temporary_folders_of_killed_runs_are_removed_by_the_next_and_those_in_use_stay() {
+    let folder = folder();
+    let temporary = folder.path().join("temporary");
+    std::fs::create_dir(&temporary).expect("a folder");
+    let generated =
+        program().current_dir(folder.path()).args(["generate", "sphere-600k", "-o", "points.ply"]).status();
+    assert!(generated.expect("the program runs").success());
+    // A folder of somebody else's that is called alike, and one that a program of before has left.
+    for name in ["rayset-notes", "rayset-input-1-0"] {
+        std::fs::create_dir(temporary.join(name)).expect("a folder");
+        std::fs::write(temporary.join(name).join("file"), "").expect("a file");
+    }
+    let render = || {
+        let mut command = program();
+        command.current_dir(folder.path()).env("TMPDIR", &temporary);
+        command.args(["render", "points.ply", "-o", "a.png", "--size", "16x16", "--no-cache"]);
+        command
+    };
+    let own = || {
+        let mut own = names(&temporary);
+        own.retain(|name| !matches!(name.as_str(), "rayset-notes" | "rayset-input-1-0"));
+        own
+    };
+    // Killed in the middle of a build: a run that ended sooner is tried again.
+    let killed = (0..100).any(|_| {
+        let mut child = render().spawn().expect("the program runs");
+        // The run may end, and its folder with it.
+        let files = |name: &String| std::fs::read_dir(temporary.join(name)).map_or(0, Iterator::count);
+        while own().iter().all(|name| files(name) < 2) {
+            if child.try_wait().expect("a status").is_some() {
+                break;
+            }
+        }
+        child.kill().expect("it can be killed");
+        !child.wait().expect("it ends").success() && own().len() == 1
+    });
+    assert!(killed, "no run was killed while it had a temporary folder");
+    let left = own();
+    let mut other = render().spawn().expect("the program runs");
+    while own().iter().all(|name| left.contains(name)) {
+        assert!(other.try_wait().expect("a status").is_none(), "it has ended without a folder");
+    }
+    while own().contains(&left[0]) {
+        assert!(other.try_wait().expect("a status").is_none(), "it has ended, and {left:?} is there");
+    }
+    // Held, as long as the next run goes.
+    let pid = rustix::process::Pid::from_child(&other);
+    rustix::process::kill_process(pid, rustix::process::Signal::STOP).expect("a signal");
+    let in_use = own();
+    assert!(render().status().expect("the program runs").success());
+    assert_eq!(own(), in_use);
+    rustix::process::kill_process(pid, rustix::process::Signal::CONT).expect("a signal");
+    assert!(other.wait().expect("it ends").success());
+    assert_eq!(names(&temporary), ["rayset-input-1-0", "rayset-notes"]);
+}

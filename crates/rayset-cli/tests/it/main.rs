@@ -23,6 +23,7 @@ mod owned;
 mod parts;
 mod pictures;
 mod program;
+mod secrets;
 mod settings;
 mod splats_and_meshes;
 mod tiles;

@@ -39,6 +39,10 @@ pub(crate) struct Behaviour {
     pub refuses: Option<u16>,
     /// The session token of credentials that have expired; requests with it are refused as S3 refuses them.
     pub expired: Option<String>,
+    /// Where the objects whose names begin so are: what stands before the rest of their names there.
+    pub redirects: Option<(String, String)>,
+    /// What every refusal says besides.
+    pub says: String,
     /// Names of deviations: `no-tags` (and no dates), `weak-tags`, `no-ranges`, `no-head`, `short` and `long` (the length that is
     /// announced is not that of what is sent), `too-few` (half of what was asked for, and said to be all), `other-range` (another range than the one asked for is sent), `silent` (requests
     /// are taken and never answered).
@@ -67,6 +71,8 @@ pub(crate) struct Objects {
     next: Mutex<Option<(u64, Event)>>,
     random: AtomicU64,
     rate: Mutex<Rate>,
+    /// What came: the method, the name, the query, the headers and the beginning of the body of each request.
+    pub heard: Mutex<Vec<String>>,
     /// Requests that came, of every kind.
     pub requests: AtomicU64,
     /// Requests that were answered, those for the head alone left out.
@@ -183,6 +189,9 @@ async fn answer(
 ) -> Response<Body> {
     objects.requests.fetch_add(1, Ordering::Relaxed);
     objects.count_down();
+    let begins = String::from_utf8_lossy(&sent[..sent.len().min(100)]);
+    let heard = format!("{method} {name} {query:?} {headers:?} {begins}");
+    objects.heard.lock().expect("no panic").push(heard);
     let behaviour = objects.behaviour.lock().expect("no panic").clone();
     let shaken = 1.0 + behaviour.jitter * (2.0 * objects.random() - 1.0);
     let mut pause = behaviour.latency.mul_f64(shaken);
@@ -200,7 +209,18 @@ async fn answer(
         return std::future::pending().await;
     }
     if let Some(code) = behaviour.refuses {
-        return status(code);
+        let body = if method == Method::HEAD { String::new() } else { behaviour.says };
+        return Response::builder().status(code).body(Body::from(body)).expect("an answer");
+    }
+    if let Some((from, to)) = &behaviour.redirects
+        && let Some(rest) = name.strip_prefix(from.as_str())
+    {
+        let to = format!("{to}{rest}");
+        return Response::builder()
+            .status(307)
+            .header("location", to)
+            .body(Body::empty())
+            .expect("an answer");
     }
     let is_head = method == Method::HEAD;
     if is_head && behaviour.odd.contains("no-head") {

@@ -5,6 +5,7 @@ use object_store::{ClientOptions, azure::MicrosoftAzure};
 use url::Url;
 
 use super::connect::{once, set};
+use super::redirect::Connector;
 
 /// The client of a container. `options` are those of connections, if they may be insecure or not.
 pub(super) fn client(
@@ -44,7 +45,7 @@ pub(super) fn client(
     if !has_key && set("AZURE_SKIP_SIGNATURE").is_none() {
         builder = builder.with_use_azure_cli(true);
     }
-    builder.with_client_options(options(insecure)).build()
+    builder.with_client_options(options(insecure)).with_http_connector(Connector).build()
 }
 
 /// What a connection string says.

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::env;
 use std::io;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -11,10 +12,12 @@ use object_store::gcp::{GcpCredential, GoogleCloudStorageBuilder};
 use object_store::http::HttpBuilder;
 use object_store::multipart::MultipartStore;
 use object_store::{ClientOptions, ObjectStore, RetryConfig, StaticCredentialProvider};
+use rayset::storage::shown;
 
 use super::aws_profile::{self, Credentials};
 use super::pending::Pending;
 use super::place::{Keeper, Place};
+use super::redirect::Connector;
 use super::renewal::Renewal;
 use super::{azure, failure, tries};
 use crate::times::Times;
@@ -49,7 +52,8 @@ impl Client {
 
     pub(super) fn writable(&self, place: &Place, times: Times) -> io::Result<Writer> {
         let parts = self.parts.clone().ok_or_else(|| {
-            let what = format!("{}: web servers are only read; write to a disk or a bucket", place.name);
+            let name = shown(Path::new(&place.name));
+            let what = format!("{name}: web servers are only read; write to a disk or a bucket");
             io::Error::new(io::ErrorKind::Unsupported, what)
         })?;
         let (store, renewal, pending) = (self.store.clone(), self.renewal.clone(), self.pending.clone());
@@ -83,6 +87,7 @@ async fn connect(keeper: &Keeper, times: Times) -> object_store::Result<Client> 
         Keeper::Web(host) => {
             let insecure = host.starts_with("http:");
             let builder = HttpBuilder::new().with_url(host).with_client_options(options(insecure));
+            let builder = builder.with_http_connector(Connector);
             let store = Arc::new(builder.with_retry(once()).build()?);
             Ok(Client { store, renewal: Renewal::default(), parts: None, pending: None })
         }
@@ -101,7 +106,7 @@ fn google(bucket: &str) -> object_store::Result<Client> {
         endpoint = Some(host);
     }
     let insecure = endpoint.is_some_and(|endpoint| endpoint.starts_with("http:"));
-    Ok(Client::new(builder.with_client_options(options(insecure)).build()?))
+    Ok(Client::new(builder.with_client_options(options(insecure)).with_http_connector(Connector).build()?))
 }
 
 async fn s3(bucket: &str, times: Times) -> object_store::Result<Client> {
@@ -141,7 +146,8 @@ async fn s3(bucket: &str, times: Times) -> object_store::Result<Client> {
         builder = builder.with_endpoint(endpoint);
     }
     builder = builder.with_region(region.unwrap_or_else(|| "us-east-1".to_owned()));
-    let store = Arc::new(builder.with_client_options(options.clone()).build()?);
+    let store =
+        Arc::new(builder.with_client_options(options.clone()).with_http_connector(Connector).build()?);
     let pending = Some(Pending::new(store.clone(), &options)?);
     Ok(Client { renewal, pending, store: store.clone(), parts: Some(store) })
 }

@@ -46,6 +46,13 @@ impl Process {
         &self.command
     }
 
+    /// What is run, for messages: its arguments may be secrets.
+    fn program(&self) -> &str {
+        let mut words = self.command.split_whitespace();
+        // Variables that are set for it come first.
+        words.find(|word| !word.contains('=')).unwrap_or_default()
+    }
+
     /// A number for the credentials that a request made now is made with, which is another for others.
     pub(super) async fn turn_now(&self) -> object_store::Result<u64> {
         self.get_credential().await?;
@@ -94,12 +101,12 @@ impl Process {
         let mut command = tokio::process::Command::new(shell.0);
         command.args([shell.1, &self.command]).stdin(Stdio::null()).kill_on_drop(true);
         let output = tokio::time::timeout(ANSWERS_WITHIN, command.output()).await.map_err(|_| {
-            let what = format!("`{}` has said nothing for {} s", self.command, ANSWERS_WITHIN.as_secs());
+            let what = format!("`{}` has said nothing for {} s", self.program(), ANSWERS_WITHIN.as_secs());
             io::Error::new(io::ErrorKind::TimedOut, what)
         })??;
         let failed = |what: &str| {
             let said = String::from_utf8_lossy(&output.stderr);
-            let what = format!("`{}` {what}: {}", self.command, said.trim());
+            let what = format!("`{}` {what}: {}", self.program(), said.trim());
             let what = format!("{}; log in again, as by `aws sso login`", what.trim_end_matches([':', ' ']));
             io::Error::new(io::ErrorKind::PermissionDenied, what)
         };
@@ -178,6 +185,8 @@ mod tests {
         assert_eq!((credential.key_id.as_str(), credential.token.as_deref()), ("A", Some("C")));
         let said = refused("echo expired >&2; exit 1");
         assert!(said.contains("failed: expired; log in again"), "{said}");
+        let said = refused("KEY=secret cat secret-of-a-command");
+        assert!(said.starts_with("`cat` failed") && !said.contains("KEY=secret"), "{said}");
         assert!(refused("echo {}").contains("printed no credentials; log in again"));
     }
 

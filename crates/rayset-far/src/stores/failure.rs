@@ -1,10 +1,14 @@
 //! What went wrong, in words, and whether it may pass.
 
+use std::borrow::Cow;
 use std::io;
+use std::path::Path;
 use std::time::Duration;
 
 use object_store::Error;
-use rayset::storage::RangeError;
+use rayset::storage::{RangeError, redacted, shown};
+
+use super::redirect::NotFollowed;
 
 /// Whether another attempt may succeed.
 pub(super) fn may_pass(error: &Error) -> bool {
@@ -12,7 +16,7 @@ pub(super) fn may_pass(error: &Error) -> bool {
         Error::Generic { .. } => match status(error) {
             Some(code) => (code >= 500 && code != 501) || matches!(code, 408 | 425 | 429),
             // A connection that was cut or not made; an answer that was not what was asked for, as of a proxy.
-            None => !is_expired(error),
+            None => !is_expired(error) && !causes(error).any(|cause| cause.is::<NotFollowed>()),
         },
         Error::JoinError { .. } => true,
         _ => false,
@@ -74,13 +78,18 @@ pub(super) fn in_words(error: &Error, name: &str) -> io::Error {
             _ => (io::ErrorKind::Other, text),
         },
     };
-    io::Error::new(kind, format!("{name}: {what}"))
+    said(name, kind, &what)
+}
+
+/// An error about an object.
+fn said(name: &str, kind: io::ErrorKind, what: &str) -> io::Error {
+    io::Error::new(kind, format!("{}: {what}", shown(Path::new(name))))
 }
 
 /// The error for an object that is not the one that was opened.
 pub(super) fn has_changed(name: &str) -> RangeError {
     let (kind, what) = replaced();
-    RangeError::lasting(io::Error::new(kind, format!("{name}: {what}")))
+    RangeError::lasting(said(name, kind, &what))
 }
 
 fn replaced() -> (io::ErrorKind, String) {
@@ -122,14 +131,12 @@ impl std::error::Error for NoAnswer {}
 
 /// Whether no answer came at all: it was not waited for any longer, or there was no connection.
 pub(super) fn is_without_answer(error: &Error) -> bool {
-    let mut source = std::error::Error::source(error);
-    while let Some(cause) = source {
-        if cause.is::<NoAnswer>() || cause.is::<object_store::client::HttpError>() {
-            return true;
-        }
-        source = cause.source();
-    }
-    false
+    causes(error).any(|cause| cause.is::<NoAnswer>() || cause.is::<object_store::client::HttpError>())
+}
+
+/// What an error was caused by, and what that was caused by.
+fn causes(error: &Error) -> impl Iterator<Item = &(dyn std::error::Error + 'static)> {
+    std::iter::successors(std::error::Error::source(error), |cause| cause.source())
 }
 
 /// The status of HTTP that an error is about. `object_store` tells it only in words.
@@ -139,17 +146,40 @@ fn status(error: &Error) -> Option<u16> {
     rest.get(..3)?.parse().ok()
 }
 
-/// A message without the queries of addresses, which may grant access, and of bearable length.
+/// A message of a server without what grants access, and of bearable length.
 fn without_secrets(text: &str) -> String {
-    let words: Vec<&str> = text
-        .split_whitespace()
-        .map(|word| if word.contains("://") { word.split('?').next().unwrap_or(word) } else { word })
-        .collect();
+    let text = redacted(text);
+    let text = without_elements(&text);
+    let words: Vec<&str> = text.split_whitespace().map(without_query).collect();
     let text = words.join(" ").replace(char::is_control, " ");
     match text.char_indices().nth(600) {
         Some((end, _)) => format!("{} …", &text[..end]),
         None => text,
     }
+}
+
+/// A word without the query that begins in it: some servers say what they were asked for.
+fn without_query(word: &str) -> &str {
+    match word.split_once('?') {
+        Some((before, query)) if query.contains('=') => before,
+        _ => word,
+    }
+}
+
+/// A text without the XML or HTML in it, but for what says what went wrong. Others of its elements repeat signatures, tokens and what was
+/// signed.
+fn without_elements(text: &str) -> Cow<'_, str> {
+    let begins =
+        |at: &usize| text[at + 1..].starts_with(|c: char| c.is_ascii_alphabetic() || "?!/".contains(c));
+    let Some(at) = text.match_indices('<').map(|(at, _)| at).find(begins) else {
+        return Cow::Borrowed(text);
+    };
+    let (before, body) = text.split_at(at);
+    let said = ["Code", "Message", "title"].iter().filter_map(|name| {
+        let (_, rest) = body.split_once(&format!("{name}>"))?;
+        rest.split('<').next().map(str::trim).filter(|said| !said.is_empty())
+    });
+    Cow::Owned(format!("{before}{}", said.collect::<Vec<_>>().join(": ")))
 }
 
 #[cfg(test)]
@@ -180,6 +210,15 @@ mod tests {
         let error = generic("Error performing GET https://host/a?X-Amz-Signature=secret in 1s - cut");
         let said = in_words(&error, "https://host/a").to_string();
         assert_eq!(said, "https://host/a: Generic S3 error: Error performing GET https://host/a in 1s - cut");
+        let error = generic(
+            "status code: 403 Forbidden: <?xml?><Error><Code>SignatureDoesNotMatch</Code><Message>No match.</Message>\
+             <SignatureProvided>secret</SignatureProvided><StringToSign>GET secret</StringToSign></Error>",
+        );
+        let said = in_words(&error, "s3://b/a?sig=secret").to_string();
+        assert!(said.starts_with("s3://b/a: ") && !said.contains("secret"), "{said}");
+        assert!(said.ends_with("403 Forbidden: SignatureDoesNotMatch: No match."), "{said}");
+        let error = generic("status code: 400 Bad Request: Cannot GET /a?X-Amz-Signature=secret");
+        assert!(!in_words(&error, "https://host/a").to_string().contains("secret"));
         let error = generic("status code: 400 Bad Request: <Code>ExpiredToken</Code>");
         assert!(in_words(&error, "s3://b/a").to_string().contains("credentials have expired"));
     }

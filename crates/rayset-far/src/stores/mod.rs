@@ -2,7 +2,7 @@
 //!
 //! `place` reads an address, `connect` makes the client of a bucket or a host with the user's credentials (`aws_profile`, `azure`,
 //! `credential_process`; `renewal`, when they have expired), `object` reads ranges of a pinned object, `upload` writes one (`pending` finds uploads that were left), `tries`
-//! makes requests in bounded time, `failure` says what went wrong.
+//! makes requests in bounded time, over connections of `redirect`, `failure` says what went wrong.
 
 mod aws_profile;
 mod azure;
@@ -12,6 +12,7 @@ mod failure;
 mod object;
 mod pending;
 mod place;
+mod redirect;
 mod renewal;
 mod tries;
 mod upload;

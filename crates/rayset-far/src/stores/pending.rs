@@ -4,15 +4,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use object_store::client::{
-    ClientOptions, HttpClient, HttpConnector, HttpRequest, HttpRequestBody, ReqwestConnector,
-};
+use object_store::client::{ClientOptions, HttpClient, HttpConnector, HttpRequest, HttpRequestBody};
 use object_store::path::Path;
 use object_store::signer::{SignedUrlOptions, Signer};
 use object_store::{Error, Result};
 use quick_xml::Reader;
 use quick_xml::escape::resolve_predefined_entity;
 use quick_xml::events::Event;
+
+use super::redirect::Connector;
 
 /// How long the signature of a request is good for.
 const GOOD_FOR: Duration = Duration::from_secs(300);
@@ -26,7 +26,7 @@ pub(super) struct Pending {
 
 impl Pending {
     pub(super) fn new(signer: Arc<dyn Signer>, options: &ClientOptions) -> Result<Self> {
-        Ok(Self { signer, client: ReqwestConnector::default().connect(options)? })
+        Ok(Self { signer, client: Connector.connect(options)? })
     }
 
     /// The uploads of exactly this object, of the first thousand of objects whose names begin as its does: those of the shortest name

@@ -3,6 +3,7 @@
 use std::io;
 
 use object_store::path::Path;
+use rayset::storage::shown;
 use url::Url;
 
 /// Whom to ask.
@@ -23,7 +24,7 @@ pub(super) enum Keeper {
 pub(super) struct Place {
     pub(super) keeper: Keeper,
     pub(super) path: Path,
-    /// The address without its query, which may hold secrets: for messages.
+    /// Tells it from other objects of its keeper: the address, that of a web server without its secrets.
     pub(super) name: String,
 }
 
@@ -32,7 +33,7 @@ impl Place {
         let wrong = |what: &str| {
             let what = format!(
                 "{}: {what}; expected s3://BUCKET/KEY, gs://BUCKET/KEY, az://CONTAINER/BLOB or https://HOST/PATH",
-                without_query(address)
+                shown(std::path::Path::new(address))
             );
             io::Error::new(io::ErrorKind::InvalidInput, what)
         };
@@ -67,10 +68,6 @@ impl Place {
         name.set_fragment(None);
         Some(Self { keeper: Keeper::Web(host.into()), path, name: name.into() })
     }
-}
-
-fn without_query(address: &str) -> &str {
-    address.split(['?', '#']).next().unwrap_or(address)
 }
 
 #[cfg(test)]

@@ -12,4 +12,5 @@ mod las_writer;
 mod processes;
 #[path = "../../examples/range_server/server.rs"]
 mod range_server;
+mod secrets;
 mod silence;

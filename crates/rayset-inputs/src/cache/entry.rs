@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
+use rayset::storage;
 use serde::{Deserialize, Serialize};
 
 use super::stamp::{self, Detail};
@@ -131,6 +132,11 @@ impl Entry {
         stamps: Vec<(PathBuf, String)>,
         remarks: Vec<String>,
     ) -> Result<()> {
+        // A note tells no secrets. What cannot be noted is not kept.
+        if stamps.iter().any(|(path, _)| Path::new(&storage::shown(path)) != path) {
+            return Ok(());
+        }
+        let remarks = remarks.iter().map(|remark| storage::redacted(remark).into_owned()).collect();
         let doing = || format!("cannot finish {}", self.folder.display());
         restrict(&self.data, inputs).with_context(doing)?;
         let note = Note { mark: MARK, files: stamps, remarks, is_complete: true };

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use rayset::storage;
 
 use self::entry::Listed;
 pub(super) use self::entry::{Entry, Found};
@@ -160,7 +161,8 @@ impl Name {
     pub(super) fn of(inputs: &[PathBuf], files: &[PathBuf], options: &str) -> Result<Self> {
         let key = stamp::key(files, &format!("{GENERATION} {options}"))?;
         let Some(first) = inputs.first() else { bail!("no input") };
-        let stem: String = first
+        // A query, which may grant access, is no part of a name that others may see.
+        let stem: String = Path::new(&storage::shown(first))
             .file_stem()
             .unwrap_or_default()
             .to_string_lossy()

@@ -11,7 +11,7 @@ use super::write::Metadata;
 use crate::regular_file;
 use crate::storage::input_file::read_ahead;
 use crate::storage::transport::Transport;
-use crate::storage::{FileStorage, Storage, address, address_of};
+use crate::storage::{FileStorage, Storage, address, address_of, shown};
 
 /// Longest section that is read into memory as a whole: columns, descriptions.
 const MAX_SECTION_BYTES: u64 = 512 << 10;
@@ -21,7 +21,7 @@ const MAX_SECTION_BYTES: u64 = 512 << 10;
 #[non_exhaustive]
 pub enum OpenError {
     /// The operating system refused.
-    #[error("cannot open {}: {source}", path.display())]
+    #[error("cannot open {}: {source}", shown(path))]
     Io {
         /// The file.
         path: PathBuf,
@@ -29,7 +29,7 @@ pub enum OpenError {
         r#source: io::Error,
     },
     /// The header, the footer or a section is invalid.
-    #[error("{}, {source}", path.display())]
+    #[error("{}, {source}", shown(path))]
     Header {
         /// The file.
         path: PathBuf,
@@ -37,8 +37,10 @@ pub enum OpenError {
         r#source: HeaderError,
     },
     /// The file is shorter or longer than its header says.
-    #[error("{}: {found} bytes where the header says {expected}; the file is incomplete or has been appended to",
-        path.display())]
+    #[error(
+        "{}: {found} bytes where the header says {expected}; the file is incomplete or has been appended to",
+        shown(path)
+    )]
     Length {
         /// The file.
         path: PathBuf,
@@ -57,13 +59,13 @@ pub enum ScanError {
     #[error(transparent)]
     File(#[from] OpenError),
     /// Another file has replaced the one that was opened.
-    #[error("{}: another file stands here now than the one that was opened", path.display())]
+    #[error("{}: another file stands here now than the one that was opened", shown(path))]
     Replaced {
         /// The file.
         path: PathBuf,
     },
     /// A page is damaged.
-    #[error("{}, byte {offset} (page {page}): {source}", path.display())]
+    #[error("{}, byte {offset} (page {page}): {source}", shown(path))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -110,10 +112,10 @@ impl OpenFile {
         if address_of(path).is_none() {
             return Ok((Self::open(path, kind)?, None));
         }
-        let shown = address::without_query(path);
+        let named = address::without_secrets(path);
         let storage =
-            address::open(path, false).map_err(|source| OpenError::Io { path: shown.clone(), source })?;
-        Ok((Self::over(&shown, storage.clone(), kind)?, Some(storage)))
+            address::open(path, false).map_err(|source| OpenError::Io { path: named.clone(), source })?;
+        Ok((Self::over(&named, storage.clone(), kind)?, Some(storage)))
     }
 
     /// As [`open`](Self::open), but reads from any storage; `path` is only a name for messages.

@@ -18,6 +18,7 @@ use crate::octree::build::{BuildControl, Stage};
 use crate::output::{Destination, OutputError, OutputFile, OutputWriter, remove_leftovers};
 use crate::setters::setters;
 use crate::spill::Spill;
+use crate::storage::shown;
 
 /// Why a grid could not be built.
 #[derive(Debug, thiserror::Error)]
@@ -33,7 +34,7 @@ pub enum GridBuildError {
     #[error(transparent)]
     Output(#[from] OutputError),
     /// Writing the output failed.
-    #[error("cannot write {}: {source}", path.display())]
+    #[error("cannot write {}: {source}", shown(path))]
     Write {
         /// The file.
         path: PathBuf,
@@ -41,7 +42,7 @@ pub enum GridBuildError {
         r#source: io::Error,
     },
     /// A temporary file cannot be created, written or read.
-    #[error("temporary file in {}: {source}", folder.display())]
+    #[error("temporary file in {}: {source}", shown(folder))]
     Temporary {
         /// The folder of the file.
         folder: PathBuf,

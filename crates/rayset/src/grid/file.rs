@@ -36,7 +36,7 @@ impl Grid {
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let (mut file, storage) = OpenFile::of_path(path, FileKind::Grid)?;
         let header = GridHeader::read(&mut file)?;
-        Ok(Self { path: address::without_query(path), address: path.to_owned(), storage, header })
+        Ok(Self { path: address::without_secrets(path), address: path.to_owned(), storage, header })
     }
 
     /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are used in place.

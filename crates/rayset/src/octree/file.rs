@@ -42,7 +42,7 @@ impl Cloud {
     pub fn open(path: &Path) -> Result<Self, OpenError> {
         let (mut file, storage) = OpenFile::of_path(path, FileKind::Cloud)?;
         Ok(Self {
-            path: address::without_query(path),
+            path: address::without_secrets(path),
             address: path.to_owned(),
             storage,
             header: Header::read(&mut file)?,

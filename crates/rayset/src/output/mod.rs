@@ -15,6 +15,8 @@ mod writer;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::storage::shown;
+
 pub use self::destination::Destination;
 pub(crate) use self::partial::{Access, Purpose, create_unique, remove_leftovers, remove_partials};
 pub use self::writer::{OutputFile, OutputWriter};
@@ -24,7 +26,7 @@ pub use self::writer::{OutputFile, OutputWriter};
 #[non_exhaustive]
 pub enum OutputError {
     /// The operating system refused.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {source}", shown(path))]
     Io {
         /// What was attempted.
         action: &'static str,
@@ -34,13 +36,13 @@ pub enum OutputError {
         r#source: io::Error,
     },
     /// The path does not end in a file name.
-    #[error("`{}` is no name of a file", path.display())]
+    #[error("`{}` is no name of a file", shown(path))]
     NoName {
         /// The path.
         path: PathBuf,
     },
     /// The folder is missing.
-    #[error("cannot write {}: there is no folder {}", path.display(), folder.display())]
+    #[error("cannot write {}: there is no folder {}", shown(path), shown(folder))]
     NoFolder {
         /// The output.
         path: PathBuf,
@@ -48,7 +50,7 @@ pub enum OutputError {
         folder: PathBuf,
     },
     /// The path names something that cannot be replaced by a file or written to.
-    #[error("{} is {what}; {expected}", path.display())]
+    #[error("{} is {what}; {expected}", shown(path))]
     NotAFile {
         /// The path.
         path: PathBuf,
@@ -58,7 +60,7 @@ pub enum OutputError {
         expected: &'static str,
     },
     /// The output is the input.
-    #[error("{} is an input of this run{}; name another file to write", path.display(), named(path, input))]
+    #[error("{} is an input of this run{}; name another file to write", shown(path), named(path, input))]
     IsInput {
         /// The output.
         path: PathBuf,
@@ -69,5 +71,5 @@ pub enum OutputError {
 
 /// The name of the input, if it differs from that of the output.
 fn named(output: &Path, input: &Path) -> String {
-    if output == input { String::new() } else { format!(", called {}", input.display()) }
+    if output == input { String::new() } else { format!(", called {}", shown(input)) }
 }

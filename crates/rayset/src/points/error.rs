@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
+use crate::storage::shown;
+
 /// A position in a file, for messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
@@ -26,7 +28,7 @@ impl fmt::Display for Place {
 #[non_exhaustive]
 pub enum ReadError {
     /// The operating system refused.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {source}", shown(path))]
     Io {
         /// The file.
         path: PathBuf,
@@ -34,7 +36,7 @@ pub enum ReadError {
         r#source: io::Error,
     },
     /// The file breaks the rules of its own format.
-    #[error("{}, {place}: {what}", path.display())]
+    #[error("{}, {place}: {what}", shown(path))]
     Malformed {
         /// The file.
         path: PathBuf,
@@ -44,7 +46,7 @@ pub enum ReadError {
         what: String,
     },
     /// Points of a LAS or LAZ file could not be decoded.
-    #[error("{}, byte {byte}: {what}; {read} of {count} points could be read", path.display())]
+    #[error("{}, byte {byte}: {what}; {read} of {count} points could be read", shown(path))]
     Las {
         /// The file.
         path: PathBuf,
@@ -61,7 +63,7 @@ pub enum ReadError {
     #[error("cancelled")]
     Cancelled,
     /// This build of the library cannot read the format.
-    #[error("{}: this build cannot read such files; compile it with the feature `{feature}`", path.display())]
+    #[error("{}: this build cannot read such files; compile it with the feature `{feature}`", shown(path))]
     NotCompiled {
         /// The file.
         path: PathBuf,
@@ -69,7 +71,7 @@ pub enum ReadError {
         feature: &'static str,
     },
     /// The file is of no format that can be read.
-    #[error("{}: {advice}", path.display())]
+    #[error("{}: {advice}", shown(path))]
     UnknownFormat {
         /// The file.
         path: PathBuf,

@@ -11,8 +11,8 @@ use crate::grid::{self, Grid};
 use crate::octree::{self, Cloud};
 use crate::regular_file;
 use crate::scene::{Node, Shape};
-use crate::storage::address_of;
 use crate::storage::input_file::InputFile;
+use crate::storage::{address_of, shown};
 
 /// The least and the largest factor of radii.
 const RADIUS_SCALES: [f64; 2] = [1e-3, 1e3];
@@ -121,7 +121,7 @@ fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
         Some(_) => Ok(path.to_owned()),
         None => regular_file::open(path).and_then(|_| path.canonicalize()),
     };
-    known.map_err(|e| at.error(format!("cannot open {}: {e}", path.display())))
+    known.map_err(|e| at.error(format!("cannot open {}: {e}", shown(path))))
 }
 
 /// The error for a data file that cannot be opened, with advice: the file may hold other data than its `type` says, or
@@ -129,7 +129,7 @@ fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
 fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
     let mut head = [0_u8; 8];
     let is_read = InputFile::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
-    let name = path.display();
+    let name = shown(path);
     at.error(match head {
         _ if is_read && head == wanted => what,
         octree::format::MAGIC => format!("{name} holds points; its \"type\" is \"cloud\""),

@@ -2,9 +2,11 @@
 
 use std::path::PathBuf;
 
+use crate::storage::shown;
+
 /// What is wrong with a scene file, and where.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{}:{line}:{column}: {}{what}", file.display(), if key.is_empty() { String::new() } else { format!("{key}: ") })]
+#[error("{}:{line}:{column}: {}{what}", shown(file), if key.is_empty() { String::new() } else { format!("{key}: ") })]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct SceneFileError {
     /// The file.
@@ -24,7 +26,7 @@ pub struct SceneFileError {
 #[non_exhaustive]
 pub enum LoadError {
     /// The file cannot be read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {source}", shown(path))]
     Io {
         /// The file.
         path: PathBuf,

@@ -7,6 +7,7 @@ use super::json::Json;
 use super::reader::{Cursor, listed};
 use super::text::read_text;
 use crate::scene::{ColorMap, FARTHEST, MOST_STOPS, Palette};
+use crate::storage::shown;
 
 /// A map of a preset file.
 pub(super) struct Preset {
@@ -20,7 +21,7 @@ impl Preset {
         let object = at.object(&["file", "name"])?;
         let file_at = object.require("file")?;
         let path = at.document.beside(file_at.text()?);
-        let wrong = |what: String| file_at.error(format!("{}: {what}", path.display()));
+        let wrong = |what: String| file_at.error(format!("{}: {what}", shown(&path)));
         let text = read_text(&path).map_err(|e| wrong(format!("cannot read it: {e}")))?;
         let value = Json::parse(&text).map_err(|e| wrong(format!("this is not JSON: {e}")))?;
         let maps = value.as_list().unwrap_or(std::slice::from_ref(&value));

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use super::file::FileStorage;
+use super::shown::shown;
 use super::transport::Storage;
 
 /// What opens addresses and writes to them.
@@ -88,13 +89,9 @@ fn joined(folder: &str, relative: &str) -> String {
     format!("{scheme}://{}", parts.join("/"))
 }
 
-/// The address of a web server without its query, which may grant access: for messages. Others are what they are.
-pub(crate) fn without_query(path: &Path) -> PathBuf {
-    match address_of(path).filter(|address| address.starts_with("http")).and_then(|text| text.split_once('?'))
-    {
-        Some((before, _)) => PathBuf::from(before),
-        None => path.to_owned(),
-    }
+/// A path, or an address without its secrets: for messages, and for whatever else people see.
+pub(crate) fn without_secrets(path: &Path) -> PathBuf {
+    address_of(path).map_or_else(|| path.to_owned(), |_| PathBuf::from(shown(path)))
 }
 
 /// Opens a file or an address. With `direct`, reads of a file bypass the page cache if the system supports it.
@@ -123,8 +120,9 @@ pub fn look_again() {
 pub(crate) fn opener(address: &str) -> io::Result<&'static Arc<dyn Addresses>> {
     ADDRESSES.get().ok_or_else(|| {
         let what = format!(
-            "{address} is an address, and this program was built without what opens addresses: build it with `--features \
-             far`, or copy the object to a disk"
+            "{} is an address, and this program was built without what opens addresses: build it with `--features \
+             far`, or copy the object to a disk",
+            shown(Path::new(address))
         );
         io::Error::new(io::ErrorKind::Unsupported, what)
     })

@@ -15,6 +15,7 @@ pub(crate) mod input_file;
 pub mod local;
 mod memory;
 mod pool;
+mod shown;
 #[doc(hidden)]
 pub mod transport;
 #[cfg(target_os = "linux")]
@@ -37,4 +38,6 @@ pub use self::file::FileStorage;
 #[doc(hidden)]
 pub use self::input_file::{InputFile, Named, is_file, look};
 pub use self::memory::MemoryStorage;
+#[doc(hidden)]
+pub use self::shown::{redacted, shown};
 pub use self::transport::{BackendKind, Storage};

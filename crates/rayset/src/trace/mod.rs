@@ -58,6 +58,7 @@ pub use self::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 pub use self::view::View;
 pub use self::work::{MAX_TILE_PIXELS, Region, Tile, Work};
 use crate::scene::{CameraError, SceneError};
+use crate::storage::shown;
 use crate::working_set::PageFault;
 
 /// Why a scene cannot be prepared or rendered.
@@ -82,7 +83,7 @@ pub enum RenderError {
         what: String,
     },
     /// A file of the scene cannot be opened.
-    #[error("cannot open {}: {source}", path.display())]
+    #[error("cannot open {}: {source}", shown(path))]
     Open {
         /// The file.
         path: PathBuf,

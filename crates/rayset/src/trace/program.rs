@@ -19,6 +19,7 @@ use crate::geometry::{Aabb, DAffine3, Ray};
 use crate::scene::{
     CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
 };
+use crate::storage::shown;
 use crate::working_set::{Object, PagedFiles};
 
 /// What an instruction does.
@@ -165,7 +166,7 @@ impl Program {
 
 /// The error for a file of the scene that was not opened.
 fn not_paged(path: &std::path::Path) -> RenderError {
-    RenderError::Setting { setting: "scene", what: format!("{} is in no working set", path.display()) }
+    RenderError::Setting { setting: "scene", what: format!("{} is in no working set", shown(path)) }
 }
 
 impl Compiler<'_> {

@@ -3,12 +3,14 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::storage::shown;
+
 /// Why a volume cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadError {
     /// The operating system refused.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {source}", shown(path))]
     Io {
         /// The file.
         path: PathBuf,
@@ -16,13 +18,13 @@ pub enum ReadError {
         r#source: io::Error,
     },
     /// A pipe, a device or a folder.
-    #[error("{}: this is not a regular file; volumes are read from files alone", path.display())]
+    #[error("{}: this is not a regular file; volumes are read from files alone", shown(path))]
     NotRegular {
         /// The file.
         path: PathBuf,
     },
     /// The voxel data end early, are too long, or are damaged.
-    #[error("{}, byte {offset} of the voxels: {what}", path.display())]
+    #[error("{}, byte {offset} of the voxels: {what}", shown(path))]
     Data {
         /// The file.
         path: PathBuf,
@@ -32,7 +34,7 @@ pub enum ReadError {
         what: String,
     },
     /// The header is invalid, or describes something that is not supported.
-    #[error("{}, {place}: {what}", path.display())]
+    #[error("{}, {place}: {what}", shown(path))]
     Header {
         /// The file.
         path: PathBuf,
@@ -42,7 +44,7 @@ pub enum ReadError {
         what: String,
     },
     /// The file is of no format that is read.
-    #[error("{}: {what}", path.display())]
+    #[error("{}: {what}", shown(path))]
     Format {
         /// The file.
         path: PathBuf,

@@ -7,6 +7,7 @@ use super::parts::step::BuildStep;
 use crate::container::OpenError;
 use crate::output::OutputError;
 use crate::points::ReadError;
+use crate::storage::shown;
 
 /// A kind of number that is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,7 +91,7 @@ pub enum BuildError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// A temporary file could not be written or read.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {source}", shown(path))]
     Io {
         /// What was attempted.
         action: &'static str,
@@ -178,7 +179,7 @@ pub enum BuildError {
     #[error(transparent)]
     Open(OpenError),
     /// A file of a part of a build cannot be used.
-    #[error("cannot use {}: {what}", path.display())]
+    #[error("cannot use {}: {what}", shown(path))]
     Part {
         /// The file.
         path: PathBuf,
@@ -189,7 +190,7 @@ pub enum BuildError {
     #[error(
         "{} {} of {parts} of step `{step}` {} not been done, or not in {}",
         if missing.len() == 1 { "part" } else { "parts" }, list(missing), if missing.len() == 1 { "has" } else { "have" },
-        folder.display()
+        shown(folder)
     )]
     MissingParts {
         /// The folder of the parts.
