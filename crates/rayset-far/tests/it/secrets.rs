@@ -111,14 +111,14 @@ fn no_error_shows_the_secrets_of_an_address() {
         "<?xml version=\"1.0\"?><Error><Code>SignatureDoesNotMatch</Code><Message>They differ.</Message>\
          <AWSAccessKeyId>{SECRET}</AWSAccessKeyId><StringToSign>GET {SECRET}</StringToSign></Error>"
     );
-    let mut said = Vec::new();
+    // Tried several times, so asked for once.
+    let mut said = vec![open(&secret_address("http", "127.0.0.1:1", "nobody")).expect_err("nobody listens")];
     for behaviour in [Behaviour::default(), refused(403, &xml), refused(400, &echo), refused(404, &echo)] {
         here.behave(behaviour);
         for address in [
             secret_address("http", &host, "damaged.rset"),
             secret_address("HTTP", &host, "none.rset"),
             secret_address("http", &host, ""),
-            secret_address("http", "127.0.0.1:1", "nobody"),
             format!("http:/user:{SECRET}@{host}/a.rset?sig={SECRET}"),
             format!("http://user:{SECRET}/{SECRET}@{host}/a.rset"),
             format!("http://user:{SECRET} {SECRET}@/a b.rset?sig=\"{SECRET}"),
