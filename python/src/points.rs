@@ -9,8 +9,9 @@ use pyo3::prelude::*;
 use rayset::CancelToken;
 use rayset::build::{self, BuildControl, BuildOptions};
 use rayset::output::Destination;
-use rayset::points::{PointSource, ReadOptions};
+use rayset::points::{PointSource, ReadError, ReadOptions};
 use rayset::storage::address_of;
+use rayset_inputs::{Files, LeftOut};
 
 use crate::build::Options;
 use crate::errors;
@@ -23,6 +24,9 @@ pub(crate) struct Points {
     /// Files, and no patterns or folders any more.
     #[pyo3(item)]
     files: Vec<PathBuf>,
+    /// Whether a person named each; one that a folder or a pattern named is left out if it is damaged.
+    #[pyo3(item)]
+    named: Vec<bool>,
     /// Names of the columns of text files and of arrays.
     #[pyo3(item)]
     columns: Option<Vec<String>>,
@@ -34,6 +38,7 @@ pub(crate) struct Points {
 /// Points that are open, what is made of them, and what there is to say of them.
 pub(crate) struct OpenPoints {
     pub(crate) sources: Vec<Box<dyn PointSource>>,
+    pub(crate) left_out: LeftOut,
     pub(crate) options: BuildOptions,
     pub(crate) remarks: Vec<String>,
 }
@@ -43,36 +48,41 @@ fn host<'a>(progress: &'a Progress, cancel: &'a CancelToken) -> Package<'a> {
 }
 
 impl Points {
-    /// Opens the files.
+    /// Opens the files. If `strict`, none is left out.
     pub(crate) fn open(
         &self,
         options: BuildOptions,
+        strict: bool,
         progress: &Progress,
         cancel: &CancelToken,
     ) -> Result<OpenPoints> {
         let host = host(progress, cancel);
         let reading = ReadOptions::default().with_text_columns(self.columns.clone());
-        let sources = rayset_inputs::open_points(&self.files, &reading, &host)?;
+        let files = Files::of(self.files.clone(), self.named.clone());
+        let points = rayset_inputs::open_points(&files, &reading, strict, &host)?;
+        let (sources, left_out) = (points.sources, points.left_out);
         let kept = match &self.attributes {
             Some(names) => names.clone(),
             None => rayset_inputs::customary_columns(&sources).kept,
         };
         let remarks = std::mem::take(&mut *lock(&host.remarks));
-        Ok(OpenPoints { sources, options: options.with_attributes(kept), remarks })
+        Ok(OpenPoints { sources, left_out, options: options.with_attributes(kept), remarks })
     }
 }
 
-/// The files of points that paths, patterns and folders name. None of them may be that which is written.
+/// The files of points that paths, patterns and folders name, and whether each was named by itself. None of them may be that which
+/// is written.
 #[pyfunction]
 pub(crate) fn expand(
     py: Python<'_>,
     paths: Vec<PathBuf>,
     output: Option<PathBuf>,
-) -> PyResult<Vec<OsString>> {
+) -> PyResult<(Vec<OsString>, Vec<bool>)> {
     let found = py.detach(|| {
         let (progress, cancel) = (Progress::default(), CancelToken::new());
         rayset::storage::look_again();
-        let files = rayset_inputs::expand(&paths, &host(&progress, &cancel))?;
+        let found = rayset_inputs::expand(&paths, &host(&progress, &cancel))?;
+        let (named, files) = (found.are_named().to_vec(), found.paths);
         for file in files.iter().filter(|file| address_of(file).is_none()) {
             std::fs::metadata(file).with_context(|| format!("cannot read {}", file.display()))?;
         }
@@ -84,7 +94,7 @@ pub(crate) fn expand(
             destination.require_file()?;
             destination.refuse_inputs(&files)?;
         }
-        Ok(files.into_iter().map(PathBuf::into_os_string).collect())
+        Ok((files.into_iter().map(PathBuf::into_os_string).collect(), named))
     });
     found.map_err(|error| errors::of_input(py, error))
 }
@@ -100,8 +110,11 @@ pub(crate) fn build_files(
 ) -> PyResult<(CloudFile, [u64; 3], Vec<String>)> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let work = || {
-        let open = points.open(options.of_library(), &progress, &cancel)?;
-        let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
+        let open = points.open(options.of_library(), false, &progress, &cancel)?;
+        let leaves_out = |source: usize, error: &ReadError| open.left_out.takes(source, error);
+        let control = BuildControl::from(&progress as &dyn build::Progress)
+            .with_cancel(&cancel)
+            .with_leaving_out(&leaves_out);
         let (cloud, report) = match &options.path {
             Some(path) => (None, build::to_file(open.sources, path, &open.options, &control)?),
             None => {
@@ -109,7 +122,8 @@ pub(crate) fn build_files(
                 (Some(cloud), report)
             }
         };
-        Ok((cloud, report, open.remarks))
+        let remarks = open.remarks.into_iter().chain(open.left_out.remark()).collect();
+        Ok((cloud, report, remarks))
     };
     let outcome = wait::run(py, &cancel, &progress, told, work)?;
     let (cloud, report, remarks) = outcome.map_err(|error| errors::of_input(py, error))?;

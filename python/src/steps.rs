@@ -49,7 +49,7 @@ pub(crate) fn read_part(
 ) -> PyResult<Vec<String>> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let work = || {
-        let open = points.open(options.of_library(), &progress, &cancel)?;
+        let open = points.open(options.of_library(), true, &progress, &cancel)?;
         let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
         parts.of_library()?.read(part, open.sources, &open.options, &control)?;
         Ok(open.remarks)

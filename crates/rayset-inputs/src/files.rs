@@ -23,10 +23,17 @@ pub struct Files {
 }
 
 impl Files {
-    /// Files that a person named, every one.
+    /// Whether a person named each file; otherwise a folder or a pattern did.
     #[must_use]
-    pub fn named(paths: Vec<PathBuf>) -> Self {
-        Self { named: vec![true; paths.len()], paths }
+    pub fn are_named(&self) -> &[bool] {
+        &self.named
+    }
+
+    /// Files of which is known whether a person named each; those beyond `named` were.
+    #[must_use]
+    pub fn of(paths: Vec<PathBuf>, mut named: Vec<bool>) -> Self {
+        named.resize(paths.len(), true);
+        Self { paths, named }
     }
 
     /// Each path, and whether a person named it.
