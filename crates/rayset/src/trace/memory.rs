@@ -74,9 +74,7 @@ impl SceneNeeds {
         let turns = has(scene, |node| {
             node.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0)
         });
-        let mut required = largest_outputs(scene, settings, turns);
-        // To find out what is inside takes shading vectors.
-        required.normal |= has_caps;
+        let required = largest_outputs(scene, settings, turns, has_caps);
         let census = Census::of(&scene.root);
         let most_held = node_samples_held(&scene.root) + census.shared;
         let picture = most_held * NodeSamples::bytes(required);
@@ -339,14 +337,23 @@ fn has(scene: &Scene, wanted: impl Fn(&Node) -> bool) -> bool {
 }
 
 /// All outputs that may be required of any node of a scene.
-fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -> RequiredOutputs {
+fn largest_outputs(
+    scene: &Scene,
+    settings: &RenderSettings,
+    turns_rays: bool,
+    has_caps: bool,
+) -> RequiredOutputs {
     let lit = scene.lighting != Lighting::Unlit;
-    let cuts = || has(scene, |node| matches!(node.shape, Shape::Operator(Operator::Difference, _)));
+    // To find out what is inside takes shading vectors.
+    let normal = lit || settings.records_layers() || has_caps;
+    let of_boundary = |operator| matches!(operator, Operator::Difference | Operator::Intersection);
+    let cuts =
+        || has(scene, |node| matches!(node.shape, Shape::Operator(operator, _) if of_boundary(operator)));
     let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
     RequiredOutputs {
         color: true,
-        normal: lit || settings.records_layers(),
-        boundary: lit && (turns_rays || scene.lighting.throws_shadows() || cuts()),
+        normal,
+        boundary: normal && (turns_rays || scene.lighting.throws_shadows() || cuts()),
         outside: false,
         material: settings.records_layers() || (lit && has(scene, |node| node.material.is_some())),
         attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
