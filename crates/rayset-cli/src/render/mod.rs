@@ -18,7 +18,7 @@ use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::output::Destination;
 use rayset::parts::Share;
 use rayset::scene::Camera;
-use rayset::{CancelToken, PreparedScene, Region, RenderCounts, View};
+use rayset::{CancelToken, PreparedScene, Region, RenderCounts, RenderError, View};
 
 pub(crate) use self::args::{RenderArgs, defaults};
 use self::report::RenderReport;
@@ -54,8 +54,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let part_bytes = args.part.map_or(0, |share| share.index_bytes(&region) + 2 * drawing_bytes);
     let loading_bytes = shot.loading_bytes + drawing_bytes + part_bytes;
     let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(loading_bytes);
-    let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
-    let prepared = work.session.prepare(&shot.scene, &shot.settings)?;
+    let (work, plan, prepared) = prepared(args, &shot, needs)?;
     prepared.remarks().iter().for_each(remark);
     let rendering = Rendering { shot: &shot, prepared, region, work, plan };
     for (output, camera) in &pictures {
@@ -69,6 +68,24 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// The scene ready to be rendered, with what renders it. How much its caps take may be known only once they are counted; then
+/// all begins again with the right division of the memory, or its least is said.
+fn prepared(
+    args: &RenderArgs,
+    shot: &Shot,
+    mut needs: SceneNeeds,
+) -> Result<(Work, MemoryPlan, PreparedScene)> {
+    loop {
+        let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
+        match work.session.prepare(&shot.scene, &shot.settings) {
+            Err(RenderError::Memory { needed, .. }) if needed > plan.caps_bytes => {
+                needs = needs.with_caps(needed);
+            }
+            prepared => return Ok((work, plan, prepared?)),
+        }
+    }
 }
 
 /// Refuses what cannot be written. Returns whether the output has layers.

@@ -120,6 +120,7 @@ impl Work {
         let limits = Limits::total(plan.page_bytes).with_kind(Kind::Shadows, plan.shadow_bytes);
         let session = Session::builder()
             .page_limits(limits)
+            .caps_bytes(plan.caps_bytes)
             .threads(threads)
             .prediction(args.predictor.prediction())
             .simd(args.simd)

@@ -158,3 +158,115 @@ fn the_bunny_builds_and_renders_under_20_megabytes() {
         assert!(number(&stats, "peak_rss_bytes") < 20e6, "{stats}");
     }
 }
+
+/// Bytes that `render` names as the smallest memory for a scene.
+fn least(folder: &Path, scene: &str, output: &str) -> u64 {
+    let refused = Command::new(env!("CARGO_BIN_EXE_rayset"))
+        .current_dir(folder)
+        .args(["render", scene, "-o", output, "--threads", "2", "--memory", "1MiB"])
+        .output()
+        .expect("the program runs");
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    let bytes = message.split("would do is ").nth(1).and_then(|rest| rest.split(' ').next());
+    bytes.and_then(|bytes| bytes.parse().ok()).unwrap_or_else(|| panic!("a number of bytes in {message}"))
+}
+
+/// The smallest memory that is named suffices, and is not much more than what is used.
+fn check_least(name: &str, scene: &str, output: &str) {
+    let folder = folder();
+    std::fs::write(folder.path().join("scene.json"), scene).expect("the scene is written");
+    let least = least(folder.path(), "scene.json", output);
+    let memory = least.to_string();
+    let options = ["--threads", "2", "--memory", &memory, "--stats", "s.json"];
+    rayset(folder.path(), &[&["render", "scene.json", "-o", output], &options[..]].concat());
+    let text = std::fs::read_to_string(folder.path().join("s.json")).expect("statistics are written");
+    let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
+    let (peak, least) = (number(&stats, "peak_rss_bytes") / MIB, least as f64 / MIB);
+    assert!(peak <= least, "{name}: {peak:.1} MiB resident, where {least:.1} MiB are said to suffice");
+    assert!(peak > 0.65 * least, "{name}: {least:.1} MiB are demanded, and {peak:.1} MiB used");
+}
+
+#[test]
+fn ambient_occlusion_of_tall_pictures_stays_within_the_least_memory_that_is_named() {
+    let scene = |width: u32, height: u32| {
+        format!(
+            r#"{{"rayset": 1, "image": {{"size": [{width}, {height}]}}, "rendering": {{"ambientOcclusion": 1}},
+                "root": {{"type": "sphere", "radius": 1}}}}"#
+        )
+    };
+    check_least("narrow", &scene(8, 1_048_576), "o.png");
+    check_least("wider", &scene(64, 131_072), "o.png");
+}
+
+#[test]
+fn wide_pictures_with_layers_need_no_more_memory_than_their_rows_take() {
+    let scene = |width: u32, height: u32| {
+        format!(
+            r#"{{"rayset": 1, "image": {{"size": [{width}, {height}]}},
+                "root": {{"type": "sphere", "radius": 1}}}}"#
+        )
+    };
+    check_least("eight rows", &scene(131_072, 8), "o.exr");
+    check_least("twenty rows", &scene(65_536, 20), "o.exr");
+    check_least("many rows", &scene(16_384, 100), "o.exr");
+}
+
+/// A row of things that are cut open, each with a cap.
+fn capped(count: usize, cut: &str) -> String {
+    let one = |i: usize| {
+        format!(
+            r##"{{"type": "difference", "cap": "#ff0000", "transform": {{"translate": [{}, 0, 0]}}, "children": [{cut},
+                {{"type": "box", "size": [1, 1, 1], "transform": {{"translate": [0.5, 0.5, 0.5]}}}}]}}"##,
+            2.5 * i as f64
+        )
+    };
+    let all: Vec<String> = (0..count).map(one).collect();
+    format!(
+        r#"{{"rayset": 1, "image": {{"size": [64, 64]}}, "rendering": {{"step": 0.02}},
+            "root": {{"type": "union", "children": [{}]}}}}"#,
+        all.join(",")
+    )
+}
+
+#[test]
+fn caps_are_counted_one_after_another_in_the_memory_of_one() {
+    // Of solids nothing is kept: they are no shells.
+    check_least("solids", &capped(20, r#"{"type": "sphere", "radius": 1}"#), "o.png");
+}
+
+#[test]
+fn caps_that_turn_out_to_need_more_memory_say_how_much_and_make_the_same_picture_with_it() {
+    let folder = folder();
+    let shell = r#"{"type": "difference", "children": [{"type": "sphere", "radius": 1}, {"type": "sphere", "radius": 0.9}]}"#;
+    std::fs::write(folder.path().join("scene.json"), capped(6, shell)).expect("the scene is written");
+    let to_count = least(folder.path(), "scene.json", "o.png");
+    let render = |memory: &str, output: &str| {
+        Command::new(env!("CARGO_BIN_EXE_rayset"))
+            .current_dir(folder.path())
+            .args([
+                "render",
+                "scene.json",
+                "-o",
+                output,
+                "--threads",
+                "2",
+                "--memory",
+                memory,
+                "--stats",
+                "s.json",
+            ])
+            .output()
+            .expect("the program runs")
+    };
+    let refused = String::from_utf8_lossy(&render(&to_count.to_string(), "a.png").stderr).into_owned();
+    let named = refused.split("would do is ").nth(1).and_then(|rest| rest.split(' ').next());
+    let named = named.unwrap_or_else(|| panic!("a number of bytes in {refused}"));
+    let made = render(named, "a.png");
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let text = std::fs::read_to_string(folder.path().join("s.json")).expect("statistics are written");
+    let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
+    assert!(number(&stats, "peak_rss_bytes") <= named.parse().expect("bytes"), "{named}: {stats}");
+    assert!(render("1GiB", "b.png").status.success());
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("the picture reads");
+    assert!(read("a.png") == read("b.png"));
+}

@@ -24,8 +24,8 @@ const SECTION_COUNT_AT: usize = PAGE_BYTES_AT + 4;
 pub(super) const DIRECTORY_AT: usize = SECTION_COUNT_AT + 4;
 pub(super) const SECTION_BYTES: usize = 32;
 
-/// Required features that this code knows: none yet.
-const KNOWN_REQUIRED: u64 = 0;
+/// The required feature of grids whose bricks are not cubes.
+pub(crate) const BRICK_SHAPE: u64 = 1;
 
 /// What a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -296,7 +296,8 @@ impl FileHeader {
     /// # Errors
     /// [`HeaderError::Feature`] for the first unknown feature.
     pub fn check_features(&self, name: impl Fn(u32) -> Option<String>) -> Result<(), HeaderError> {
-        let unknown = self.required_features & !KNOWN_REQUIRED;
+        let known = if self.kind == FileKind::Grid { BRICK_SHAPE } else { 0 };
+        let unknown = self.required_features & !known;
         if unknown == 0 {
             return Ok(());
         }

@@ -16,6 +16,7 @@ mod scattered;
 mod write;
 
 pub use self::file::{OpenError, OpenFile, ScanError};
+pub(crate) use self::header::BRICK_SHAPE;
 pub use self::header::{
     BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, MAX_PAGE_BYTES, MAX_SECTIONS, Section,
     SectionKind, VERSION,

@@ -32,6 +32,9 @@ pub(crate) struct Metadata {
     /// Names of feature bits, by bit number.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) features: BTreeMap<String, String>,
+    /// The required features of the file that it is written to.
+    #[serde(skip)]
+    pub(crate) required_features: u64,
 }
 
 impl Metadata {
@@ -103,7 +106,7 @@ pub(crate) fn seal_file(
     let header = FileHeader {
         kind,
         identity,
-        required_features: 0,
+        required_features: metadata.required_features,
         optional_features: 0,
         file_bytes: end + BLOCK_BYTES as u64,
         page_bytes,

@@ -6,7 +6,7 @@ use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
+use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, brick_shape};
 use super::read::{ReadError, VolumeSource};
 use super::slices::{Held, PIECE_BYTES, SliceError, Slices, Window};
 use crate::container::{
@@ -115,7 +115,7 @@ pub fn build(
     let held = if room.holds_slices {
         Held::Memory(VecDeque::new())
     } else {
-        let places = header.kind.brick_voxels() as u64;
+        let places = header.brick_voxels[2];
         Held::Disk { file: Spill::create(&destination, &folder).map_err(temporary)?, places }
     };
     let slices = Slices::new(&header, held);
@@ -145,8 +145,8 @@ struct Room {
 impl Room {
     /// `buffer_bytes` are those of the buffers and of the reader.
     fn divide(memory_bytes: u64, buffer_bytes: u64, header: &GridHeader) -> Result<Self, GridBuildError> {
-        let n = header.kind.brick_voxels() as u64;
-        let column_bytes = n * n * header.kind.bytes() as u64;
+        let [n, height, depth] = header.brick_voxels;
+        let column_bytes = height * depth * header.kind.bytes() as u64;
         let needed = buffer_bytes + n * column_bytes;
         if needed > memory_bytes {
             return Err(GridBuildError::Memory { needed, budget: memory_bytes });
@@ -155,7 +155,8 @@ impl Room {
         let window_bytes = (free / 2).clamp(n * column_bytes, MOST_WINDOW_BYTES);
         Ok(Self {
             holds_slices: Slices::layer_bytes(header) <= free - window_bytes,
-            bricks_at_once: ((window_bytes / column_bytes - 3) / header.kind.brick_cells()).max(1),
+            bricks_at_once: ((window_bytes / column_bytes).saturating_sub(3) / header.brick_cells()[0])
+                .max(1),
         })
     }
 }
@@ -171,6 +172,7 @@ fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
         identity: Identity::default(),
         size: source.size,
         kind: source.kind,
+        brick_voxels: brick_shape(source.size.map(|n| n.max(2)), source.kind),
         // Not known yet.
         range: (0.0, 0.0),
         scale: source.scale,
@@ -231,7 +233,7 @@ fn write(
                 for column in bricks {
                     let range = fill_brick(&window, header, [column, row, layer], &mut writer.page);
                     header.range = (header.range.0.min(range.0), header.range.1.max(range.1));
-                    writer.brick(header.kind, range)?;
+                    writer.brick(header, range)?;
                 }
             }
         }
@@ -245,26 +247,26 @@ fn write(
 
 /// The range of voxels along an axis that bricks hold, clipped to the grid.
 fn voxels_of(header: &GridHeader, axis: usize, bricks: Range<u64>) -> Range<u64> {
-    let cells = header.kind.brick_cells();
+    let cells = header.brick_cells()[axis];
     (bricks.start * cells).saturating_sub(1)..(bricks.end * cells + 2).min(header.size[axis])
 }
 
 /// Copies the voxels of a brick; beyond the grid, its edge voxels are repeated. Returns the range of the values that samples
 /// in the cells of the brick may use.
 fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut [u8]) -> (f32, f32) {
-    let (kind, n) = (header.kind, header.kind.brick_voxels());
+    let (kind, n, cells) = (header.kind, header.brick_voxels, header.brick_cells());
     let width = kind.bytes();
-    let place = |axis: usize, local: usize| {
-        (brick[axis] * kind.brick_cells() + local as u64).saturating_sub(1).min(header.size[axis] - 1)
+    let place = |axis: usize, local: u64| {
+        (brick[axis] * cells[axis] + local).saturating_sub(1).min(header.size[axis] - 1)
     };
     page.fill(0);
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
     let mut at = PAGE_HEAD_BYTES;
-    for z in 0..n {
-        for y in 0..n {
-            for x in 0..n {
+    for z in 0..n[2] {
+        for y in 0..n[1] {
+            for x in 0..n[0] {
                 page[at..at + width].copy_from_slice(window.voxel([place(0, x), place(1, y), place(2, z)]));
-                let used = [x, y, z].iter().all(|v| (1..n - 1).contains(v));
+                let used = [x, y, z].iter().zip(n).all(|(v, n)| (1..n - 1).contains(v));
                 if used {
                     let value = kind.value(&page[at..at + width]);
                     (low, high) = (low.min(value), high.max(value));
@@ -307,8 +309,8 @@ impl Writer {
     }
 
     /// Writes the brick in `page`.
-    fn brick(&mut self, kind: VoxelKind, (low, high): (f32, f32)) -> io::Result<()> {
-        let used_bytes = (PAGE_HEAD_BYTES + kind.brick_voxels().pow(3) * kind.bytes()) as u32;
+    fn brick(&mut self, header: &GridHeader, (low, high): (f32, f32)) -> io::Result<()> {
+        let used_bytes = (PAGE_HEAD_BYTES + header.brick_bytes()) as u32;
         PageHead { kind: PageKind::Voxels, page: self.page_number, records: 1, used_bytes }
             .seal(&mut self.page, Identity::default());
         self.bricks.write_all(&self.page)?;

@@ -99,11 +99,10 @@ impl Grid {
     /// [`PageError`], which says what is wrong.
     #[doc(hidden)]
     pub fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
-        let (bricks, kind) = (self.header.brick_pages(), self.header.kind);
+        let bricks = self.header.brick_pages();
         if u64::from(page) < bricks {
             let head = PageHead::check(bytes, PageKind::Voxels, page, self.header.identity)?;
-            let voxels = kind.brick_voxels().pow(3);
-            let fits = head.used_bytes as usize == PAGE_HEAD_BYTES + voxels * kind.bytes();
+            let fits = head.used_bytes as usize == PAGE_HEAD_BYTES + self.header.brick_bytes();
             return if fits { Ok(()) } else { Err(PageError::Content { what: "a brick of another size" }) };
         }
         let head = PageHead::check(bytes, PageKind::Ranges, page, self.header.identity)?;
@@ -175,20 +174,20 @@ impl Grid {
     fn for_each_own_voxel(&self, brick: u64, page: &[u8], mut take: impl FnMut([u64; 3], f64)) {
         let header = &self.header;
         let (kind, bricks) = (header.kind, header.bricks());
-        let (n, cells) = (kind.brick_voxels() as u64, kind.brick_cells());
+        let (n, cells) = (header.brick_voxels, header.brick_cells());
         let corner = [brick % bricks[0], brick / bricks[0] % bricks[1], brick / bricks[0] / bricks[1]];
         // Voxel 1 of a brick is its first own; the last of a row belongs to the last brick alone.
         let own: [std::ops::Range<u64>; 3] = std::array::from_fn(|axis| {
-            let first = corner[axis] * cells;
-            let end = if corner[axis] + 1 == bricks[axis] { header.size[axis] } else { first + cells };
-            1..(1 + end - first).min(n)
+            let first = corner[axis] * cells[axis];
+            let end = if corner[axis] + 1 == bricks[axis] { header.size[axis] } else { first + cells[axis] };
+            1..(1 + end - first).min(n[axis])
         });
         for z in own[2].clone() {
             for y in own[1].clone() {
                 for x in own[0].clone() {
-                    let at = ((z * n + y) * n + x) as usize * kind.bytes();
+                    let at = ((z * n[1] + y) * n[0] + x) as usize * kind.bytes();
                     let local = [x, y, z];
-                    let place = std::array::from_fn(|axis| corner[axis] * cells + local[axis] - 1);
+                    let place = std::array::from_fn(|axis| corner[axis] * cells[axis] + local[axis] - 1);
                     take(place, f64::from(kind.value(&page[PAGE_HEAD_BYTES + at..])));
                 }
             }
@@ -202,7 +201,7 @@ impl Grid {
     pub fn load(&self) -> Result<Vec<f32>, ScanError> {
         let header = &self.header;
         let (kind, bricks) = (header.kind, header.bricks());
-        let (n, cells) = (kind.brick_voxels(), kind.brick_cells());
+        let (n, cells) = (header.brick_voxels, header.brick_cells());
         let mut voxels = vec![0.0; header.size.iter().product::<u64>() as usize];
         self.for_each_page(|brick, page| {
             let brick = u64::from(brick);
@@ -210,11 +209,11 @@ impl Grid {
                 return;
             }
             let corner = [brick % bricks[0], brick / bricks[0] % bricks[1], brick / bricks[0] / bricks[1]];
-            for i in 0..n * n * n {
-                let local = [i % n, i / n % n, i / n / n].map(|v| v as u64);
-                let at: [u64; 3] = std::array::from_fn(|a| (corner[a] * cells + local[a]).wrapping_sub(1));
+            for i in 0..n.iter().product::<u64>() {
+                let local = [i % n[0], i / n[0] % n[1], i / n[0] / n[1]];
+                let at: [u64; 3] = std::array::from_fn(|a| (corner[a] * cells[a] + local[a]).wrapping_sub(1));
                 if (0..3).all(|a| at[a] < header.size[a]) {
-                    let bytes = &page[PAGE_HEAD_BYTES + i * kind.bytes()..];
+                    let bytes = &page[PAGE_HEAD_BYTES + i as usize * kind.bytes()..];
                     let place = (at[2] * header.size[1] + at[1]) * header.size[0] + at[0];
                     voxels[place as usize] = kind.value(bytes);
                 }

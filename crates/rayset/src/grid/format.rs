@@ -4,8 +4,8 @@
 //! sample reads a single page. Numbers are little-endian. The surrounding container format is in [`crate::container`].
 
 use crate::container::{
-    BLOCK_BYTES, FileHeader, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SectionKind,
-    Writer,
+    BLOCK_BYTES, BRICK_SHAPE, FileHeader, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
+    SectionKind, Writer,
 };
 use crate::geometry::{DAffine3, DVec3};
 
@@ -50,7 +50,7 @@ impl VoxelKind {
         ["u8", "i16", "u16", "f32"][self as usize]
     }
 
-    /// Voxels along an edge of a brick: as many as fit in a page.
+    /// Voxels along an edge of a brick that is a cube: as many as fit in a page.
     #[must_use]
     pub const fn brick_voxels(self) -> usize {
         match self {
@@ -60,7 +60,7 @@ impl VoxelKind {
         }
     }
 
-    /// Cells along an edge of a brick; the additional voxel on either side is for gradients.
+    /// Cells along an edge of a brick that is a cube; the additional voxel on either side is for gradients.
     #[must_use]
     pub fn brick_cells(self) -> u64 {
         self.brick_voxels() as u64 - 3
@@ -78,6 +78,34 @@ impl VoxelKind {
     }
 }
 
+/// Voxels along the edges of the bricks of a grid. They are cubes unless the grid is so thin that bricks of another shape need at
+/// most half as many pages.
+pub(crate) fn brick_shape(size: [u64; 3], kind: VoxelKind) -> [u64; 3] {
+    let cube = [kind.brick_voxels() as u64; 3];
+    // A brick that reaches from end to end has two voxels beyond the grid.
+    let whole = size.map(|n| n.saturating_add(2));
+    let long: Vec<usize> = (0..3).filter(|&axis| whole[axis] > cube[axis]).collect();
+    let across: u64 = (0..3).filter(|axis| !long.contains(axis)).map(|axis| whole[axis]).product();
+    let room = ((PAGE_BYTES - PAGE_HEAD_BYTES) / kind.bytes()) as u64 / across;
+    let mut shape = whole;
+    match long[..] {
+        [axis] => shape[axis] = room.min(whole[axis]),
+        [a, b] => {
+            let (short, other) = if whole[a] <= whole[b] { (a, b) } else { (b, a) };
+            shape[short] = room.isqrt().min(whole[short]);
+            shape[other] = (room / shape[short]).min(whole[other]);
+        }
+        _ => return cube,
+    }
+    let pages = |shape| bricks_of(size, shape).iter().product::<u64>();
+    if 2 * pages(shape) <= pages(cube) { shape } else { cube }
+}
+
+/// Bricks along each axis.
+fn bricks_of(size: [u64; 3], brick_voxels: [u64; 3]) -> [u64; 3] {
+    std::array::from_fn(|axis| (size[axis] - 1).div_ceil(brick_voxels[axis] - 3))
+}
+
 /// The header of a grid file.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
@@ -88,6 +116,8 @@ pub struct GridHeader {
     pub size: [u64; 3],
     /// How they are stored.
     pub kind: VoxelKind,
+    /// Voxels along the edges of a brick.
+    pub brick_voxels: [u64; 3],
     /// Smallest and largest value, as stored.
     pub range: (f32, f32),
     /// A value is `scale`·stored + `offset`.
@@ -111,7 +141,23 @@ impl GridHeader {
     /// Bricks along each axis.
     #[must_use]
     pub fn bricks(&self) -> [u64; 3] {
-        self.size.map(|n| (n - 1).div_ceil(self.kind.brick_cells()))
+        bricks_of(self.size, self.brick_voxels)
+    }
+
+    /// Cells along the edges of a brick; the additional voxel on either side is for gradients.
+    #[must_use]
+    pub fn brick_cells(&self) -> [u64; 3] {
+        self.brick_voxels.map(|n| n - 3)
+    }
+
+    /// Bytes of the voxels of a brick.
+    pub(crate) fn brick_bytes(&self) -> usize {
+        self.brick_voxels.iter().product::<u64>() as usize * self.kind.bytes()
+    }
+
+    /// Whether bricks are cubes of as many voxels as fit in a page.
+    pub(crate) fn has_cubes(&self) -> bool {
+        self.brick_voxels == [self.kind.brick_voxels() as u64; 3]
     }
 
     /// Number of pages that hold bricks; they come first, x fastest.
@@ -162,12 +208,21 @@ impl GridHeader {
         w.f64(self.scale);
         w.f64(self.offset);
         self.space_from_voxel.to_cols_array().into_iter().for_each(|v| w.f64(v));
+        if !self.has_cubes() {
+            self.brick_voxels.into_iter().for_each(|n| w.u32(n as u32));
+        }
         w.bytes
     }
 
     /// The contents of the section `META`.
     pub(crate) fn metadata(&self) -> Metadata {
+        let mut features = std::collections::BTreeMap::new();
+        if !self.has_cubes() {
+            features.insert(BRICK_SHAPE.trailing_zeros().to_string(), "brick-shape".to_owned());
+        }
         Metadata {
+            features,
+            required_features: if self.has_cubes() { 0 } else { BRICK_SHAPE },
             up: self.up.map(|v| v.to_array()),
             facing: self.facing.map(|v| v.to_array()),
             ..Metadata::new("", self.sources.clone())
@@ -201,10 +256,17 @@ impl GridHeader {
         for value in &mut columns {
             *value = r.f64()?;
         }
+        let mut brick_voxels = [kind.brick_voxels() as u64; 3];
+        if file.required_features & BRICK_SHAPE != 0 {
+            for n in &mut brick_voxels {
+                *n = r.u32()?.into();
+            }
+        }
         Some(Self {
             identity: file.identity,
             size,
             kind,
+            brick_voxels,
             range,
             scale,
             offset,
@@ -234,6 +296,11 @@ impl GridHeader {
 
     /// Checks that the numbers of voxels and pages are within the limits of the format.
     pub(crate) fn check_size(&self) -> Result<(), &'static str> {
+        let most = ((PAGE_BYTES - PAGE_HEAD_BYTES) / self.kind.bytes()) as u64;
+        let voxels = self.brick_voxels.iter().try_fold(1_u64, |all, &n| all.checked_mul(n));
+        if self.brick_voxels.iter().any(|&n| n < 4) || voxels.is_none_or(|voxels| voxels > most) {
+            return Err("a brick has at least 4 voxels along an edge, and no more in all than fit in a page");
+        }
         let in_range = self.size.iter().all(|n| (2..=1 << 24).contains(n));
         if !in_range || self.pages() > u64::from(u32::MAX) {
             return Err("a grid has 2 to 16777216 voxels along an axis, and at most 4294967295 pages");

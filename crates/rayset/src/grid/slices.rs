@@ -81,7 +81,7 @@ impl Slices {
 
     /// Size in bytes of the slices that a layer of bricks needs.
     pub(super) fn layer_bytes(header: &GridHeader) -> u64 {
-        let places = header.kind.brick_voxels() as u64;
+        let places = header.brick_voxels[2];
         places * header.size[0] * header.size[1] * header.kind.bytes() as u64
     }
 

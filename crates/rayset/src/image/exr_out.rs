@@ -76,8 +76,9 @@ pub struct ExrBands {
     height: usize,
     /// Row of the whole picture at which this one begins.
     top: usize,
-    /// Rows that do not fill a block yet; `first_row` is the number of the first of them.
-    rows: Vec<(Vec<[f32; 4]>, Vec<LayerPixel>)>,
+    /// Rows that do not fill a block yet, as the encoder expects them; `first_row` is the number of the first of them.
+    data: Vec<u8>,
+    rows: usize,
     first_row: usize,
 }
 
@@ -121,8 +122,8 @@ impl ExrBands {
         };
         let writer = std::thread::Builder::new().spawn(write)?;
         let (width, height, top) = (size.0, size.1, top as usize);
-        let (blocks, writer, rows) = (Some(blocks), Some(writer), Vec::new());
-        Ok(Self { blocks, writer, width, height, top, rows, first_row: 0 })
+        let (blocks, writer, data) = (Some(blocks), Some(writer), Vec::new());
+        Ok(Self { blocks, writer, width, height, top, data, rows: 0, first_row: 0 })
     }
 
     /// Appends a band.
@@ -130,44 +131,50 @@ impl ExrBands {
     /// # Errors
     /// [`ExrError`] if the file cannot be written, or if the band has no layers or is not the next from the top.
     pub fn write(&mut self, band: &Band) -> Result<(), ExrError> {
-        let is_next = band.first_row as usize == self.top + self.first_row + self.rows.len();
+        let is_next = band.first_row as usize == self.top + self.first_row + self.rows;
         if band.width as usize != self.width || band.layers.len() != band.pixels.len() || !is_next {
             return Err(ExrError::Band);
         }
         for (pixels, layers) in band.pixels.chunks(self.width).zip(band.layers.chunks(self.width)) {
-            self.rows.push((pixels.to_vec(), layers.to_vec()));
-            let done = self.first_row + self.rows.len();
+            let done = self.first_row + self.rows + 1;
             if done > self.height {
                 return Err(ExrError::Band);
             }
-            if self.rows.len() == BLOCK_ROWS || done == self.height {
+            self.add_row(pixels, layers);
+            if self.rows == BLOCK_ROWS || done == self.height {
                 self.send_block()?;
             }
         }
         Ok(())
     }
 
-    fn send_block(&mut self) -> Result<(), ExrError> {
-        let rows = std::mem::take(&mut self.rows);
-        let mut data = Vec::with_capacity(rows.len() * self.width * CHANNELS.len() * 4);
-        for (pixels, layers) in &rows {
-            for (_, value) in &CHANNELS {
-                for (pixel, layer) in pixels.iter().zip(layers) {
-                    // In native byte order, as the encoder expects.
-                    match value {
-                        Value::Float(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
-                        Value::Whole(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
-                    }
+    fn add_row(&mut self, pixels: &[[f32; 4]], layers: &[LayerPixel]) {
+        let data = &mut self.data;
+        if self.rows == 0 {
+            let rows = BLOCK_ROWS.min(self.height - self.first_row);
+            data.reserve_exact(rows * self.width * CHANNELS.len() * 4);
+        }
+        for (_, value) in &CHANNELS {
+            for (pixel, layer) in pixels.iter().zip(layers) {
+                // In native byte order, as the encoder expects.
+                match value {
+                    Value::Float(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
+                    Value::Whole(of) => data.extend_from_slice(bytemuck::bytes_of(&of(pixel, layer))),
                 }
             }
         }
+        self.rows += 1;
+    }
+
+    fn send_block(&mut self) -> Result<(), ExrError> {
+        let (data, rows) = (std::mem::take(&mut self.data), std::mem::take(&mut self.rows));
         let index = BlockIndex {
             layer: 0,
             pixel_position: Vec2(0, self.first_row),
-            pixel_size: Vec2(self.width, rows.len()),
+            pixel_size: Vec2(self.width, rows),
             level: Vec2(0, 0),
         };
-        self.first_row += rows.len();
+        self.first_row += rows;
         let sent = self.blocks.as_ref().map(|blocks| blocks.send(UncompressedBlock { index, data }));
         // If the block was not accepted, the writer thread has ended with an error, which `end` returns.
         if sent.is_some_and(|sent| sent.is_ok()) { Ok(()) } else { self.end() }

@@ -26,7 +26,7 @@ const GRAIN: f32 = 0.08;
 /// How much light a strength of 1 takes: what is left is `exp(-TAKEN × occlusion)`.
 const TAKEN: f32 = 2.5;
 
-/// Most rows that are sent at a time: at the end of a picture all that are kept are ready.
+/// Most rows that are taken in, and sent, at a time: at the end of a picture all that are kept are ready.
 pub(super) const ROWS_SENT: u32 = 16;
 
 /// Darkens the bands of a picture on their way to a sink.
@@ -43,16 +43,40 @@ pub(super) struct AmbientOcclusion<'s, S: BandSink + ?Sized> {
     /// Whether the sink receives layers.
     layers: bool,
     /// The latest rows, from number `first` on.
-    rows: VecDeque<Row>,
+    rows: Rows,
     first: u32,
     /// The next row of the sink's.
     next: u32,
     sink: &'s mut S,
 }
 
-struct Row {
-    pixels: Vec<[f32; 4]>,
-    layers: Vec<LayerPixel>,
+/// Consecutive rows, in two blocks of memory. Tall pictures keep many rows of few pixels, so rows have none of their own.
+struct Rows {
+    width: usize,
+    pixels: VecDeque<[f32; 4]>,
+    layers: VecDeque<LayerPixel>,
+}
+
+impl Rows {
+    /// None yet, with room for `most` rows.
+    fn new(width: usize, most: u32) -> Self {
+        let room = width * most as usize;
+        Self { width, pixels: VecDeque::with_capacity(room), layers: VecDeque::with_capacity(room) }
+    }
+
+    fn len(&self) -> u32 {
+        (self.pixels.len() / self.width) as u32
+    }
+
+    fn push(&mut self, pixels: &[[f32; 4]], layers: &[LayerPixel]) {
+        self.pixels.extend(pixels);
+        self.layers.extend(layers);
+    }
+
+    fn pop(&mut self) {
+        self.pixels.drain(..self.width.min(self.pixels.len()));
+        self.layers.drain(..self.width.min(self.layers.len()));
+    }
 }
 
 /// The distance between the centres of two pixels in the world: a length, and a part of the distance from the eye.
@@ -101,6 +125,11 @@ impl Surroundings {
     }
 }
 
+/// The most rows that are kept of a picture of `height` rows.
+pub(super) fn rows_kept(height: u32) -> u32 {
+    (2 * apron(height)).saturating_add(ROWS_SENT).min(height)
+}
+
 /// How many pixels away a pixel of a picture of `height` pixels sees what makes it darker.
 pub(super) fn apron(height: u32) -> u32 {
     rings(height)[2] as u32
@@ -120,6 +149,7 @@ fn widened(range: &Range<u32>, by: u32, end: u32) -> Range<u32> {
 impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
     pub(super) fn new(of: &Surroundings, region: &Region, sink: &'s mut S) -> Self {
         let rendered = of.rendered(region);
+        let most = rows_kept(of.size.1).min(rendered.rows.len() as u32);
         Self {
             strength: of.strength,
             rings: rings(of.size.1),
@@ -128,9 +158,9 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
             background: of.background,
             region: region.clone(),
             first: rendered.rows.start,
+            rows: Rows::new(rendered.columns.len(), most),
             rendered,
             layers: of.layers,
-            rows: VecDeque::new(),
             next: region.rows.start,
             sink,
         }
@@ -143,7 +173,7 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
 
     /// Sends the rows that have all their neighbours.
     fn send(&mut self) -> Result<(), SinkError> {
-        let known = self.first + self.rows.len() as u32;
+        let known = self.first + self.rows.len();
         let apron = self.rings[2] as u32;
         let ready = if known == self.rendered.rows.end { known } else { known.saturating_sub(apron) };
         let ready = ready.min(self.region.rows.end);
@@ -151,7 +181,8 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
             let band = self.band_until(ready.min(self.next + ROWS_SENT));
             self.next += band.rows();
             self.sink.band(&band)?;
-            while self.first + apron < self.next && self.rows.pop_front().is_some() {
+            while self.first + apron < self.next && self.rows.len() > 0 {
+                self.rows.pop();
                 self.first += 1;
             }
         }
@@ -169,25 +200,30 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
                 *pixel = self.shaded(x, y);
             }
             if self.layers {
-                let known = &self.rows[(y - self.first) as usize].layers;
-                band.layers[row].copy_from_slice(&known[left..left + columns.len()]);
+                let first = self.index(left as u32, y);
+                let known = self.rows.layers.range(first..first + columns.len());
+                band.layers[row].iter_mut().zip(known).for_each(|(to, from)| *to = *from);
             }
         }
         band
+    }
+
+    /// The index of a pixel that is kept, `x` columns from the first that is rendered.
+    fn index(&self, x: u32, y: u32) -> usize {
+        (y - self.first) as usize * self.rows.width + x as usize
     }
 
     /// Depth of a pixel; infinite if nothing is there, `None` outside the picture.
     fn depth(&self, x: i64, y: i64) -> Option<f32> {
         let (left, columns) = (self.rendered.columns.start, self.rendered.columns.len());
         let x = usize::try_from(x - i64::from(left)).ok().filter(|&x| x < columns)?;
-        let row = self.rows.get(usize::try_from(y - i64::from(self.first)).ok()?)?;
-        Some(row.layers[x].depth)
+        let row = usize::try_from(y - i64::from(self.first)).ok()?;
+        Some(self.rows.layers.get(row * columns + x)?.depth)
     }
 
     fn shaded(&self, x: u32, y: u32) -> [f32; 4] {
-        let row = &self.rows[(y - self.first) as usize];
-        let at = (x - self.rendered.columns.start) as usize;
-        let (pixel, LayerPixel { depth, opacity, .. }) = (row.pixels[at], row.layers[at]);
+        let at = self.index(x - self.rendered.columns.start, y);
+        let (pixel, LayerPixel { depth, opacity, .. }) = (self.rows.pixels[at], self.rows.layers[at]);
         if !depth.is_finite() {
             return pixel;
         }
@@ -245,11 +281,12 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
 
 impl<S: BandSink + ?Sized> BandSink for AmbientOcclusion<'_, S> {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
-        let width = band.width as usize;
-        for (pixels, layers) in band.pixels.chunks_exact(width).zip(band.layers.chunks_exact(width)) {
-            self.rows.push_back(Row { pixels: pixels.to_vec(), layers: layers.to_vec() });
+        let some = band.width as usize * ROWS_SENT as usize;
+        for (pixels, layers) in band.pixels.chunks(some).zip(band.layers.chunks(some)) {
+            self.rows.push(pixels, layers);
+            self.send()?;
         }
-        self.send()
+        Ok(())
     }
 
     fn progress(&mut self, done: u64, total: u64) {

@@ -53,6 +53,8 @@ pub(super) struct Engine {
     pub(super) exec: ExecSettings,
     /// `None` if the budget is for pages alone, and fixed.
     memory: Option<Mutex<Memory>>,
+    /// Bytes for the caps of a scene, if the budget is for pages alone.
+    caps_bytes: u64,
     pub(super) name_of_io: String,
     /// Pages that stay in memory, and the clouds that they are of.
     pinned: Mutex<Pinned>,
@@ -88,6 +90,33 @@ impl Drop for Reservation {
     }
 }
 
+/// The memory that a scene may take for its caps.
+pub(super) struct CapMemory<'a> {
+    pub(super) engine: &'a Engine,
+    /// `None` if the budget is for pages alone.
+    pub(super) reservation: Option<&'a Reservation>,
+}
+
+impl CapMemory<'_> {
+    /// Takes memory for caps, so many bytes in all.
+    ///
+    /// # Errors
+    /// [`RenderError::Memory`] if there is not so much.
+    pub(super) fn take(&self, bytes: u64) -> Result<(), RenderError> {
+        let (Some(memory), Some(reservation)) = (&self.engine.memory, self.reservation) else {
+            let (given, needed) = (self.engine.caps_bytes, bytes);
+            return if needed > given { Err(RenderError::Memory { given, needed }) } else { Ok(()) };
+        };
+        let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
+        let scene = memory.scenes.iter_mut().find(|(number, _)| *number == reservation.number);
+        let Some((_, needs)) = scene.filter(|(_, needs)| needs.caps_bytes < bytes) else { return Ok(()) };
+        *needs = needs.clone().with_caps(bytes);
+        self.engine.is_enough(&memory)?;
+        self.engine.divide(&memory);
+        Ok(())
+    }
+}
+
 impl Engine {
     /// Starts over a working set and files that are already open. Divides `memory_bytes` between scenes and pages;
     /// `None` if the budget is for pages alone.
@@ -111,12 +140,18 @@ impl Engine {
             let what = format!("{} are more than {MOST_THREADS}", exec.threads);
             return Err(RenderError::Setting { setting: "threads", what });
         }
+        let caps_bytes = u64::MAX;
         let scheduler = Scheduler::start(exec.threads.max(1)).map_err(RenderError::Threads)?;
         let pages = files.pages.clone();
         let files = Mutex::new(files);
         let memory = memory_bytes.map(|total| Mutex::new(Memory { total, scenes: Vec::new(), last: 0 }));
         let pinned = Mutex::default();
-        Ok(Self { files, pages, exec, memory, name_of_io, pinned, scheduler })
+        Ok(Self { files, pages, exec, memory, caps_bytes, name_of_io, pinned, scheduler })
+    }
+
+    /// The same with so many bytes for the caps of a scene, if its budget is for pages alone.
+    pub(super) fn with_caps_bytes(self, caps_bytes: u64) -> Self {
+        Self { caps_bytes, ..self }
     }
 
     /// The open files.
@@ -139,13 +174,25 @@ impl Engine {
         memory.last += 1;
         let number = memory.last;
         memory.scenes.push((number, SceneNeeds::of(scene, settings)));
-        let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
-        if let Err(needed) = memory::divide(&needs, self.exec.threads, memory.total) {
+        let mut enough = self.is_enough(&memory);
+        if let (Err(_), Some((_, last))) = (&enough, memory.scenes.last_mut())
+            && let Some(needs) = last.with_least_caps()
+        {
+            *last = needs;
+            enough = self.is_enough(&memory);
+        }
+        if let Err(error) = enough {
             memory.scenes.pop();
-            return Err(RenderError::Memory { given: memory.total, needed });
+            return Err(error);
         }
         self.divide(&memory);
         Ok(Some(Reservation { engine: self.clone(), number }))
+    }
+
+    fn is_enough(&self, memory: &Memory) -> Result<(), RenderError> {
+        let needs: Vec<&SceneNeeds> = memory.scenes.iter().map(|(_, needs)| needs).collect();
+        let divided = memory::divide(&needs, self.exec.threads, memory.total);
+        divided.map(|_| ()).map_err(|needed| RenderError::Memory { given: memory.total, needed })
     }
 
     /// Gives pages the memory that the scenes leave.

@@ -209,7 +209,7 @@ impl<'p> March<'p> {
     ) -> Result<(), Halt> {
         let program = self.program;
         let instruction = &program.instructions[at];
-        let Instruction { measures, required, .. } = *instruction;
+        let Instruction { measures, made: required, .. } = *instruction;
         match &instruction.action {
             Action::Cloud(volume) => {
                 let (march, begun) = &mut self.clouds[at];
@@ -241,7 +241,7 @@ impl<'p> March<'p> {
             }
         }
         for transfer in &instruction.transfers {
-            transfer.apply(out, required.color);
+            transfer.apply(out, instruction.required.color);
         }
         out.measure(measures.0, measures.1, program.simd);
         Ok(())
@@ -255,7 +255,7 @@ impl<'p> March<'p> {
         out: &mut NodeSamples,
     ) {
         let instruction = &self.program.instructions[at];
-        let Instruction { measures, required, .. } = *instruction;
+        let Instruction { measures, made: required, .. } = *instruction;
         let Asked { packet, slab, live, .. } = asked;
         let begin = || volume.begin(packet, required.outside);
         let of_slab;
@@ -283,7 +283,7 @@ impl<'p> March<'p> {
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let (measure, required) = (instruction.measures.0, instruction.required);
+        let (measure, required) = (instruction.measures.0, instruction.made);
         if operator == Operator::Intersection {
             return self.intersect(children, instruction, asked, counts, out);
         }
@@ -334,7 +334,7 @@ impl<'p> March<'p> {
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let (measure, required) = (instruction.measures.0, instruction.required);
+        let (measure, required) = (instruction.measures.0, instruction.made);
         let mut blocks: Vec<NodeSamples> = children.iter().map(|_| self.node_samples()).collect();
         let mut order: Vec<usize> = (0..children.len()).collect();
         order.sort_by_key(|&place| self.cost(children[place]));

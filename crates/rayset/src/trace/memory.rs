@@ -3,7 +3,6 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use super::ambient_occlusion::apron;
 use super::interior::graph as caps;
 use super::leaves::Leaves;
 use super::node_samples::{NodeSamples, RequiredOutputs};
@@ -15,7 +14,6 @@ use crate::field::{LANES, SampleRow};
 use crate::geometry::DAffine3;
 use crate::grid::Grid;
 use crate::grid::format::PAGE_BYTES;
-use crate::image::LayerPixel;
 use crate::octree::Cloud;
 use crate::scene::{
     ColorRule, Lighting, MOST_ATTRIBUTES, Material, Node, OpacityRule, Operator, RenderSettings, Scene,
@@ -32,30 +30,28 @@ const ALLOCATOR_PART: u64 = 32;
 /// What a march through the graph keeps for every place: its range of samples, the states of its cloud, grid or field, its
 /// shared block.
 const MARCH_BYTES: u64 = (24 + 32 + size_of::<Option<NodeSamples>>()) as u64;
-/// Bytes per column for the blocks of 16 rows of layers that are being written to an OpenEXR file: six blocks,
-/// including what compression takes.
-pub(super) const EXR_BYTES: u64 = 6 * 16 * 60;
-/// Bytes of a pixel in the band that is being rendered.
-pub const PIXEL_BYTES: u64 = 16;
-/// Fewest rows in a band.
-pub const LEAST_BAND_ROWS: u32 = 8;
 /// Memory for the reads in flight and the threads that serve them.
 const READING_BYTES: u64 = 1 << 20;
 
 /// What a scene needs in memory besides its pages.
 #[derive(Clone, Debug)]
 pub struct SceneNeeds {
-    clouds: Vec<Arc<Cloud>>,
-    grids: Vec<Arc<Grid>>,
+    pub(super) clouds: Vec<Arc<Cloud>>,
+    pub(super) grids: Vec<Arc<Grid>>,
     /// The graph as given and as compiled, and what remains allocated after loading it.
     scene_bytes: u64,
+    /// What its caps may take, and how much of this they may not take.
+    pub(super) caps_bytes: u64,
+    spare_bytes: u64,
     thread_bytes: u64,
     /// Number of tiles of shadow tables.
     shadow_tiles: u64,
     /// What requests take at most, if any file is far away.
     request_bytes: u64,
-    layers: bool,
-    ambient_occlusion: bool,
+    /// Whether tiles are made with layers, and whether the picture is written with them.
+    pub(super) layers: bool,
+    pub(super) writes_layers: bool,
+    pub(super) ambient_occlusion: bool,
 }
 
 impl SceneNeeds {
@@ -63,7 +59,10 @@ impl SceneNeeds {
     #[must_use]
     pub fn of(scene: &Scene, settings: &RenderSettings) -> Self {
         match caps::sized(scene, settings) {
-            Some((scene, inside_bytes)) => Self::of_graph(&scene, settings, true).with_loading(inside_bytes),
+            Some((scene, bytes)) => {
+                let (caps_bytes, spare_bytes) = (bytes.most, bytes.most - bytes.least);
+                Self { caps_bytes, spare_bytes, ..Self::of_graph(&scene, settings, true) }
+            }
             None => Self::of_graph(scene, settings, false),
         }
     }
@@ -74,9 +73,7 @@ impl SceneNeeds {
         let turns = has(scene, |node| {
             node.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0)
         });
-        let mut required = largest_outputs(scene, settings, turns);
-        // To find out what is inside takes shading vectors.
-        required.normal |= has_caps;
+        let required = largest_outputs(scene, settings, turns, has_caps);
         let census = Census::of(&scene.root);
         let most_held = node_samples_held(&scene.root) + census.shared;
         let picture = most_held * NodeSamples::bytes(required);
@@ -111,9 +108,12 @@ impl SceneNeeds {
             clouds: leaves.clouds,
             grids: leaves.grids,
             scene_bytes,
+            caps_bytes: 0,
+            spare_bytes: 0,
             thread_bytes,
             shadow_tiles,
             layers: settings.records_layers(),
+            writes_layers: settings.layers,
             ambient_occlusion: settings.ambient_occlusion > 0.0,
         }
     }
@@ -123,6 +123,18 @@ impl SceneNeeds {
     #[must_use]
     pub fn with_loading(self, loading_bytes: u64) -> Self {
         Self { scene_bytes: self.scene_bytes + loading_bytes, ..self }
+    }
+
+    /// The same with as little memory for caps as finding them takes; `None` if that is all they may take.
+    pub(super) fn with_least_caps(&self) -> Option<Self> {
+        (self.spare_bytes > 0).then(|| self.clone().with_caps(self.caps_bytes - self.spare_bytes))
+    }
+
+    /// The same with another amount of memory for caps, when it is known how much they take.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn with_caps(self, caps_bytes: u64) -> Self {
+        Self { caps_bytes, spare_bytes: 0, ..self }
     }
 
     /// Every grid of the scene, each once.
@@ -265,72 +277,6 @@ fn given(node: &Node) -> u64 {
     of_leaf + others.sum::<u64>()
 }
 
-/// How a memory budget is divided.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(not(feature = "internals"), non_exhaustive)]
-pub struct MemoryPlan {
-    /// Bytes for pages.
-    pub page_bytes: u64,
-    /// Of these, the most that cached shadows may take: what the pages of all files leave, but at least half. Evicted
-    /// shadows are computed again, as pages of files are read again, but there can be many more of them.
-    pub shadow_bytes: u64,
-    /// Bytes of the largest page.
-    pub largest_page_bytes: u64,
-    /// Rows of the picture rendered at a time.
-    pub band_rows: u32,
-    /// The smallest budget with which the render can run.
-    pub least_bytes: u64,
-    /// A budget with which it runs well: room for the pages that one row of tiles needs, and for as many ahead.
-    pub comfortable_bytes: u64,
-}
-
-/// Divides `budget_bytes` for a render; `process_bytes` is what the process takes before the render starts. Returns the
-/// plan, or the smallest sufficient budget.
-///
-/// # Errors
-/// The smallest sufficient budget in bytes, if `budget_bytes` is smaller.
-pub fn plan(
-    needs: &SceneNeeds,
-    width: u32,
-    height: u32,
-    threads: usize,
-    process_bytes: u64,
-    budget_bytes: u64,
-) -> Result<MemoryPlan, u64> {
-    let demand = Demand::of(&[needs], threads);
-    // Tiles are listed, 16 bytes each.
-    let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
-    let row = u64::from(width) * pixel + u64::from(width) / 2;
-    let encoder = if needs.layers { EXR_BYTES * u64::from(width) } else { 0 };
-    // The picture's rows also pass through the encoder.
-    let kept_rows = if needs.ambient_occlusion { 2 * u64::from(apron(height)) + 1 } else { 0 };
-    let fixed = process_bytes + demand.fixed + (8 + kept_rows) * row + encoder;
-    let least_page_bytes = demand.least_page_bytes();
-    let least_bytes = fixed + u64::from(LEAST_BAND_ROWS.min(height)) * row + least_page_bytes;
-    if budget_bytes < least_bytes {
-        return Err(least_bytes);
-    }
-    // Up to a quarter of what is free goes to the picture, in whole rows of look-ahead tiles if at least one fits.
-    let free = budget_bytes - fixed - least_page_bytes;
-    let rows =
-        (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
-    let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
-    let band_rows = (rows as u32).min(height).max(1);
-    // For a grid, roughly a layer of bricks.
-    let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
-    let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * demand.page);
-    let comfortable_pages: u64 = columns.chain(layers).sum();
-    let (page_bytes, shadow_bytes) = demand.divide(budget_bytes - fixed - u64::from(band_rows) * row);
-    Ok(MemoryPlan {
-        largest_page_bytes: demand.page,
-        page_bytes,
-        shadow_bytes,
-        band_rows,
-        least_bytes,
-        comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_page_bytes,
-    })
-}
-
 /// Whether `wanted` holds for any node of a scene.
 fn has(scene: &Scene, wanted: impl Fn(&Node) -> bool) -> bool {
     let mut found = false;
@@ -339,14 +285,23 @@ fn has(scene: &Scene, wanted: impl Fn(&Node) -> bool) -> bool {
 }
 
 /// All outputs that may be required of any node of a scene.
-fn largest_outputs(scene: &Scene, settings: &RenderSettings, turns_rays: bool) -> RequiredOutputs {
+fn largest_outputs(
+    scene: &Scene,
+    settings: &RenderSettings,
+    turns_rays: bool,
+    has_caps: bool,
+) -> RequiredOutputs {
     let lit = scene.lighting != Lighting::Unlit;
-    let cuts = || has(scene, |node| matches!(node.shape, Shape::Operator(Operator::Difference, _)));
+    // To find out what is inside takes shading vectors.
+    let normal = lit || settings.records_layers() || has_caps;
+    let of_boundary = |operator| matches!(operator, Operator::Difference | Operator::Intersection);
+    let cuts =
+        || has(scene, |node| matches!(node.shape, Shape::Operator(operator, _) if of_boundary(operator)));
     let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
     RequiredOutputs {
         color: true,
-        normal: lit || settings.records_layers(),
-        boundary: lit && (turns_rays || scene.lighting.throws_shadows() || cuts()),
+        normal,
+        boundary: normal && (turns_rays || scene.lighting.throws_shadows() || cuts()),
         outside: false,
         material: settings.records_layers() || (lit && has(scene, |node| node.material.is_some())),
         attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
@@ -365,11 +320,11 @@ pub(super) fn divide(scenes: &[&SceneNeeds], threads: usize, total: u64) -> Resu
 }
 
 /// What the scenes of a session need besides pages, and how large their pages are.
-struct Demand {
+pub(super) struct Demand {
     threads: usize,
-    fixed: u64,
+    pub(super) fixed: u64,
     /// Bytes of the largest page of a file.
-    page: u64,
+    pub(super) page: u64,
     /// Bytes of the largest and of the smallest page, including tiles of shadow tables.
     largest: u64,
     smallest: u64,
@@ -378,7 +333,7 @@ struct Demand {
 }
 
 impl Demand {
-    fn of(scenes: &[&SceneNeeds], threads: usize) -> Self {
+    pub(super) fn of(scenes: &[&SceneNeeds], threads: usize) -> Self {
         let tile = SHADOW_TILE_BYTES as u64;
         let files = || scenes.iter().flat_map(|needs| needs.files());
         let shadow_tiles: u64 = scenes.iter().map(|needs| needs.shadow_tiles).sum();
@@ -387,7 +342,7 @@ impl Demand {
             if shadow_tiles > 0 { (page.max(tile), page.min(tile)) } else { (page, page) };
         let pages: u64 = files().map(|(pages, _)| pages).sum();
         let slots = u32::try_from(pages + shadow_tiles).unwrap_or(u32::MAX);
-        let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes).sum();
+        let of_scenes: u64 = scenes.iter().map(|needs| needs.scene_bytes + needs.caps_bytes).sum();
         // Each thread works on one scene at a time.
         let of_thread = scenes.iter().map(|needs| needs.thread_bytes).max().unwrap_or(0);
         Self {
@@ -406,12 +361,12 @@ impl Demand {
     }
 
     /// The least memory that pages need.
-    fn least_page_bytes(&self) -> u64 {
+    pub(super) fn least_page_bytes(&self) -> u64 {
         least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / ALLOCATOR_PART)
     }
 
     /// Bytes of pages that fit in `room` bytes of memory, and how many of these shadow tables may take.
-    fn divide(&self, room: u64) -> (u64, u64) {
+    pub(super) fn divide(&self, room: u64) -> (u64, u64) {
         // The overhead per page weighs most for small pages.
         let each = self.smallest + OVERHEAD_BYTES + self.smallest / ALLOCATOR_PART;
         let page_bytes = (room / each * self.smallest).max(least_pages(self.threads) * self.largest);
@@ -429,12 +384,4 @@ impl Demand {
 #[must_use]
 pub fn least_pages(threads: usize) -> u64 {
     2 * threads as u64 + 2
-}
-
-/// A row of the picture crosses about √n of the n pages of a surface; this is counted for front and back, above and
-/// below.
-fn comfortable_pages(cloud: &Cloud) -> u64 {
-    let header = cloud.header();
-    let points = u64::from(header.point_pages);
-    (u64::from(header.node_pages) + 8 * (points as f64).sqrt().ceil() as u64).min(u64::from(header.pages()))
 }

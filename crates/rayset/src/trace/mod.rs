@@ -22,6 +22,7 @@ mod leaves;
 mod march;
 mod math;
 pub mod memory;
+pub mod memory_plan;
 mod node_samples;
 mod operators;
 mod packet_tracer;

@@ -32,7 +32,8 @@ impl NodeSamples {
         let Some((first, others)) = children.split_first_mut() else { return };
         let common = others.iter().fold(first.touched, |touched, other| touched & other.touched);
         let attributes = RequiredOutputs { normal: false, boundary: false, ..required };
-        let shape = RequiredOutputs { color: false, material: false, attributes: 0, ..required };
+        let boundary = required.normal || required.boundary;
+        let shape = RequiredOutputs { color: false, material: false, attributes: 0, boundary, ..required };
         each_lane(common, |lane| {
             let (mut least, mut largest) = (first.opacity[lane], first.opacity[lane]);
             for other in others.iter() {
@@ -43,10 +44,10 @@ impl NodeSamples {
                 }
                 take(&mut largest, &o, takes);
                 let mut takes = bits_where(|j| o.0[j] < least.0[j]);
-                if required.outside {
-                    // Outside both, the farther boundary is the intersection's.
+                if boundary {
+                    // Of two that are equally opaque, or both transparent, the one with the larger boundary ends first.
                     let (s, t) = (first.boundary[lane], other.boundary[lane]);
-                    takes |= bits_where(|j| o.0[j] == 0.0 && least.0[j] == 0.0 && t.0[j] > s.0[j]);
+                    takes |= bits_where(|j| o.0[j] == least.0[j] && t.0[j] > s.0[j]);
                 }
                 for (to, from) in first.selected(other, shape) {
                     take(&mut to[lane], &from[lane], takes);
@@ -183,6 +184,15 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    const SHAPE: RequiredOutputs = RequiredOutputs {
+        color: false,
+        normal: true,
+        boundary: true,
+        outside: false,
+        material: false,
+        attributes: 0,
+    };
+
     const REQUIRED: RequiredOutputs = RequiredOutputs {
         color: true,
         normal: false,
@@ -209,6 +219,32 @@ mod tests {
         let mut copy = NodeSamples::new(REQUIRED);
         copy.copy_from(of, REQUIRED);
         copy
+    }
+
+    /// Opacities and boundaries of a few values, with a shading vector that tells the operands apart.
+    fn solids() -> impl Strategy<Value = Vec<(f32, f32)>> {
+        let values = (prop::sample::select(vec![0.0_f32, 0.5, 0.75]), -9_i8..0);
+        prop::collection::vec(values.prop_map(|(o, b)| (o, f32::from(b))), SLAB_SAMPLES)
+    }
+
+    /// What an intersection has of some solids: opacity, boundary and shading vector where the opacity is not 0.
+    fn shape_of(solids: &[Vec<(f32, f32)>], order: &[usize]) -> Vec<Option<[f32; 3]>> {
+        let mut children: Vec<NodeSamples> = (order.iter())
+            .map(|&number| {
+                let mut samples = NodeSamples::new(SHAPE);
+                samples.touched = 1;
+                for (j, &(opacity, boundary)) in solids[number].iter().enumerate() {
+                    (samples.opacity[0].0[j], samples.boundary[0].0[j]) = (opacity, boundary);
+                    // Of one boundary there is one shading vector, whichever child has it.
+                    samples.normal.iter_mut().for_each(|rows| rows[0].0[j] = boundary + 100.0 * opacity);
+                }
+                samples
+            })
+            .collect();
+        NodeSamples::intersect(&mut children, SHAPE);
+        let first = &children[0];
+        let shape = |j| [first.opacity[0].0[j], first.boundary[0].0[j], first.normal[0][0].0[j]];
+        (0..SLAB_SAMPLES).map(|j| (first.opacity[0].0[j] > 0.0).then(|| shape(j))).collect()
     }
 
     fn union(a: &NodeSamples, b: &NodeSamples) -> NodeSamples {
@@ -268,6 +304,20 @@ mod tests {
         #[test]
         fn attributes_of_union_are_associative(a in samples(), b in samples(), c in samples()) {
             prop_assert_eq!(attributes(&union(&a, &union(&b, &c))), attributes(&union(&union(&a, &b), &c)));
+        }
+
+        #[test]
+        fn the_surface_of_an_intersection_is_that_of_the_nearest_boundary_in_any_order(a in solids(), b in solids(), c in solids()) {
+            let solids = [a, b, c];
+            let shape = shape_of(&solids, &[0, 1, 2]);
+            for order in [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+                prop_assert_eq!(&shape_of(&solids, &order), &shape);
+            }
+            for (j, shape) in shape.iter().enumerate() {
+                let Some([opacity, boundary, _]) = *shape else { continue };
+                let tied = solids.iter().map(|solid| solid[j]).filter(|&(o, _)| o == opacity);
+                prop_assert_eq!(tied.map(|(_, b)| b).fold(f32::NEG_INFINITY, f32::max), boundary);
+            }
         }
 
         #[test]

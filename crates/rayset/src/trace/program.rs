@@ -36,6 +36,8 @@ pub(super) struct Instruction {
     /// Nothing outside of these is ever evaluated; world space.
     pub(super) bounds: Aabb,
     pub(super) required: RequiredOutputs,
+    /// What its action makes of this. The transfer functions make the rest.
+    pub(super) made: RequiredOutputs,
     /// How its opacity is expressed before and after its transfer functions.
     pub(super) measures: (Measure, Measure),
     pub(super) transfers: Vec<CompiledTransfer>,
@@ -223,6 +225,7 @@ impl Compiler<'_> {
             action,
             bounds,
             required: RequiredOutputs::default(),
+            made: RequiredOutputs::default(),
             measures: (Measure::Opacity, Measure::Opacity),
             transfers,
             uses: 1,
@@ -376,7 +379,7 @@ impl Compiler<'_> {
     }
 
     fn pass_down(&mut self, at: usize) {
-        let Instruction { required, measures, transfers, action, .. } = &mut self.instructions[at];
+        let Instruction { required, made, measures, transfers, action, .. } = &mut self.instructions[at];
         let sums = matches!(action, Action::Operator(Operator::Difference | Operator::Blend, _));
         measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
         let reads_color = transfers.iter().any(|t| matches!(t.input, Input::Color(_)));
@@ -386,6 +389,7 @@ impl Compiler<'_> {
         required.attributes =
             transfers.iter().fold(required.attributes, |bits, t| bits | t.input.attributes());
         let below = RequiredOutputs { color: required.color && (reads_color || !makes_color), ..*required };
+        *made = below;
         let (operator, children) = match action {
             Action::Operator(operator, children) => (operator, children),
             Action::Cloud(volume) => {
@@ -406,7 +410,11 @@ impl Compiler<'_> {
                     attributes: if place == 0 { below.attributes } else { 0 },
                     ..below
                 },
-                _ => below,
+                // Where children are equally opaque, their boundaries say which of them has the surface.
+                Operator::Intersection => {
+                    RequiredOutputs { boundary: below.boundary || below.normal, ..below }
+                }
+                Operator::Union | Operator::Blend => below,
             };
             let child = &mut self.instructions[child];
             child.required = child.required.and(of_child);

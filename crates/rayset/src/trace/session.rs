@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::engine::{Engine, ExecSettings};
+use super::engine::{CapMemory, Engine, ExecSettings};
 use super::interior;
 use super::predict::Prediction;
 use super::prepared::PreparedScene;
@@ -36,6 +36,7 @@ impl std::fmt::Debug for Session {
 pub struct SessionBuilder {
     memory_bytes: u64,
     page_limits: Option<Limits>,
+    caps_bytes: u64,
     io: BackendKind,
     read_delay: Duration,
     exec: ExecSettings,
@@ -46,6 +47,7 @@ impl Default for SessionBuilder {
         Self {
             memory_bytes: 1 << 30,
             page_limits: None,
+            caps_bytes: u64::MAX,
             io: BackendKind::Auto,
             read_delay: Duration::ZERO,
             exec: ExecSettings::default(),
@@ -64,6 +66,13 @@ impl SessionBuilder {
     /// A budget for pages alone, instead of one for everything.
     pub fn page_limits(mut self, limits: Limits) -> Self {
         self.page_limits = Some(limits);
+        self
+    }
+
+    /// Bytes for the caps of a scene, where the budget is for pages alone; without limit by default.
+    #[doc(hidden)]
+    pub fn caps_bytes(mut self, bytes: u64) -> Self {
+        self.caps_bytes = bytes;
         self
     }
 
@@ -131,7 +140,8 @@ impl SessionBuilder {
         let memory_bytes = self.page_limits.is_none().then_some(self.memory_bytes);
         let limits = self.page_limits.unwrap_or_else(|| Limits::total(self.memory_bytes));
         let files = PagedFiles::new(WorkingSet::new(limits, backend));
-        Ok(Session(Arc::new(Engine::start(files, self.exec, memory_bytes, name_of_io)?)))
+        let engine = Engine::start(files, self.exec, memory_bytes, name_of_io)?;
+        Ok(Session(Arc::new(engine.with_caps_bytes(self.caps_bytes))))
     }
 }
 
@@ -168,7 +178,8 @@ impl Session {
             files.clone()
         };
         let reservation = self.0.reserve(scene, settings)?;
-        let (capped, remarks) = interior::with_caps(scene, settings, &self.0, &files)?;
+        let memory = CapMemory { engine: &self.0, reservation: reservation.as_ref() };
+        let (capped, remarks) = interior::with_caps(scene, settings, &files, &memory)?;
         let world = World::compile(&capped, settings, self.0.exec.simd, &files)?;
         Ok(PreparedScene::new(scene.clone(), world, *settings, self.0.clone(), reservation, remarks))
     }

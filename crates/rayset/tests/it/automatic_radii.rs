@@ -119,6 +119,64 @@ fn clusters_a_thousand_million_times_as_far_apart_as_they_are_wide_have_one_radi
     }
 }
 
+/// Radii by position, of points that are there as often as is said.
+fn radii_of_copies(points: &[Point], copies: impl Fn(usize) -> usize) -> HashMap<[u64; 3], f64> {
+    let all: Vec<Point> =
+        points.iter().enumerate().flat_map(|(i, &p)| std::iter::repeat_n(p, copies(i))).collect();
+    let mut radii = HashMap::new();
+    for (p, radius) in measured(&all) {
+        let known = *radii.entry(p.map(f64::to_bits)).or_insert(radius);
+        assert_eq!(known, radius, "points at one place, {p:?}, have one radius");
+    }
+    radii
+}
+
+#[test]
+fn copies_of_points_change_no_radius() {
+    let random = &mut Random(12);
+    let lattice: Vec<Point> = (0..900).map(|i| [f64::from(i % 30), f64::from(i / 30), 7.0]).collect();
+    for (name, points) in [("lattice", lattice), ("sheet", sheet(1500, random))] {
+        let once = radii_of_copies(&points, |_| 1);
+        for copies in [2, 9, 100] {
+            assert!(radii_of_copies(&points, |_| copies) == once, "{name}: {copies} of each");
+        }
+        // Runs of copies of any length, which begin and end anywhere in what is read together; and more of a point than
+        // go into a block.
+        let uneven = |i: usize| {
+            if i % 100 == 7 {
+                3000
+            } else if i == 50 {
+                9000
+            } else {
+                1 + i % 3
+            }
+        };
+        assert!(radii_of_copies(&points, uneven) == once, "{name}: some copied");
+    }
+}
+
+#[test]
+fn few_places_have_the_radius_of_their_number_however_often_they_occur() {
+    let two: Vec<Point> = vec![[0.0; 3], [1.0, 0.0, 0.0]];
+    let seven: Vec<Point> = (0..7).map(|i| [f64::from(i), f64::from(i * i % 5), 0.0]).collect();
+    for (points, expected) in
+        [(vec![[3.0, 4.0, 5.0]], 1.0), (two, 0.75 / 2_f64.sqrt()), (seven, 0.75 * 6.0 / 7_f64.sqrt())]
+    {
+        for copies in [1, 20, 20_000] {
+            let radii = radii_of_copies(&points, |_| copies);
+            assert_eq!(radii.len(), points.len());
+            assert!(radii.values().all(|r| (r / expected - 1.0).abs() < 1e-6), "{copies} copies: {radii:?}");
+        }
+    }
+    // Where very many places share a cell of the curve, too: two clusters, a thousand million times as far apart as wide.
+    let random = &mut Random(13);
+    let cluster = |random: &mut Random, at: f64| -> Vec<Point> {
+        (0..9000).map(|_| std::array::from_fn(|_| at + 1e-3 * random.unit())).collect()
+    };
+    let clusters = [cluster(random, 0.0), cluster(random, 1e6)].concat();
+    assert!(radii_of_copies(&clusters, |_| 3) == radii_of_copies(&clusters, |_| 1));
+}
+
 /// The density of a cloud.
 struct Density {
     points: Vec<(Point, f64)>,

@@ -6,8 +6,8 @@ use rayset::field::Kernel;
 use rayset::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::scene::{
-    Channel, ColorMap, Form, Light, LightKind, Lighting, Material, Node, NoiseCloud, Operator, Pattern,
-    RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
+    Channel, ColorMap, ColorRule, Form, Light, LightKind, Lighting, MapInput, Material, Node, NoiseCloud,
+    Operator, Pattern, RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::predict::NoPredictor;
@@ -273,6 +273,48 @@ fn attributes_travel_through_operators_as_the_reference_renderer_says() {
     unknown.transfers = by_attribute("entropy").into();
     let error = scene(unknown, vec![]).check().expect_err("no such attribute").to_string();
     assert!(error.contains("\"entropy\"") && error.contains("temperature"), "{error}");
+}
+
+#[test]
+fn every_colour_of_a_cloud_goes_under_a_colour_map_of_its_own_transfers() {
+    let folder = folder();
+    let options = BuildOptions { attributes: vec!["heat".into(), "mass".into()], ..BuildOptions::default() };
+    let source = with_columns(300, 44, ["heat", "mass"]);
+    let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
+    let map = |name: &str| ColorMap::named(name.parse().expect("a map"), (0.2, 0.8));
+    let by = |input| ColorRule::Map { map: map("viridis"), input };
+    let rules = [
+        ColorRule::Points,
+        ColorRule::Uniform([0.9, 0.4, 0.2]),
+        by(MapInput::Density),
+        by(MapInput::Attribute(0)),
+    ];
+    let mass = || Channel::Attribute("mass".into());
+    let inputs = [
+        Channel::Opacity,
+        Channel::Red,
+        mass(),
+        Channel::Attribute("x".into()),
+        Channel::Attribute("height".into()),
+    ];
+    for (number, rule) in rules.into_iter().enumerate() {
+        // The points' own colours are the ones that a field would have to carry.
+        let inputs = if number == 0 { &inputs[..] } else { &inputs[..2] };
+        for input in inputs {
+            let mut object = look(&cloud, Kernel::Wyvill);
+            object.transfer.color = rule.clone();
+            let mut leaf = Node::new(Shape::Cloud(object));
+            leaf.transfers = vec![Transfer::Color { input: input.clone(), map: map("plasma") }];
+            let what = format!("rule {number} under a map of {input:?}");
+            check(&what, &scene(leaf.clone(), vec![]), 2);
+            let ball = solid(Form::Sphere { radius: 0.4 }, [0.8, 0.3, 0.2]);
+            let both = Node::operator(Operator::Union, [leaf, ball]);
+            if number > 0 {
+                continue;
+            }
+            check(&format!("{what}, in a union"), &scene(both, vec![]), 2);
+        }
+    }
 }
 
 #[test]

@@ -123,15 +123,61 @@ fn cells_on_both_sides_of_where_bricks_meet_are_those_of_the_reference_renderer(
     let folder = folder();
     for &kind in VoxelKind::ALL {
         for axis in 0..3 {
+            // Wide enough for bricks that are cubes.
             let cells = kind.brick_cells();
-            let mut size = [3; 3];
+            let mut size = [cells + 2; 3];
             size[axis] = 2 * cells + 2;
             let grid = random_grid(folder.path(), size, kind);
+            assert_eq!(grid.header().brick_cells(), [cells; 3]);
             for border in [0, cells, 2 * cells] {
                 let what = format!("{} {size:?} about {border}", kind.name());
                 assert!(compare(&grid, &camera(size, axis, border as f64), &what) > 8, "{what}");
             }
         }
+    }
+}
+
+#[test]
+fn cells_on_both_sides_of_where_bricks_of_thin_grids_meet_are_those_of_the_reference_renderer() {
+    let folder = folder();
+    for &kind in VoxelKind::ALL {
+        for axis in 0..3 {
+            // A rod, and a sheet across which nothing is long.
+            let (mut rod, mut sheet) = ([3; 3], [120; 3]);
+            (rod[axis], sheet[(axis + 1) % 3]) = (2700, 4);
+            for size in [rod, sheet] {
+                let grid = random_grid(folder.path(), size, kind);
+                let cells = grid.header().brick_cells()[axis];
+                assert!(cells > kind.brick_cells(), "{} {size:?}: bricks of {cells} cells", kind.name());
+                for border in [0, cells, 2 * cells].into_iter().filter(|&border| border < size[axis]) {
+                    let what = format!("{} {size:?} about {border}", kind.name());
+                    assert!(compare(&grid, &camera(size, axis, border as f64), &what) > 8, "{what}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn thin_grids_take_little_more_room_than_their_voxels() {
+    let folder = folder();
+    for size in [[2, 2, 100_000], [100_000, 2, 2], [2, 100_000, 2], [700, 700, 2], [2, 700, 700]] {
+        let grid = random_grid(folder.path(), size, VoxelKind::U8);
+        let (bytes, voxels) = (std::fs::read(grid.path()).expect("a read"), size.iter().product::<u64>());
+        // A sheet or a rod of two voxels has one beyond on either side.
+        let most = if size.contains(&700) { 3 * voxels } else { 5 * voxels };
+        assert!(bytes.len() as u64 <= most + (128 << 10), "{size:?}: {} bytes for {voxels}", bytes.len());
+        let stored = std::fs::read(folder.path().join("v.raw")).expect("a read");
+        let loaded = grid.load().expect("it loads");
+        assert!(loaded.iter().zip(&stored).all(|(&found, &expected)| found == f32::from(expected)));
+        assert_eq!(loaded.len() as u64, voxels);
+        assert_eq!(grid.verify().expect("it is whole"), grid.header().pages());
+        // Programs that know cubes alone refuse it.
+        assert_eq!(bytes[32], 1, "{size:?}: the feature that readers must know");
+    }
+    for size in [[40, 50, 60], [31, 31, 31], [60, 60, 29]] {
+        let grid = random_grid(folder.path(), size, VoxelKind::U8);
+        assert_eq!(std::fs::read(grid.path()).expect("a read")[32..40], [0; 8], "{size:?}: as ever");
     }
 }
 

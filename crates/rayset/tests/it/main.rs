@@ -15,6 +15,7 @@ mod circles;
 mod colormaps;
 mod common;
 mod corpus;
+mod cut_solids;
 mod e57;
 mod edges;
 mod far_scenes;

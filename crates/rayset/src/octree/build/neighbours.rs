@@ -14,7 +14,7 @@ pub(super) const NEIGHBOUR: usize = 8;
 /// Squared distances of one point to the nearest points found so far, itself included, in ascending order.
 type Nearest = [f64; NEIGHBOUR + 1];
 
-/// Points in Hilbert order, and boxes around stretches of them.
+/// Points in Hilbert order, no two of which coincide, and boxes around stretches of them.
 #[derive(Default)]
 pub(super) struct Stretches {
     axes: [Vec<f64>; 3],

@@ -1,12 +1,12 @@
 //! Out-of-core estimation of radii from the local spacing, for points that have none.
 //!
 //! The radius of a point is 0.85 times the distance to its eighth nearest neighbour. Stray points, which are much farther from
-//! others than is usual in the cloud, and those of which nine or more coincide, get the median radius: see [`Typical`].
+//! others than is usual in the cloud, get the median radius: see [`Typical`]. Points that coincide are one place (`curve`).
 //!
 //! Records are first sorted along the Hilbert curve, with a box around every few hundred. Then they are loaded again a block
 //! at a time: neighbours are looked for in the block, and after that in the records elsewhere whose boxes are near enough
 //! (`neighbours`). Where so many records share a Hilbert code that the curve says nothing of their places, boxes would be of no
-//! use: they have one radius, by their number and extent ([`Crowd`]). Other distances are exact, and the rest are counts of them, so the result depends on the points alone.
+//! use: they have one radius, by the number of their places and their extent ([`Crowd`]). Other distances are exact, and the rest are counts of them, so the result depends on the points alone.
 
 use super::context::Context;
 use super::control::Stage;

@@ -3,7 +3,7 @@
 use super::error::{BuildError, Quantity};
 use super::survey::{LIMIT, Survey};
 
-/// Counts of radii: 128 for each power of two.
+/// Counts of the radii of places: 128 for each power of two.
 pub(super) struct Measured {
     counts: Vec<u64>,
     known: u64,
@@ -23,15 +23,15 @@ impl Default for Measured {
 }
 
 impl Measured {
-    /// Counts a radius before it is stored; 0 where none is known.
-    pub(super) fn count(&mut self, radius: f64) {
+    /// Counts the radius of some places before it is stored; 0 where none is known.
+    pub(super) fn count(&mut self, radius: f64, places: u64) {
         if radius > 0.0 {
-            self.known += 1;
+            self.known += places;
             (self.least, self.most) = (self.least.min(radius), self.most.max(radius));
             let stored = radius.clamp(1.0 / LIMIT, LIMIT) as f32;
-            self.counts[(stored.to_bits() >> LEFT_OUT) as usize] += 1;
+            self.counts[(stored.to_bits() >> LEFT_OUT) as usize] += places;
         } else {
-            self.unknown += 1;
+            self.unknown += places;
         }
     }
 
@@ -61,7 +61,7 @@ impl Measured {
 
     /// What is usual in a cloud.
     pub(super) fn typical(&self, survey: &Survey) -> Typical {
-        self.usual().unwrap_or_else(|| Typical::alone(fallback(survey)))
+        self.usual().unwrap_or_else(|| Typical::alone(self.fallback(survey)))
     }
 
     /// The range of the radii if all of them stay as they are.
@@ -100,6 +100,15 @@ impl Measured {
         let limit = (upper * spread * spread.sqrt()).max(LEAST_LIMIT * median);
         (self.known > 0).then_some(Typical { radius: median as f32, limit: limit.min(LIMIT) as f32 })
     }
+
+    /// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a surface of its extent, so
+    /// that neighbours touch but do not hide each other, or 1.
+    fn fallback(&self, survey: &Survey) -> f64 {
+        let (extent, places) = (survey.bounds.size().max_element(), self.known + self.unknown);
+        let spacing = extent / (places as f64).sqrt().max(1.0);
+        let radius = if spacing > 0.0 && spacing.is_finite() { 0.75 * spacing } else { 1.0 };
+        radius * survey.auto_scale
+    }
 }
 
 /// The limit is at least this multiple of the median: clouds that are sampled evenly have sparse edges, too.
@@ -124,13 +133,4 @@ impl Typical {
     fn alone(radius: f64) -> Self {
         Self { radius: radius.clamp(1.0 / LIMIT, LIMIT) as f32, limit: LIMIT as f32 }
     }
-}
-
-/// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a surface of its extent, so that
-/// neighbours touch but do not hide each other, or 1.
-fn fallback(survey: &Survey) -> f64 {
-    let extent = survey.bounds.size().max_element();
-    let spacing = extent / (survey.count as f64).sqrt().max(1.0);
-    let radius = if spacing > 0.0 && spacing.is_finite() { 0.75 * spacing } else { 1.0 };
-    radius * survey.auto_scale
 }

@@ -90,16 +90,17 @@ impl Walk<'_> {
             Ray { origin: map.transform_point3(ray.origin), direction: map.transform_vector3(ray.direction) };
         let voxels_per_world = ray.direction.length();
         let cells = self.volume.brick_cells();
+        let shortest = cells.min_element();
         let Some((enter, exit)) = placement.bounds_voxel.clip(&ray).filter(|_| voxels_per_world > 0.0) else {
             return;
         };
         let places =
-            ((exit - enter) * voxels_per_world / cells * PLACES_IN_BRICK).ceil().clamp(1.0, MOST_PLACES);
+            ((exit - enter) * voxels_per_world / shortest * PLACES_IN_BRICK).ceil().clamp(1.0, MOST_PLACES);
         let step = (exit - enter) / places;
         let (mut depth, mut last) = (0.0, None);
         for i in 0..places as u32 {
             let t = enter + (f64::from(i) + 0.5) * step;
-            let margin = (gap(t) * voxels_per_world / cells).min(MOST_MARGIN);
+            let margin = (gap(t) * voxels_per_world / cells).min(DVec3::splat(MOST_MARGIN));
             let place = ray.at(t) / cells;
             self.meet(placement, place, margin, t as f32);
             let brick = placement.bricks.number(at(placement, place));
@@ -115,7 +116,7 @@ impl Walk<'_> {
     }
 
     /// Takes in the bricks around a place, which is given in bricks.
-    fn meet(&mut self, placement: &Placement, place: DVec3, margin: f64, t: f32) {
+    fn meet(&mut self, placement: &Placement, place: DVec3, margin: DVec3, t: f32) {
         let (low, high) = (at(placement, place - margin), at(placement, place + margin));
         for z in low[2]..=high[2] {
             for y in low[1]..=high[1] {

@@ -1,6 +1,7 @@
 //! Samples of one brick, evaluated many at a time.
 
 use super::places::{OfSamples, Places};
+use super::shape::BrickShape;
 use super::voxels::Voxel;
 use crate::field::BLOCK_SAMPLES;
 
@@ -108,8 +109,8 @@ fn less(a: &Row, b: &Row) -> Row {
 
 /// The trilinear values of a batch, in stored numbers less `base`.
 #[inline(always)]
-pub(super) fn values<V: Voxel>(brick: &[u8], cells: &Cells, base: f32) -> Row {
-    let (y, z) = (V::SIDE, V::SIDE * V::SIDE);
+pub(super) fn values<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells, base: f32) -> Row {
+    let (y, z) = shape.strides::<V>();
     let pairs = Pairs::<V, 4>::read(brick, cells, 0, [0, y, z, z + y], z + y);
     let [fx, fy, fz] = &cells.within;
     let mut along_x = [[0.0; BATCH]; 4];
@@ -128,8 +129,8 @@ pub(super) fn values<V: Voxel>(brick: &[u8], cells: &Cells, base: f32) -> Row {
 /// The gradients of a batch in stored numbers a voxel: half the difference of the trilinear values one voxel on either
 /// side, with the weights of the same cell.
 #[inline(always)]
-pub(super) fn gradients<V: Voxel>(brick: &[u8], cells: &Cells) -> [Row; 3] {
-    let (y, z) = (V::SIDE, V::SIDE * V::SIDE);
+pub(super) fn gradients<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells) -> [Row; 3] {
+    let (y, z) = shape.strides::<V>();
     let f = &cells.within;
     // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
     // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
@@ -179,6 +180,7 @@ mod tests {
 
     use super::*;
     use crate::grid::format::VoxelKind;
+    use crate::trace::grid::shape::Cube;
     use crate::trace::grid::voxels::with_voxel;
 
     /// Trilinear interpolation by its definition, in `f64`, with the cell moved by some voxels.
@@ -222,8 +224,8 @@ mod tests {
             }
         }
         let cells = Cells::of_samples(&of_samples, &samples);
-        let values = values::<V>(&bytes, &cells, 3.0);
-        let gradients = gradients::<V>(&bytes, &cells);
+        let values = values::<V, Cube>(Cube, &bytes, &cells, 3.0);
+        let gradients = gradients::<V, Cube>(Cube, &bytes, &cells);
         for i in 0..places.len() {
             let (cell, f) = places[i];
             let cell = cell.map(|c| 1 + c % (n - 3));

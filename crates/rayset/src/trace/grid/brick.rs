@@ -5,6 +5,7 @@ use fearless_simd::prelude::*;
 use super::batch::{BATCH, BATCH_GROUPS, Cells, at_sample, gradients, values};
 use super::field::{Color, GridField, GridRequest};
 use super::places::{GROUPS, GROUPS_OF_LANE, OfSamples, Places};
+use super::shape::BrickShape;
 use super::spans::Segment;
 use super::visible::Blocks;
 use super::voxels::Voxel;
@@ -12,7 +13,8 @@ use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES, SampleRow};
 use crate::trace::node_samples::{NodeSamples, numbers};
 
 /// The samples of a slab in one brick.
-pub(super) struct BrickSamples<'a> {
+pub(super) struct BrickSamples<'a, B> {
+    pub(super) shape: B,
     pub(super) field: &'a GridField,
     pub(super) request: &'a GridRequest<'a>,
     pub(super) voxels: &'a [u8],
@@ -65,7 +67,7 @@ fn eight(row: &mut SampleRow, block: usize) -> &mut [f32; BLOCK_SAMPLES] {
     &mut row.0.as_chunks_mut().0[block]
 }
 
-impl BrickSamples<'_> {
+impl<B: BrickShape> BrickSamples<'_, B> {
     /// Fills the samples of some segments, all in this brick. `seen` is, for each lane, the number of samples after
     /// which its ray is known to have ended.
     #[inline(always)]
@@ -130,7 +132,7 @@ impl BrickSamples<'_> {
             batch[..count].copy_from_slice(&groups.at[first..first + count]);
             samples[..count].copy_from_slice(&groups.samples[first..first + count]);
             let cells = Cells::of_groups(self.places, &batch);
-            let numbers = values::<V>(self.voxels, &cells, self.field.values.base);
+            let numbers = values::<V, B>(self.shape, self.voxels, &cells, self.field.values.base);
             let opacities = self.field.opacities.of(simd, &numbers, measure);
             for i in 0..BATCH_GROUPS {
                 let (numbers, opacities) = (&numbers.as_chunks().0[i], &opacities.as_chunks().0[i]);
@@ -245,7 +247,7 @@ impl BrickSamples<'_> {
         for (number, &at) in numbers.iter_mut().zip(batch) {
             *number = at_sample(&groups.number, at);
         }
-        let gradients = gradients::<V>(self.voxels, &Cells::of_samples(self.places, batch));
+        let gradients = gradients::<V, B>(self.shape, self.voxels, &Cells::of_samples(self.places, batch));
         let (normal, boundary) = self.field.gradients.of(&numbers, &gradients);
         for (i, &at) in batch.iter().enumerate().take(len) {
             let (lane, j) = (usize::from(at) / SLAB_SAMPLES % LANES, usize::from(at) % SLAB_SAMPLES);

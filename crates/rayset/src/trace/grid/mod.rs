@@ -14,6 +14,7 @@ mod opacity;
 mod placement;
 mod places;
 mod rays;
+mod shape;
 mod spans;
 mod visible;
 mod volume;

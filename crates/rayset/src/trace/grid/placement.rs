@@ -1,5 +1,6 @@
 //! Where a grid and its bricks are.
 
+use super::shape::Cuboid;
 use crate::geometry::{Aabb, DAffine3};
 use crate::grid::format::GridHeader;
 
@@ -16,11 +17,13 @@ pub(super) struct Placement {
 pub(super) struct Bricks {
     /// Along each axis.
     pub(super) count: [u32; 3],
+    /// Their shape, if they are not cubes.
+    pub(super) cuboid: Option<Cuboid>,
 }
 
 impl Bricks {
     pub(super) fn new(header: &GridHeader) -> Self {
-        Self { count: header.bricks().map(|count| count as u32) }
+        Self { count: header.bricks().map(|count| count as u32), cuboid: Cuboid::of(header) }
     }
 
     /// The number of the brick at a place among the bricks, x fastest.

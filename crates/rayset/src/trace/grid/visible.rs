@@ -1,11 +1,10 @@
 //! Which parts of a brick show anything through the opacity rule: cubes of 4 × 4 × 4 cells.
 
 use super::opacity::{Opacities, Values};
+use super::shape::{BLOCK_CELLS, BrickShape, Cuboid};
 use super::voxels::Voxel;
 use crate::grid::format::VoxelKind;
 
-/// Cells along an edge of a block.
-pub(super) const BLOCK_CELLS: usize = 4;
 /// Most blocks along an edge of a brick.
 const MOST_BLOCKS: usize = 7;
 /// A power of two that the words of [`Blocks`] fit in.
@@ -26,7 +25,47 @@ impl Blocks {
         self.0[usize::from(number) / 64 % WORDS] >> (number % 64) & 1 == 1
     }
 
-    /// The blocks of a brick that show anything.
+    /// Adds a block. Bricks that are not cubes may have more blocks than there are bits; some then share one.
+    #[inline(always)]
+    fn add(&mut self, number: usize) {
+        self.0[number / 64 % WORDS] |= 1 << (number % 64);
+    }
+
+    /// The blocks of a brick that is no cube that show anything.
+    pub(super) fn of_cuboid<V: Voxel>(
+        shape: Cuboid,
+        brick: &[u8],
+        values: &Values,
+        opacities: &Opacities,
+    ) -> Self {
+        let mut blocks = Self([0; _]);
+        let (y_stride, z_stride) = shape.strides::<V>();
+        let count = [0, 1, 2].map(|axis| shape.blocks::<V>(axis));
+        for number in 0..count.iter().product() {
+            let block = [number % count[0], number / count[0] % count[1], number / count[0] / count[1]];
+            // The corners of its cells, of which the last of the brick are one voxel before its end.
+            let corners = |axis: usize| {
+                let first = 1 + block[axis] * BLOCK_CELLS;
+                first..(first + CORNERS).min(shape.voxels::<V>(axis) - 1)
+            };
+            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+            for z in corners(2) {
+                for y in corners(1) {
+                    for x in corners(0) {
+                        let at = (z * z_stride + y * y_stride + x) * V::BYTES;
+                        let voxel = V::number(V::stored(&brick[at..at + V::BYTES]));
+                        (low, high) = (low.min(voxel), high.max(voxel));
+                    }
+                }
+            }
+            if opacities.shows(low - values.base, high - values.base) {
+                blocks.add(number);
+            }
+        }
+        blocks
+    }
+
+    /// The blocks of a brick that is a cube that show anything.
     #[inline(always)]
     pub(super) fn of<V: Voxel>(brick: &[u8], values: &Values, opacities: &Opacities) -> Self {
         let mut blocks = Self([0; _]);
@@ -39,7 +78,7 @@ impl Blocks {
                     let (low, high) = layers.range(first_corner::<V>(y) * n + first_corner::<V>(x));
                     if opacities.shows(low - values.base, high - values.base) {
                         let number = (z * side + y) * side + x;
-                        blocks.0[number / 64] |= 1 << (number % 64);
+                        blocks.add(number);
                     }
                 }
             }

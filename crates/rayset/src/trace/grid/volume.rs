@@ -11,6 +11,7 @@ use super::opacity::{Opacities, Values};
 use super::placement::{Bricks, Placement};
 use super::places::Places;
 use super::rays::GridRays;
+use super::shape::with_bricks;
 use super::spans::{MetBricks, bricks_met};
 use super::visible::{Blocks, KnownBlocks};
 use super::voxels::with_voxel;
@@ -108,9 +109,9 @@ impl GridVolume {
         self.unit_distance
     }
 
-    /// Cells along an edge of a brick.
-    pub(super) fn brick_cells(&self) -> f64 {
-        self.object.grid.header().kind.brick_cells() as f64
+    /// Cells along the edges of a brick.
+    pub(super) fn brick_cells(&self) -> DVec3 {
+        DVec3::from_array(self.object.grid.header().brick_cells().map(|n| n as f64))
     }
 
     /// The first page of the ranges of bricks, behind the last brick.
@@ -134,8 +135,7 @@ impl GridVolume {
     pub(in crate::trace) fn bounds_world_of(&self, brick: u32) -> Aabb {
         let bricks = &self.field.placement.bricks;
         let cells = self.brick_cells();
-        let first = bricks.place(brick).map(|place| f64::from(place) * cells);
-        let corner = DVec3::from_array(first);
+        let corner = DVec3::from_array(bricks.place(brick).map(f64::from)) * cells;
         Aabb::new(corner, corner + cells).transformed(&self.world_from_voxel)
     }
 
@@ -178,12 +178,12 @@ impl GridVolume {
         let GridRequest { access, march: GridMarch(rays), slab, live, simd, .. } = *request;
         let GridScratch { met, samples, blocks } = scratch;
         let (places, groups) = &mut **samples.get_or_insert_with(|| Box::new((Places::new(), Groups::new())));
-        let kind = self.object.grid.header().kind;
+        let (kind, cuboid) = (self.object.grid.header().kind, self.field.placement.bricks.cuboid);
         if !request.required.outside && self.known_empty(request, blocks) {
             return Ok(());
         }
-        with_voxel!(kind, V => dispatch!(simd.level(), _simd =>
-            met.find::<V>(&self.field.placement, rays, slab, live, places)));
+        with_bricks!(kind, cuboid, V, shape => dispatch!(simd.level(), _simd =>
+            met.find::<V, _>(shape, &self.field.placement, rays, slab, live, places)));
         self.fetch(request, met, blocks)?;
         let mut seen = [SLAB_SAMPLES; LANES];
         // Brick by brick, whichever rays pass through them: each brick is retained once, and a small budget need not
@@ -195,10 +195,12 @@ impl GridVolume {
             let page = access.retain_page(&self.pages, brick.number)?;
             let voxels = &page[PAGE_HEAD_BYTES..PAGE_BYTES];
             let blocks = self.blocks_of(request, brick.number, voxels, blocks);
-            let samples = BrickSamples { field: &self.field, request, voxels, places, blocks };
             let segments = met.segments(brick);
-            with_voxel!(kind, V => dispatch!(simd.level(), simd =>
-                samples.fill::<_, V>(simd, segments.clone(), &mut seen, groups, out)));
+            with_bricks!(kind, cuboid, V, shape => {
+                let samples = BrickSamples { shape, field: &self.field, request, voxels, places, blocks };
+                dispatch!(simd.level(), simd =>
+                    samples.fill::<_, V>(simd, segments.clone(), &mut seen, groups, out));
+            });
         }
         Ok(())
     }
@@ -219,8 +221,12 @@ impl GridVolume {
             return *blocks;
         }
         let GridField { values, opacities, .. } = &self.field;
-        let blocks = with_voxel!(self.object.grid.header().kind, V =>
-            dispatch!(request.simd.level(), _simd => Blocks::of::<V>(voxels, values, opacities)));
+        let kind = self.object.grid.header().kind;
+        let blocks = match self.field.placement.bricks.cuboid {
+            Some(shape) => with_voxel!(kind, V => Blocks::of_cuboid::<V>(shape, voxels, values, opacities)),
+            None => with_voxel!(kind, V =>
+                dispatch!(request.simd.level(), _simd => Blocks::of::<V>(voxels, values, opacities))),
+        };
         known.insert(key, blocks);
         blocks
     }
@@ -228,8 +234,9 @@ impl GridVolume {
     /// Whether all bricks that the samples of a slab lie in are known to show nothing.
     fn known_empty(&self, request: &GridRequest<'_>, blocks: &KnownBlocks) -> bool {
         let GridRequest { march: GridMarch(rays), slab, live, simd, .. } = *request;
-        let met = with_voxel!(self.object.grid.header().kind, V => dispatch!(simd.level(), _simd =>
-            bricks_met::<V>(&self.field.placement, rays, slab, live.lanes())));
+        let (kind, cuboid) = (self.object.grid.header().kind, self.field.placement.bricks.cuboid);
+        let met = with_bricks!(kind, cuboid, V, shape => dispatch!(simd.level(), _simd =>
+            bricks_met::<V, _>(shape, &self.field.placement, rays, slab, live.lanes())));
         let Some([x, y, z]) = met else { return true };
         let count = [x, y, z].iter().map(|[low, high]| high - low + 1).fold(1, u32::saturating_mul);
         count <= MOST_BRICKS
@@ -295,6 +302,7 @@ pub(super) mod tests {
             identity: crate::container::Identity::default(),
             size,
             kind,
+            brick_voxels: [kind.brick_voxels() as u64; 3],
             range: (0.0, 1.0),
             scale: 1.0,
             offset: 0.0,

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::lattice::{VOTE, Votes};
+use super::inside::Inside;
+use super::lattice::{Lattice, VOTE};
 use crate::geometry::{Aabb, DVec3};
 use crate::scene::{Procedural, ProceduralSample};
 
@@ -15,7 +16,7 @@ const BLOCK_CELLS: usize = 8;
 
 /// Everything that a surface encloses, in one colour.
 pub(super) struct Interior {
-    votes: Arc<Votes>,
+    votes: Arc<Inside>,
     color: [f64; 3],
     /// Of all cells that are inside, and half a cell around them.
     bounds: Aabb,
@@ -32,7 +33,7 @@ impl std::fmt::Debug for Interior {
 }
 
 impl Interior {
-    pub(super) fn new(votes: Arc<Votes>, color: [f64; 3]) -> Self {
+    pub(super) fn new(votes: Arc<Inside>, color: [f64; 3]) -> Self {
         let lattice = votes.lattice;
         let blocks = lattice.size.map(|n| n.div_ceil(BLOCK_CELLS));
         let mut occupied = vec![false; blocks.iter().product()];
@@ -41,7 +42,7 @@ impl Interior {
             for y in 0..lattice.size[1] {
                 for x in 0..lattice.size[0] {
                     let cell = [x, y, z];
-                    if votes.of(cell) < INSIDE_VOTES {
+                    if votes.of_cell(cell) < INSIDE_VOTES {
                         continue;
                     }
                     is_empty = false;
@@ -69,10 +70,10 @@ impl Interior {
         Self { votes, color, bounds, blocks, occupied }
     }
 
-    /// Bytes besides those of the votes, for a lattice of so many cells.
-    pub(super) fn bytes(cells: u64) -> u64 {
-        // Sides that are not whole blocks have more blocks than cells / 8³.
-        size_of::<Self>() as u64 + cells / (BLOCK_CELLS * BLOCK_CELLS) as u64 + 4096
+    /// Bytes besides those of the votes.
+    pub(super) fn bytes(lattice: &Lattice) -> u64 {
+        let blocks: usize = lattice.size.iter().map(|n| n.div_ceil(BLOCK_CELLS)).product();
+        (size_of::<Self>() + blocks) as u64 + 4096
     }
 
     /// Whether anything in the box between two places, in cells, may be inside.
@@ -99,7 +100,7 @@ impl Interior {
         }
         let corner = |i: usize| {
             let cell = std::array::from_fn(|axis| if i >> axis & 1 == 1 { high[axis] } else { low[axis] });
-            f64::from(self.votes.of(cell)) / f64::from(VOTE)
+            f64::from(self.votes.of_cell(cell)) / f64::from(VOTE)
         };
         let c: [f64; 8] = std::array::from_fn(corner);
         let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;

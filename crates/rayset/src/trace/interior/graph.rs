@@ -4,7 +4,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::field::Interior;
-use super::lattice::Votes;
+use super::inside::Inside;
+use super::lattice::Lattice;
 use super::pieces;
 use crate::geometry::DVec3;
 use crate::scene::{Node, NoiseCloud, Operator, Pattern, Procedural, RenderSettings, Scene, Shape};
@@ -14,16 +15,41 @@ use crate::trace::RenderError;
 pub(super) type MakeInside<'a> =
     dyn FnMut(&Arc<Node>, [f64; 3]) -> Result<Option<Arc<dyn Procedural>>, RenderError> + 'a;
 
-/// A scene whose graph has the size that caps give it, and the bytes of their insides; `None` if it has no caps.
-pub(in crate::trace) fn sized(scene: &Scene, settings: &RenderSettings) -> Option<(Scene, u64)> {
-    let (mut bytes, mut counted) = (0, Vec::new());
+/// Bytes for the caps of a scene.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::trace) struct CapBytes {
+    /// What all take besides what they enclose.
+    pub(in crate::trace) caps: u64,
+    /// With this, what they enclose can be counted, one after another.
+    pub(in crate::trace) least: u64,
+    /// An upper bound. How much is kept of what they enclose is known once it is counted.
+    pub(in crate::trace) most: u64,
+}
+
+/// Bytes for what a node encloses: while it is counted, and at most of what is kept of it.
+pub(super) fn bytes_for(node: &Node, resolution: u32) -> (u64, u64) {
+    Lattice::over(&node.bounds(), resolution).map_or((0, 0), |lattice| {
+        let cells = lattice.cells() as u64;
+        (cells + pieces::bytes(cells), Inside::most_bytes(&lattice))
+    })
+}
+
+/// Bytes of a cap besides what the node encloses.
+pub(super) fn bytes_of_cap(node: &Node, resolution: u32) -> u64 {
+    Lattice::over(&node.bounds(), resolution).map_or(0, |lattice| Interior::bytes(&lattice))
+}
+
+/// A scene whose graph has the size that caps give it, and what these take; `None` if it has no caps.
+pub(in crate::trace) fn sized(scene: &Scene, settings: &RenderSettings) -> Option<(Scene, CapBytes)> {
+    let (mut caps, mut counting, mut kept, mut counted) = (0, 0, 0, Vec::new());
     let root = fill(&scene.root, &mut |node, _| {
-        let cells = Votes::bytes(&node.bounds(), settings.cap_resolution);
-        bytes += Interior::bytes(cells);
+        caps += bytes_of_cap(node, settings.cap_resolution);
         // Votes are of what is cut, whatever is taken away from it.
         if !counted.iter().any(|other| Arc::ptr_eq(node, other)) {
             counted.push(node.clone());
-            bytes += cells + pieces::bytes(cells);
+            let (to_count, most) = bytes_for(node, settings.cap_resolution);
+            counting = counting.max(to_count);
+            kept += most;
         }
         let stand_in = NoiseCloud {
             radii: DVec3::ONE,
@@ -38,6 +64,7 @@ pub(in crate::trace) fn sized(scene: &Scene, settings: &RenderSettings) -> Optio
         Ok(Some(Arc::new(stand_in)))
     });
     let root = root.ok().filter(|root| !Arc::ptr_eq(root, &scene.root))?;
+    let bytes = CapBytes { caps, least: caps + counting, most: caps + counting + kept };
     Some((Scene { root, ..scene.clone() }, bytes))
 }
 

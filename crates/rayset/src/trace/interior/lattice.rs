@@ -125,11 +125,6 @@ impl Votes {
         Self { lattice, cells: (0..lattice.cells()).map(|_| AtomicU8::new(0)).collect() }
     }
 
-    /// Bytes for a lattice over a box.
-    pub(super) fn bytes(bounds: &Aabb, resolution: u32) -> u64 {
-        Lattice::over(bounds, resolution).map_or(0, |lattice| lattice.cells() as u64)
-    }
-
     pub(super) fn of(&self, cell: [usize; 3]) -> u8 {
         self.cells[self.lattice.index(cell)].load(Ordering::Relaxed)
     }

@@ -8,12 +8,16 @@
 //! neighbouring cells, pieces that are too small to be anything are left out, and between cells votes are interpolated. All
 //! of it is a function of the scene and of the lattice's resolution alone.
 //!
+//! How much memory is kept of a cap is not known before it is counted: of a solid, nothing. So memory is set aside for counting
+//! one, and what is kept is taken from what else the scene may have ([`CapMemory`]).
+//!
 //! Where along two axes more than a quarter of the rays that cross the surface do so an odd number of times, it is open,
 //! and has no cap.
 
 mod count;
 mod field;
 pub(super) mod graph;
+mod inside;
 mod lattice;
 mod passes;
 mod pieces;
@@ -22,9 +26,10 @@ use std::sync::Arc;
 
 use self::count::AxisCount;
 use self::field::{INSIDE_VOTES, Interior};
+use self::inside::Inside;
 use self::lattice::{Lattice, Votes};
 use super::RenderError;
-use super::engine::Engine;
+use super::engine::{CapMemory, Engine};
 use super::program::{Program, Purpose};
 use super::steps::StepRule;
 use crate::scene::{Node, Procedural, RenderSettings, Scene};
@@ -37,21 +42,35 @@ const MOST_ODD: f64 = 0.25;
 /// The scene with its caps, and a sentence on each that was left out.
 ///
 /// # Errors
-/// [`RenderError`] if a page cannot be obtained or a step is out of range.
+/// [`RenderError`] if a page cannot be obtained, a step is out of range, or the caps do not fit in `memory`.
 pub(super) fn with_caps(
     scene: &Scene,
     settings: &RenderSettings,
-    engine: &Engine,
     files: &PagedFiles,
+    memory: &CapMemory<'_>,
 ) -> Result<(Scene, Vec<String>), RenderError> {
     let (mut remarks, mut known) = (Vec::new(), Vec::new());
+    let resolution = settings.cap_resolution;
+    let Some((_, all)) = graph::sized(scene, settings) else { return Ok((scene.clone(), remarks)) };
+    // Bytes of what is kept so far, and the most that were needed at a time. Where they are too many, the rest is counted but
+    // not kept, to say how many there must be.
+    let (mut kept, mut most, mut lacks) = (0, 0, false);
+    let mut needs = |bytes: u64| {
+        most = bytes.max(most);
+        lacks = lacks || memory.take(bytes).is_err();
+        !lacks
+    };
     let root = graph::fill(&scene.root, &mut |node, color| {
         let counted = match known.iter().find(|(other, _)| Arc::ptr_eq(node, other)) {
             Some((_, inside)) => Option::clone(inside),
             None => {
-                let inside = inside_of(node, scene, settings, engine, files)?;
-                let (inside, remark) = match inside {
-                    Ok(votes) => (Some(votes), None),
+                needs(all.caps + graph::bytes_for(node, resolution).0 + kept);
+                let (inside, remark) = match votes_of(node, scene, settings, memory.engine, files)? {
+                    Ok(votes) => {
+                        kept += Inside::bytes_of(&votes);
+                        let fits = needs(all.caps + votes.lattice.cells() as u64 + kept);
+                        (fits.then(|| Arc::new(Inside::of(&votes))), None)
+                    }
                     Err(why) => (None, Some(format!("a cap is left out: {why}"))),
                 };
                 remarks.extend(remark);
@@ -59,13 +78,16 @@ pub(super) fn with_caps(
                 inside
             }
         };
-        Ok(counted.map(|votes| Arc::new(Interior::new(votes, color)) as Arc<dyn Procedural>))
+        Ok(counted.map(|inside| Arc::new(Interior::new(inside, color)) as Arc<dyn Procedural>))
     })?;
+    if lacks {
+        memory.take(most)?;
+    }
     Ok((Scene { root, ..scene.clone() }, remarks))
 }
 
 /// The votes for the inside of a node, in the space of its parent, or why it encloses nothing.
-fn inside_of(
+fn votes_of(
     node: &Arc<Node>,
     scene: &Scene,
     settings: &RenderSettings,

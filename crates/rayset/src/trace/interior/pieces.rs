@@ -9,8 +9,8 @@ const CELLS_PER_RUN: usize = 32;
 
 /// Bytes for the pieces of a lattice of so many cells.
 pub(super) fn bytes(cells: u64) -> u64 {
-    // The list of runs has to be able to grow.
-    2 * cells / CELLS_PER_RUN as u64 * size_of::<Run>() as u64 + 4096
+    // The last row that is looked at may have more runs; and there are two lists of rows.
+    cells / CELLS_PER_RUN as u64 * size_of::<Run>() as u64 + (1 << 16)
 }
 
 /// Cells inside that follow each other along x.
@@ -29,7 +29,8 @@ struct Run {
 pub(super) fn drop_small(votes: &Votes, least: u8) {
     let [width, height, depth] = votes.lattice.size;
     let most = votes.lattice.cells() / CELLS_PER_RUN;
-    let mut runs: Vec<Run> = Vec::new();
+    // Memory that is not written to does not count.
+    let mut runs: Vec<Run> = Vec::with_capacity(most + width / 2 + 1);
     // Where the runs of the rows of this layer and of the one before begin.
     let (mut layer, mut before) = (vec![0; height + 1], vec![0; height + 1]);
     for z in 0..depth {

@@ -9,7 +9,7 @@ use super::share::{Blocks, Share};
 use crate::cancel::CancelToken;
 use crate::image::{Band, LayerPixel};
 use crate::trace::ambient_occlusion::{AmbientOcclusion, ROWS_SENT, apron};
-use crate::trace::memory::{EXR_BYTES, PIXEL_BYTES};
+use crate::trace::memory_plan::{PIXEL_BYTES, exr_bytes};
 use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region};
 use crate::trace::{BandSink, Picture, RenderError};
 
@@ -280,7 +280,8 @@ fn needed_bytes(part: &Part, blocks: &Blocks) -> u64 {
     // Rows that come in, and those that ambient occlusion keeps and sends on.
     let kept = |height| 2 * u64::from(apron(height)) + 1 + block_rows;
     let shading = about.surroundings().map_or(0, |of| kept(of.size.1) + u64::from(ROWS_SENT));
-    let encoder = if about.contents == Contents::Layers { EXR_BYTES * width } else { 0 };
+    let rows = about.rendered().rows.len() as u32;
+    let encoder = if about.contents == Contents::Layers { exr_bytes(rows) * width } else { 0 };
     // The index of a part, and of all.
     let index = blocks.count() * 2 * size_of::<Entry>() as u64;
     let parts = u64::from(part.share().of()) * PART_BYTES;

@@ -493,8 +493,8 @@ fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
         Operator::Intersection => {
             let (mut shape, mut attributes) = (samples[0], samples[0]);
             for s in &samples[1..] {
-                let outside_both = s.opacity == 0.0 && shape.opacity == 0.0;
-                if s.opacity < shape.opacity || (outside_both && s.boundary > shape.boundary) {
+                let ends_first = s.opacity == shape.opacity && s.boundary > shape.boundary;
+                if s.opacity < shape.opacity || ends_first {
                     shape = *s;
                 }
                 if s.opacity > attributes.opacity {

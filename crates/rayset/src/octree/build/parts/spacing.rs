@@ -109,14 +109,14 @@ fn corners(bounds: &Aabb) -> [u64; 6] {
     [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits)
 }
 
-/// Number of records and sum of their hashes, grain, numbers of boxes and crowds; corners of the boxes; range and corners of
-/// the crowds.
+/// Number of records and sum of their hashes, grain, numbers of boxes and crowds; corners of the boxes; range, corners and
+/// places of the crowds.
 fn encode(sketch: &Sketch, sum: u64) -> Vec<u8> {
     let front = [sketch.count, sum, sketch.grain, sketch.boxes.len() as u64, sketch.crowds.len() as u64];
     let boxes = sketch.boxes.iter().flat_map(corners);
     let crowds = sketch.crowds.iter().flat_map(|crowd| {
         let range = [crowd.records.start, crowd.records.end];
-        range.into_iter().chain(corners(&crowd.bounds))
+        range.into_iter().chain(corners(&crowd.bounds)).chain([crowd.places])
     });
     divide::encode(front.into_iter().chain(boxes).chain(crowds))
 }
@@ -142,20 +142,20 @@ impl Stretch {
             return None;
         }
         let (boxes, rest) = rest.split_at_checked(usize::try_from(boxes).ok()?.checked_mul(6)?)?;
-        if rest.len() as u64 != crowds.checked_mul(8)? {
+        if rest.len() as u64 != crowds.checked_mul(9)? {
             return None;
         }
         let bounds = |corners: &[u64]| {
             let [a, b, c, d, e, f] = std::array::from_fn(|i| f64::from_bits(corners[i]));
             Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) }
         };
-        let crowd = |n: &[u64]| Crowd::new(n[0]..n[1], bounds(&n[2..]));
+        let crowd = |n: &[u64]| Crowd::new(n[0]..n[1], bounds(&n[2..8]), n[8]);
         Some(Self {
             count,
             sum,
             grain,
             boxes: boxes.chunks_exact(6).map(bounds).collect(),
-            crowds: rest.chunks_exact(8).map(crowd).collect(),
+            crowds: rest.chunks_exact(9).map(crowd).collect(),
         })
     }
 }
@@ -174,7 +174,7 @@ pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
         let before: u64 = counts.iter().sum();
         let shifted = |crowd: Crowd| {
             let records = crowd.records.start + before..crowd.records.end + before;
-            Crowd::new(records, crowd.bounds)
+            Crowd::new(records, crowd.bounds, crowd.places)
         };
         crowds.extend(stretch.crowds.into_iter().map(shifted));
         boxes.push(&stretch.boxes, stretch.grain, stretch.count);
