@@ -109,7 +109,8 @@ pub(crate) fn build_files(
                 (Some(cloud), report)
             }
         };
-        Ok((cloud, report, open.remarks))
+        let remarks = open.remarks.into_iter().chain(report.remarks.iter().cloned()).collect();
+        Ok((cloud, report, remarks))
     };
     let outcome = wait::run(py, &cancel, &progress, told, work)?;
     let (cloud, report, remarks) = outcome.map_err(|error| errors::of_input(py, error))?;

@@ -29,9 +29,12 @@ pub struct CacheArgs {
     /// Most bytes that the cache keeps; 20GiB by default
     #[arg(long, value_parser = values::size)]
     cache_limit: Option<u64>,
-    /// Names of the columns of text files and of arrays, as in x,y,z,-,intensity; - leaves one out
+    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, help_heading = "Columns of tables")]
     columns: Option<Vec<String>>,
+    /// Volume to read of a series of them, as NIfTI and NRRD of four dimensions are; the first, 0, by default
+    #[arg(long, value_name = "N", help_heading = "Volumes")]
+    volume_index: Option<u64>,
 }
 
 /// Bytes that the cache keeps if nothing else is said.
@@ -74,6 +77,11 @@ impl CacheArgs {
         Self { columns, ..self }
     }
 
+    /// The volume of a series that is asked for.
+    pub(super) fn volume_index(&self) -> Option<u64> {
+        self.volume_index
+    }
+
     /// Names of columns, if any were given.
     pub(super) fn columns(&self) -> Option<&[String]> {
         self.columns.as_deref()
@@ -82,7 +90,9 @@ impl CacheArgs {
     /// The place of what is built of `inputs` with `options`, a text that says what they are.
     pub(super) fn place(&self, inputs: &[PathBuf], options: &str, host: &dyn Host) -> Result<Place> {
         let name = entry_name(inputs, options)?;
-        if self.no_cache {
+        // A pipe has other bytes the next time.
+        let is_pipe = |input: &PathBuf| matches!(storage::look(input), Ok(storage::Named::Other));
+        if self.no_cache || inputs.iter().any(is_pipe) {
             let folder = host.temporary_folder()?;
             let path = folder.path().join(name);
             return Ok(Place::Temporary { _folder: folder, path });
@@ -154,7 +164,7 @@ fn entries(folder: &Path) -> Vec<Entry> {
 }
 
 /// Raised when what is built of the same input changes within a version of the program: entries of before are not used.
-const GENERATION: u32 = 4;
+const GENERATION: u32 = 5;
 
 /// `site-0123456789abcdef.rset`: the name of the first input, and a hash of all that the entry depends on.
 fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {
@@ -187,7 +197,11 @@ pub fn fingerprint(inputs: &[PathBuf], options: &str) -> Result<String> {
             continue;
         }
         let metadata = std::fs::metadata(input).with_context(doing)?;
-        let path = std::fs::canonicalize(input).with_context(doing)?;
+        // A pipe has no path of its own.
+        let path = match storage::look(input) {
+            Ok(storage::Named::Other) => input.clone(),
+            _ => std::fs::canonicalize(input).with_context(doing)?,
+        };
         let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
         let changed = changed.map_or(0, |time| time.as_nanos());
         // Paths that are not text differ in their debugging form.

@@ -1,6 +1,11 @@
 //! Which columns of points are kept if nobody names them: all, as long as they cost little.
 
+use std::path::PathBuf;
+
+use rayset::Cloud;
 use rayset::points::{ColumnInfo, PointSource};
+
+use crate::host::Host;
 
 /// Most bytes that attributes add to a point if nobody asked for them.
 const MOST_BYTES: usize = 16;
@@ -30,6 +35,43 @@ impl Columns {
         })
     }
 }
+
+/// Most lines about how columns were read; files of one kind share a line.
+const MOST_READINGS: usize = 4;
+
+/// Says how the columns of tables were read, in one line for all files that were read alike.
+pub(crate) fn remark_on_readings<S: PointSource + ?Sized>(
+    files: &[PathBuf],
+    sources: &[Box<S>],
+    host: &dyn Host,
+) {
+    let mut readings: Vec<(&str, &PathBuf, usize)> = Vec::new();
+    for (file, source) in files.iter().zip(sources) {
+        let reading = source.schema().reading.as_str();
+        match readings.iter_mut().find(|(known, ..)| *known == reading) {
+            Some((.., files)) => *files += 1,
+            None if reading.is_empty() => {}
+            None => readings.push((reading, file, 1)),
+        }
+    }
+    for (reading, file, files) in readings.iter().take(MOST_READINGS) {
+        let more = if *files > 1 { format!(" and {} more", files - 1) } else { String::new() };
+        host.remark(&format!("{}{more}: {reading}", file.display()));
+    }
+    if let Some(others) = readings.get(MOST_READINGS..).filter(|others| !others.is_empty()) {
+        let files: usize = others.iter().map(|(.., files)| files).sum();
+        host.remark(&format!("{files} more files have other columns; `rayset info` lists how each was read"));
+    }
+}
+
+/// Says once more how the columns of the tables were read of which a cloud was built before.
+pub(crate) fn remark_on_kept_readings(cloud: &Cloud, host: &dyn Host) {
+    let readings = cloud.header().sources.iter().filter(|source| source.contains(READING));
+    readings.take(MOST_READINGS).for_each(|source| host.remark(&format!("it was read as {source}")));
+}
+
+/// What the description of a table says before its columns.
+const READING: &str = "columns, by ";
 
 /// The columns that all sources have, those by which looks are chosen first, up to a bounded number of bytes a point.
 pub fn customary<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {

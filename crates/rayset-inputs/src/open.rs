@@ -60,6 +60,14 @@ pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> 
                 file.display()
             );
         }
+        if let Some(index) = cache.volume_index()
+            && (kinds::is_scene(file)? || kinds::is_built(file)?)
+        {
+            bail!(
+                "--volume-index {index} chooses of a series of volumes, and {} is a scene or has been built",
+                file.display()
+            );
+        }
         if kinds::is_scene(file)? {
             return Ok(Opened { input: Input::Scene(file.clone()), files, _place: None });
         }
@@ -90,6 +98,7 @@ fn built(path: &Path) -> Result<Input> {
 fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
     let options = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
+    let options = cache.volume_index().map_or(options.clone(), |index| format!("{options} volume {index}"));
     let place = cache.place(&files, &options, resources.host)?;
     if let Place::Kept(path) = &place
         && path.exists()
@@ -98,13 +107,16 @@ fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> R
         if let Ok(input) = built(path) {
             cache::touch(path);
             resources.host.remark(&format!("using {}, built before", path.display()));
+            if let Input::Cloud(cloud) = &input {
+                columns::remark_on_kept_readings(cloud, resources.host);
+            }
             return Ok(Opened { input, files: with(files, path), _place: None });
         }
         std::fs::remove_file(path).with_context(|| format!("cannot replace {}", path.display()))?;
     }
     let started = Instant::now();
     resources.host.writes(place.path(), &files)?;
-    build(&files, &read, place.path(), resources)?;
+    build(&files, &read, cache.volume_index(), place.path(), resources)?;
     let input = built(place.path())?;
     let seconds = started.elapsed().as_secs_f64();
     match &place {
@@ -127,13 +139,22 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn build(files: &[PathBuf], read: &ReadOptions, output: &Path, resources: Resources<'_>) -> Result<()> {
+fn build(
+    files: &[PathBuf],
+    read: &ReadOptions,
+    volume: Option<u64>,
+    output: &Path,
+    resources: Resources<'_>,
+) -> Result<()> {
     let Resources { memory, host, .. } = resources;
     if has_volume(files)? {
         let [file] = files else {
             bail!("these are {} files, volumes among them, {}", files.len(), what_to_do_with_volumes(files))
         };
-        return build_volume(file, output, resources);
+        return build_volume(file, volume, output, resources);
+    }
+    if let Some(index) = volume {
+        bail!("--volume-index {index} is for volumes, and these are points");
     }
     let options = BuildOptions::default().with_memory_bytes(memory);
     let threads = resources.threads.unwrap_or(options.threads);
@@ -145,6 +166,7 @@ fn build(files: &[PathBuf], read: &ReadOptions, output: &Path, resources: Resour
     let options = options.with_attributes(columns.kept);
     let reported = Reported { host, unit: "points" };
     let done = build::to_file(sources, output, &options.with_threads(threads), &control(&reported))?;
+    done.remarks.iter().for_each(|remark| host.remark(remark));
     let skipped = done.skipped.total();
     if done.points == 0 && skipped == 0 {
         let [first, others @ ..] = files else { bail!("no input files") };
@@ -177,17 +199,22 @@ fn what_to_do_with_volumes(files: &[PathBuf]) -> String {
 }
 
 /// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.
-fn build_volume(file: &Path, output: &Path, Resources { memory, host, .. }: Resources<'_>) -> Result<()> {
+fn build_volume(
+    file: &Path,
+    index: Option<u64>,
+    output: &Path,
+    Resources { memory, host, .. }: Resources<'_>,
+) -> Result<()> {
     let options = GridBuildOptions::default().with_memory_bytes(memory);
     let build = |source| {
         build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
         anyhow::Ok(())
     };
-    let source = VolumeSource::open(file)?;
+    let source = VolumeSource::open_of_series(file, index)?;
     remark_about(file, &source, host);
     build(source)?;
     let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(()) };
-    let mut source = VolumeSource::open(file)?;
+    let mut source = VolumeSource::open_of_series(file, index)?;
     let sentence = format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
     host.remark(&format!("{}: {sentence}", file.display()));
     let factor = 10_f64.powi(exponent);

@@ -6,6 +6,7 @@ use anyhow::Result;
 use rayset::points::{self, PointSource, ReadOptions};
 use rayset::volumes::VolumeSource;
 
+use crate::columns;
 use crate::host::Host;
 
 /// Opens files of points as the sources of one cloud.
@@ -28,6 +29,7 @@ pub fn open_points(
         }
         sources.push(source);
     }
+    columns::remark_on_readings(files, &sources, host);
     remark_on_systems(&sources, host);
     Ok(sources)
 }

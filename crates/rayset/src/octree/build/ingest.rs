@@ -1,9 +1,8 @@
 //! The first pass: every record is read once, checked, and written to a temporary file with the data that later passes need.
 
-use super::columns::Columns;
+use super::columns::{ColorOrigin, Columns};
 use super::context::Context;
 use super::control::Stage;
-use super::depths::Depths;
 use super::error::{BuildError, Quantity};
 use super::options::{BuildOptions, InvalidPolicy};
 use super::survey::{Form, LIMIT, Survey, Totals};
@@ -67,7 +66,7 @@ pub(super) fn read(
     let mut tally = Tally {
         options: context.options,
         columns,
-        depth: 0,
+        colors: None,
         totals: Totals::none(columns.attributes.len()),
         record: Vec::with_capacity(columns.layout.stride()),
     };
@@ -75,10 +74,10 @@ pub(super) fn read(
     let mut batch = PointBatch::default();
     for mut stretch in stretches {
         let source = &mut stretch.source;
-        let selection: Vec<usize> = columns.names.iter().filter_map(|n| source.schema().find(n)).collect();
+        let (selection, colors) = columns.selection(source.schema(), stretch.input);
         source.select(&selection);
         source.watch(&context.control.cancel);
-        tally.depth = Depths::number(source.schema());
+        tally.colors = colors;
         if stretch.first > 0 {
             or_cancelled(context, source.skip(stretch.first))?;
         }
@@ -124,8 +123,8 @@ fn check_batch(batch: &PointBatch, input: usize, selected: usize) -> Result<(), 
 struct Tally<'a> {
     options: &'a BuildOptions,
     columns: &'a Columns,
-    /// The colour depth of the current source.
-    depth: u8,
+    /// Where the colours of the current source come from.
+    colors: Option<ColorOrigin>,
     totals: Totals,
     /// The latest record, encoded.
     record: Vec<u8>,
@@ -191,13 +190,21 @@ impl Tally<'_> {
             }
             record.extend_from_slice(&(w as f32).to_le_bytes());
         }
-        if let Some(color) = columns.color {
-            for column in color {
-                let v = batch.columns[column].get(i) as f32;
-                totals.depths.include(self.depth, v);
-                record.extend_from_slice(&v.to_le_bytes());
-            }
-            record.push(self.depth);
+        if let Some(origin) = &self.colors {
+            let number = |column: usize| batch.columns[column].get(i) as f32;
+            let color = origin.color.map(|columns| columns.map(number));
+            let (color, depth) = match color.filter(|color| color.iter().all(|v| !v.is_nan())) {
+                Some(color) => {
+                    totals.depths.include(origin.depth, origin.family, color);
+                    (color, origin.depth)
+                }
+                None => {
+                    let (depth, value) = totals.depths.include_colorless(origin.intensity.map(number));
+                    ([value; 3], depth)
+                }
+            };
+            color.iter().for_each(|v| record.extend_from_slice(&v.to_le_bytes()));
+            record.extend_from_slice(&depth.to_le_bytes());
         }
         for (column, info) in columns.attributes.iter().zip(&columns.infos) {
             batch.columns[*column].write_as(i, info.kind, record);
