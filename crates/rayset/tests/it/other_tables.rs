@@ -245,6 +245,10 @@ fn colours_have_the_names_of_cloudcompare_and_those_of_faces_are_used() {
     assert!(points.len() > 1000);
     for i in 0..points.len() {
         let [x, y, _] = points.position[i];
+        // On the edge that they share it is either.
+        if (x - y).abs() < 1e-6 {
+            continue;
+        }
         let expected = if x > y { [200.0, 40.0, 30.0] } else { [40.0, 70.0, 200.0] };
         assert_eq!([0, 1, 2].map(|channel| points.columns[channel].get(i)), expected, "{x} {y}");
     }

@@ -71,7 +71,8 @@ fn any_volume_of_a_series_is_read_and_which_one_is_said() {
         };
         let header = String::from_utf8_lossy(&head);
         for index in 0..3 {
-            let (found, about) = volume(name, &bytes, Some(index)).unwrap_or_else(|e| panic!("{header}: {e}"));
+            let (found, about) =
+                volume(name, &bytes, Some(index)).unwrap_or_else(|e| panic!("{header}: {e}"));
             assert_eq!(found, expected(index), "{header}");
             assert!(about.contains(&format!("volume {index} of a series of 3")), "{about}");
         }
