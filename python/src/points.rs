@@ -122,7 +122,8 @@ pub(crate) fn build_files(
                 (Some(cloud), report)
             }
         };
-        let remarks = open.remarks.into_iter().chain(open.left_out.remark()).collect();
+        let said = report.remarks.iter().cloned().chain(open.left_out.remark());
+        let remarks = open.remarks.into_iter().chain(said).collect();
         Ok((cloud, report, remarks))
     };
     let outcome = wait::run(py, &cancel, &progress, told, work)?;

@@ -60,9 +60,12 @@ pub(crate) struct BuildArgs {
     /// Leave colours out
     #[arg(long)]
     no_color: bool,
-    /// Names of the columns of text files and of arrays, as in x,y,z,-,intensity; - leaves one out
+    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     columns: Option<Vec<String>>,
+    /// Volume to read of a series of them, as NIfTI and NRRD of four dimensions are; the first, 0, by default
+    #[arg(long, value_name = "N")]
+    volume_index: Option<u64>,
     /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of PLY with 20 000 vertices or
     /// more, or with measurements of each, the vertices are the points
     #[arg(long)]
@@ -128,6 +131,9 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     output.require_file()?;
     if let Some(part) = args.parts.asked() {
         return run_part(args, part, &inputs, options);
+    }
+    if let Some(index) = args.volume_index {
+        bail!("--volume-index {index} is for volumes, and these are points");
     }
     let (Points { sources, left_out }, options) = open(args, &inputs, options, args.strict)?;
     let meter = Meter::new("points", args.json);
@@ -198,6 +204,7 @@ fn run_part(args: &BuildArgs, part: PartOf, inputs: &Files, options: BuildOption
 
 /// Says what was built.
 pub(crate) fn present(output: &Path, built: &BuildReport, json: bool) -> Result<()> {
+    built.remarks.iter().for_each(report::remark);
     if json { report::json(&Summary::of(built)) } else { describe(output, built) }
 }
 
@@ -219,7 +226,7 @@ fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
     output.require_file()?;
     let source = match &args.raw {
         Some(layout) => VolumeSource::open_raw(input, layout)?,
-        None => VolumeSource::open(input)?,
+        None => VolumeSource::open_of_series(input, args.volume_index)?,
     };
     rayset_inputs::remark_about(input, &source, &Program::quiet());
     let meter = Meter::new("slices", args.json);

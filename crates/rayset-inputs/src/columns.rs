@@ -1,6 +1,10 @@
 //! Which columns of points are kept if nobody names them: all, as long as they cost little.
 
+use std::path::Path;
+
 use rayset::points::{ColumnInfo, PointSource};
+
+use crate::host::Host;
 
 /// Most bytes that attributes add to a point if nobody asked for them.
 const MOST_BYTES: usize = 16;
@@ -28,6 +32,31 @@ impl Columns {
                 left_out.join(", ")
             )
         })
+    }
+}
+
+/// Most lines about how columns were read; files of one kind share a line.
+const MOST_READINGS: usize = 4;
+
+/// Says how the columns of tables were read, in one line for all files that were read alike.
+pub(crate) fn remark_on_readings<S: PointSource + ?Sized>(sources: &[Box<S>], host: &dyn Host) {
+    let mut readings: Vec<(&str, &Path, usize)> = Vec::new();
+    for source in sources {
+        let file = source.path().unwrap_or(Path::new("the input"));
+        let reading = source.schema().reading.as_str();
+        match readings.iter_mut().find(|(known, ..)| *known == reading) {
+            Some((.., files)) => *files += 1,
+            None if reading.is_empty() => {}
+            None => readings.push((reading, file, 1)),
+        }
+    }
+    for (reading, file, files) in readings.iter().take(MOST_READINGS) {
+        let more = if *files > 1 { format!(" and {} more", files - 1) } else { String::new() };
+        host.remark(&format!("{}{more}: {reading}", file.display()));
+    }
+    if let Some(others) = readings.get(MOST_READINGS..).filter(|others| !others.is_empty()) {
+        let files: usize = others.iter().map(|(.., files)| files).sum();
+        host.remark(&format!("{files} more files have other columns; `rayset info` lists how each was read"));
     }
 }
 

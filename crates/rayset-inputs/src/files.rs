@@ -10,6 +10,9 @@ use rayset::volumes::VolumeSource;
 use super::kinds;
 use crate::host::Host;
 
+/// What `-` stands for.
+const STANDARD_INPUT: &str = "/dev/stdin";
+
 /// Deepest nesting of folders that is followed.
 const DEEPEST: usize = 32;
 
@@ -45,12 +48,15 @@ impl Files {
 /// The files that inputs stand for: a file for itself, a folder for all files below it that can be read, a pattern such as
 /// `tiles/*.laz` for those that match. Sorted within each folder and pattern, so that the order of a directory does not
 /// matter. Hidden files and folders are left out. A folder that is one thing, as a series of DICOM or a Zarr array is, stands
-/// for itself.
+/// for itself. `-` is the standard input.
 pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Files> {
     let (mut files, mut named) = (Vec::new(), Vec::new());
     for input in inputs {
         named.resize(files.len(), false);
-        if input.is_dir() {
+        if cfg!(unix) && input.as_os_str() == "-" {
+            files.push(STANDARD_INPUT.into());
+            named.push(true);
+        } else if input.is_dir() {
             let before = files.len();
             below(input, 0, &mut files)?;
             if files.len() == before {

@@ -11,6 +11,7 @@ use rayset::build::{
 };
 use rayset::output::OutputError;
 use rayset::points::{ReadError, ReadOptions};
+use rayset::storage;
 use rayset::volumes::VolumeSource;
 use rayset::{Cloud, Grid};
 
@@ -64,6 +65,14 @@ pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> 
                 file.display()
             );
         }
+        if let Some(index) = cache.volume_index()
+            && (kinds::is_scene(file)? || kinds::is_built(file)?)
+        {
+            bail!(
+                "--volume-index {index} chooses of a series of volumes, and {} is a scene or has been built",
+                file.display()
+            );
+        }
         if kinds::is_scene(file)? {
             return Ok(Opened { input: Input::Scene(file.clone()), files: files.paths, _place: None });
         }
@@ -94,18 +103,22 @@ fn built(path: &Path) -> Result<Input> {
 fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
     let columns = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
-    let name = Name::of(inputs, &files.paths, &format!("{columns} strict {}", cache.strict()))?;
-    if let Some(opened) = kept(files, cache.find(&name), resources.host) {
+    let volume = cache.volume_index().map_or_else(String::new, |index| format!(" volume {index}"));
+    let name = Name::of(inputs, &files.paths, &format!("{columns}{volume} strict {}", cache.strict()))?;
+    // A pipe has other bytes the next time.
+    let is_pipe = |file: &PathBuf| matches!(storage::look(file), Ok(storage::Named::Other));
+    let nothing = CacheArgs::none();
+    let keeping = if files.paths.iter().any(is_pipe) { &nothing } else { cache };
+    if let Some(opened) = kept(files, keeping.find(&name), resources.host) {
         return Ok(opened);
     }
     let started = Instant::now();
-    let mut place = cache.place(&name, resources.host)?;
-    let mut work =
-        Work { files, read: &read, strict: cache.strict(), resources, said: Remembering::of(resources.host) };
+    let mut place = keeping.place(&name, resources.host)?;
+    let mut work = Work { files, read: &read, cache, resources, said: Remembering::of(resources.host) };
     let pulled_in = match (work.build(place.path()), &place) {
         (Err(error), Place::Kept(_)) if no_room(&error) => {
             resources.host.remark(&format!("nothing is kept: {error:#}; --cache names another folder"));
-            place = CacheArgs::none().place(&name, resources.host)?;
+            place = nothing.place(&name, resources.host)?;
             work.build(place.path())?
         }
         (built, _) => built?,
@@ -208,7 +221,7 @@ impl PulledIn {
 struct Work<'a> {
     files: &'a Files,
     read: &'a ReadOptions,
-    strict: bool,
+    cache: &'a CacheArgs,
     resources: Resources<'a>,
     said: Remembering<'a>,
 }
@@ -218,6 +231,9 @@ impl Work<'_> {
     fn build(&mut self, output: &Path) -> Result<PulledIn> {
         self.said.forget();
         if !has_volume(&self.files.paths)? {
+            if let Some(index) = self.cache.volume_index() {
+                bail!("--volume-index {index} is for volumes, and these are points");
+            }
             return self.cloud(output);
         }
         let [file] = self.files.paths.as_slice() else {
@@ -231,7 +247,7 @@ impl Work<'_> {
         let Resources { memory, host, .. } = self.resources;
         let options = BuildOptions::default().with_memory_bytes(memory);
         let threads = self.resources.threads.unwrap_or(options.threads);
-        let points = open_points(self.files, self.read, self.strict, &self.said)?;
+        let points = open_points(self.files, self.read, self.cache.strict(), &self.said)?;
         let pulled_in = PulledIn::of(points.files(), self.files)?;
         host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
         let Points { sources, left_out } = points;
@@ -244,6 +260,7 @@ impl Work<'_> {
         let leaves_out = |source: usize, error: &ReadError| left_out.takes(source, error);
         let control = control(&reported).with_leaving_out(&leaves_out);
         let done = build::to_file(sources, output, &options.with_threads(threads), &control)?;
+        done.remarks.iter().for_each(|remark| self.said.remark(remark));
         if let Some(remark) = left_out.remark() {
             self.said.remark(&remark);
         }
@@ -270,13 +287,13 @@ impl Work<'_> {
             build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
             anyhow::Ok(())
         };
-        let source = VolumeSource::open(file)?;
+        let source = VolumeSource::open_of_series(file, self.cache.volume_index())?;
         let pulled_in = PulledIn::of(source.paths().into_iter().map(Path::to_owned), self.files)?;
         host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
         remark_about(file, &source, &self.said);
         build(source)?;
         let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(pulled_in) };
-        let mut source = VolumeSource::open(file)?;
+        let mut source = VolumeSource::open_of_series(file, self.cache.volume_index())?;
         let sentence =
             format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
         self.said.remark(&format!("{}: {sentence}", file.display()));

@@ -7,6 +7,7 @@ use anyhow::{Result, anyhow};
 use rayset::points::{InTurn, PointSource, ReadError, ReadOptions};
 use rayset::volumes::VolumeSource;
 
+use crate::columns;
 use crate::files::Files;
 use crate::host::Host;
 use crate::left_out::LeftOut;
@@ -62,6 +63,7 @@ pub fn open_points(files: &Files, options: &ReadOptions, strict: bool, host: &dy
             "{name}: --mesh-points is for the faces of PLY, OBJ, OFF and STL; its points are read"
         ));
     }
+    columns::remark_on_readings(&sources, host);
     remark_on_systems(&sources, host);
     Ok(Points { sources, left_out })
 }

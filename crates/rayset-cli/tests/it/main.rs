@@ -10,6 +10,7 @@ mod common;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod faults;
 mod info;
+mod inputs;
 mod interrupted;
 mod kept;
 mod las_files;

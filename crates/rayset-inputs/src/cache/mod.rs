@@ -36,9 +36,12 @@ pub struct CacheArgs {
     /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming it at the end
     #[arg(long, help_heading = "Folders of files")]
     strict: bool,
-    /// Names of the columns of text files and of arrays, as in x,y,z,-,intensity; - leaves one out
+    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, help_heading = "Columns of tables")]
     columns: Option<Vec<String>>,
+    /// Volume to read of a series of them, as NIfTI and NRRD of four dimensions are; the first, 0, by default
+    #[arg(long, value_name = "N", help_heading = "Volumes")]
+    volume_index: Option<u64>,
 }
 
 /// Bytes that the cache keeps if nothing else is said.
@@ -85,6 +88,11 @@ impl CacheArgs {
     /// Names of columns, if any were given.
     pub(super) fn columns(&self) -> Option<&[String]> {
         self.columns.as_deref()
+    }
+
+    /// The volume of a series that is asked for.
+    pub(super) fn volume_index(&self) -> Option<u64> {
+        self.volume_index
     }
 
     /// Whether one damaged file of a folder is an error.

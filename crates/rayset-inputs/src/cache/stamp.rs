@@ -28,8 +28,13 @@ pub(super) fn of(path: &Path, detail: Detail) -> Result<String> {
         return Ok(format!("{path:?} {bytes} {:?}", object.version()));
     }
     let metadata = std::fs::metadata(path).with_context(doing)?;
+    // A pipe has no path of its own.
+    let own_path = match storage::look(path) {
+        Ok(storage::Named::Other) => path.to_owned(),
+        _ => std::fs::canonicalize(path).with_context(doing)?,
+    };
     // Paths that are not text differ in their debugging form.
-    let mut line = format!("{:?} {}", std::fs::canonicalize(path).with_context(doing)?, metadata.len());
+    let mut line = format!("{own_path:?} {}", metadata.len());
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;

@@ -24,7 +24,7 @@ use super::stream::Stream;
 use super::text::TextSource;
 use super::velodyne::VelodyneSource;
 use super::vtk::{self, VtkSource};
-use super::{Place, PointSource, ReadError, geographic, refusals};
+use super::{Place, PointSource, ReadError, geographic, refusals, roles};
 use crate::setters::setters;
 use crate::storage::input_file::{self, InputFile, Named};
 
@@ -32,7 +32,8 @@ use crate::storage::input_file::{self, InputFile, Named};
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ReadOptions {
-    /// Names of all columns of text files and of plain arrays of NumPy, overriding their header; `-` or an empty name skips a column.
+    /// Names of all columns of text files, of arrays of NumPy and of snapshots in HDF5, overriding their own; `-` or an empty
+    /// name skips a column.
     pub text_columns: Option<Vec<String>>,
     /// Points to sample on the faces of a mesh, evenly by area. If `None`, ten points are sampled for each triangle, at least a
     /// million and at most 20 million; of a PLY file with 20 000 vertices or more, or with measurements of each, its vertices
@@ -166,6 +167,12 @@ fn is_of_shape(name: &str) -> bool {
         || matches!(&*name, "texture_u" | "texture_v" | "texnumber")
 }
 
+/// Whether properties have a colour among them.
+fn has_color(names: &[&str]) -> bool {
+    let has = |name: &str| names.iter().any(|known| known.eq_ignore_ascii_case(name));
+    ["red", "green", "blue"].iter().all(|name| has(name)) || roles::color_places(names).is_some()
+}
+
 /// Opens the vertices of a PLY file, which may be Gaussians, or its faces.
 fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
     let io = |source| ReadError::Io { path: path.to_owned(), source };
@@ -186,8 +193,12 @@ fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
             return Ok(Box::new(MeshSource::survey(path, MeshFormat::Ply, options.mesh_points)?));
         }
         if let Some(vertex) = vertex.filter(|_| faces > 0) {
-            // Faces without an area, or that cannot be read, leave the vertices.
-            let is_shape = vertex.count < SHAPE_VERTICES && names.iter().all(|name| is_of_shape(name));
+            // Faces without an area, or that cannot be read, leave the vertices. Colours of faces alone are on faces.
+            let of_faces = header.elements.iter().filter(|element| element.name == "face");
+            let of_faces: Vec<&str> =
+                of_faces.flat_map(|face| &face.properties).map(Property::name).collect();
+            let is_few = vertex.count < SHAPE_VERTICES || has_color(&of_faces) && !has_color(&names);
+            let is_shape = is_few && names.iter().all(|name| is_of_shape(name));
             if let Some(mesh) = is_shape.then(|| MeshSource::of_faces(path, MeshFormat::Ply)).flatten() {
                 return Ok(Box::new(mesh));
             }
@@ -218,7 +229,8 @@ fn is_hdf5(head: &[u8]) -> bool {
 
 #[cfg(feature = "hdf5")]
 fn open_hdf5(path: &Path, options: &ReadOptions) -> Opened {
-    Ok(Box::new(SnapshotSource::open(path, options.particles.as_deref())?))
+    let (particles, names) = (options.particles.as_deref(), options.text_columns.as_deref());
+    Ok(Box::new(SnapshotSource::open(path, particles, names)?))
 }
 
 #[cfg(not(feature = "hdf5"))]
@@ -268,7 +280,43 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
     geographic::in_metres(path, open_as_it_is(path, options)?, || open_as_it_is(path, options))
 }
 
+/// Opens a pipe, which is read only once: its first bytes tell what it is, or its name, otherwise it is a table.
+fn open_pipe(path: &Path, options: &ReadOptions) -> Opened {
+    let mut stream = Stream::open(path)?;
+    let head = stream.head(HEAD_BYTES).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let packing = [Packing::Gzip, Packing::Zstd].into_iter().find_map(|p| name.strip_suffix(p.ending()));
+    let inner = packing.unwrap_or(&name);
+    let ends = |extension: &&str| inner.ends_with(&format!(".{extension}"));
+    let named = || FORMATS.iter().find(|format| format.extensions.iter().any(ends));
+    let found = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(named);
+    match found.map(|format| format.extensions[0]) {
+        Some("ply") => Ok(Box::new(PlySource::of(stream)?)),
+        Some("pcd") => Ok(Box::new(PcdSource::of(stream)?)),
+        Some("ptx") => Ok(Box::new(PtxSource::of(stream)?)),
+        None | Some("xyz") if !head.is_empty() && !refusals::is_recognized(path, &head) => {
+            Ok(Box::new(TextSource::of(stream, options.text_columns.as_deref())?))
+        }
+        Some(other) if !head.is_empty() => {
+            let what = format!(
+                "{} is read in many places, which a pipe does not allow; write it to a file. A pipe may have text, PLY, PCD or \
+                 PTX, compressed or not",
+                other.to_uppercase()
+            );
+            Err(ReadError::malformed(path, Place::Byte(0), what))
+        }
+        _ => {
+            let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+            let advice = refusals::advice(path, &head, &known.join(", "));
+            Err(ReadError::UnknownFormat { path: path.to_owned(), advice })
+        }
+    }
+}
+
 fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
+    if matches!(input_file::look(path), Ok(Named::Other)) {
+        return open_pipe(path, options);
+    }
     let head = head(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let begins = |head: &[u8]| FORMATS.iter().find(|format| (format.begins)(head));
@@ -301,7 +349,9 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
             return (format.open)(path, options);
         }
         // Any text may be a table, under any name.
-        let is_text = !head.is_empty() && !head.contains(&0) && !refusals::is_recognized(path, &head);
+        // Bytes of 0 may follow the last line.
+        let used = head.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+        let is_text = used > 0 && !head[..used].contains(&0) && !refusals::is_recognized(path, &head);
         let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
         return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
     };

@@ -11,6 +11,9 @@ use crate::regular_file::held;
 /// Longest record in bytes, so that a file without line ends or with an unclosed quote needs bounded memory.
 pub(super) const RECORD_LIMIT: usize = 1 << 16;
 
+/// Most bytes of 0 behind the last line. A device may have them without end.
+const MOST_ZEROS: usize = 64 << 20;
+
 #[derive(Debug)]
 pub(super) struct Lines {
     input: Stream,
@@ -18,6 +21,17 @@ pub(super) struct Lines {
     number: u64,
     /// Lines that were looked at, and are still to be read.
     ahead: VecDeque<Vec<u8>>,
+    /// The byte that ends a line: a carriage return in files that have these and no line feed behind them.
+    end: u8,
+}
+
+/// The byte that ends the lines of a text, by its first line end.
+fn line_end(start: &[u8]) -> u8 {
+    let first = start.iter().position(|byte| b"\r\n".contains(byte));
+    let is_return =
+        first.is_some_and(|at| start[at] == b'\r' && start.get(at + 1).is_some_and(|&b| b != b'\n'));
+    // Old files of a Macintosh have nothing else.
+    if is_return && !start.contains(&b'\n') { b'\r' } else { b'\n' }
 }
 
 impl Lines {
@@ -33,8 +47,14 @@ impl Lines {
 
     /// Opens a file, and skips a byte-order mark.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let mut lines = Self::after(Stream::open(path)?, 0);
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        Self::of(Stream::open(path)?)
+    }
+
+    /// The lines of a stream, which may begin with a byte-order mark.
+    pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
+        let mut lines = Self::after(input, 0);
+        let path = lines.path().to_owned();
+        let io = |source| ReadError::Io { path: path.clone(), source };
         let start = held(&mut lines.input).map_err(io)?;
         if start.starts_with(b"\xef\xbb\xbf") {
             lines.input.consume(3);
@@ -42,12 +62,13 @@ impl Lines {
             lines.number = 1;
             return Err(lines.fail("the file is UTF-16, as its byte-order mark says; save it as UTF-8"));
         }
+        lines.end = line_end(held(&mut lines.input).map_err(io)?);
         Ok(lines)
     }
 
     /// The lines after the first `number`, which have been read.
     pub(super) fn after(input: Stream, number: u64) -> Self {
-        Self { input, number, ahead: VecDeque::new() }
+        Self { input, number, ahead: VecDeque::new(), end: b'\n' }
     }
 
     /// The next lines, up to `most` of up to `bytes` together, which are read again. Ends before a line that is too long.
@@ -55,14 +76,14 @@ impl Lines {
         let mut left = bytes;
         while self.ahead.len() < most && left > 0 {
             let mut line = Vec::new();
-            let read = (&mut self.input).take(left as u64).read_until(b'\n', &mut line);
+            let read = (&mut self.input).take(left as u64).read_until(self.end, &mut line);
             if read.map_err(|source| ReadError::Io { path: self.path().to_owned(), source })? == 0 {
                 break;
             }
             left -= line.len();
             self.ahead.push_back(line);
         }
-        let whole = self.ahead.iter().filter(|line| line.ends_with(b"\n"));
+        let whole = self.ahead.iter().filter(|line| line.last() == Some(&self.end));
         Ok(whole.map(|line| line.trim_ascii_end()).collect())
     }
 
@@ -76,11 +97,11 @@ impl Lines {
                 self.ahead.pop_front();
             }
             // The last that was looked at may have been cut off.
-            if record.last() == Some(&b'\n') || read == room || !self.ahead.is_empty() {
+            if record.last() == Some(&self.end) || read == room || !self.ahead.is_empty() {
                 return Ok(read);
             }
         }
-        Ok(read + (&mut self.input).take((room - read) as u64).read_until(b'\n', record)?)
+        Ok(read + (&mut self.input).take((room - read) as u64).read_until(self.end, record)?)
     }
 
     /// Appends the next line to `record` without its line end. Returns false at the end of the file.
@@ -94,11 +115,16 @@ impl Lines {
             return Ok(false);
         }
         self.number += 1;
-        if record.last() == Some(&b'\n') {
+        if record.last() == Some(&self.end) {
             record.pop();
-            if record.last() == Some(&b'\r') {
+            if self.end == b'\n' && record.last() == Some(&b'\r') {
                 record.pop();
             }
+        } else if record.last() == Some(&0) && self.ends_with_zeros()? {
+            // Room that was set aside for more, and never written.
+            let used = record.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+            record.truncate(used);
+            return Ok(used > 0);
         }
         if record.len() > RECORD_LIMIT {
             return Err(self.fail(format!(
@@ -106,6 +132,24 @@ impl Lines {
             )));
         }
         Ok(true)
+    }
+
+    /// Whether nothing but bytes of 0 follows, which are passed over.
+    fn ends_with_zeros(&mut self) -> Result<bool, ReadError> {
+        let mut left = MOST_ZEROS;
+        loop {
+            let path = self.input.path().to_owned();
+            let held = held(&mut self.input).map_err(|source| ReadError::Io { path, source })?;
+            if left == 0 || held.iter().any(|&byte| byte != 0) {
+                return Ok(false);
+            }
+            let zeros = held.len();
+            if zeros == 0 {
+                return Ok(true);
+            }
+            self.input.consume(zeros);
+            left = left.saturating_sub(zeros);
+        }
     }
 
     /// Checks what follows in a compressed file, so that its checksum is found to be right.

@@ -6,6 +6,7 @@
 
 mod array;
 mod column;
+mod decimal_mark;
 #[cfg(feature = "e57")]
 mod e57;
 mod error;
@@ -29,6 +30,7 @@ mod ply_header;
 mod ply_write;
 mod ptx;
 mod quiet;
+mod reading;
 mod refusals;
 mod refused_kinds;
 mod roles;

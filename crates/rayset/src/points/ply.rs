@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::ply_body::{BUFFER_BYTES, Body, Part};
 use super::ply_header::{Element, Encoding, Property, Scalar};
+use super::stream::Stream;
 use super::{ColorDepth, ColumnInfo, Place, PointBatch, PointSource, ReadError, Schema, roles};
 
 /// Where the value of a property goes.
@@ -36,8 +37,14 @@ impl PlySource {
     /// # Errors
     /// [`ReadError`] if the file cannot be read, is not a PLY file, or has no `vertex` element with x, y and z.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let (header, mut body) = Body::open(path)?;
-        let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
+        Self::of(Stream::open(path)?)
+    }
+
+    /// The vertices of a stream.
+    pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
+        let path = input.path().to_owned();
+        let (header, mut body) = Body::of(input)?;
+        let fail = |what: String| ReadError::malformed(&path, Place::Line(header.lines), what);
         let index = header.elements.iter().position(|e| e.name == "vertex");
         let index = index.ok_or_else(|| fail("no `vertex` element".into()))?;
         let vertex = header.elements[index].clone();

@@ -3,6 +3,7 @@
 use std::io::{self, BufRead, Read};
 use std::path::Path;
 
+use super::decimal_mark::{DecimalMark, NotANumber};
 use super::ply_header::{Element, Encoding, Header, Property, Scalar};
 use super::stream::Stream;
 use super::{Place, ReadError, roles};
@@ -31,6 +32,10 @@ pub(super) struct Body {
     /// Lines read, in ASCII files.
     line: u64,
     record: Vec<u8>,
+    /// The decimal mark of an ASCII file.
+    mark: DecimalMark,
+    /// The byte that ends a line of an ASCII file.
+    line_end: u8,
 }
 
 impl Body {
@@ -51,10 +56,19 @@ impl Body {
 
     /// Opens a file and reads its header.
     pub(super) fn open(path: &Path) -> Result<(Header, Self), ReadError> {
-        let mut input = Stream::open(path)?;
-        let header = Header::read(path, &mut input)?;
+        Self::of(Stream::open(path)?)
+    }
+
+    /// Reads the header of a stream.
+    pub(super) fn of(mut input: Stream) -> Result<(Header, Self), ReadError> {
+        let path = input.path().to_owned();
+        let header = Header::read(&path, &mut input)?;
         let (byte, line, encoding) = (header.bytes, header.lines, header.encoding);
-        Ok((header, Self { input, encoding, byte, line, record: Vec::new() }))
+        let line_end = header.line_end;
+        Ok((
+            header,
+            Self { input, encoding, byte, line, record: Vec::new(), mark: DecimalMark::Open, line_end },
+        ))
     }
 
     pub(super) fn encoding(&self) -> Encoding {
@@ -131,7 +145,8 @@ impl Body {
             return self.binary_record(element, index, wants, visit);
         }
         self.read_line(element, index)?;
-        parse_line(&self.record, &element.properties, wants, visit).map_err(|what| self.fail(self.byte, what))
+        let parsed = parse_line(&self.record, &mut self.mark, &element.properties, wants, visit);
+        parsed.map_err(|what| self.fail(self.byte, what))
     }
 
     fn binary_record(
@@ -218,13 +233,13 @@ impl Body {
     fn read_line(&mut self, element: &Element, index: u64) -> Result<(), ReadError> {
         loop {
             self.record.clear();
-            let read = (&mut self.input).take(LINE_LIMIT as u64).read_until(b'\n', &mut self.record);
+            let read = (&mut self.input).take(LINE_LIMIT as u64).read_until(self.line_end, &mut self.record);
             let read = read.map_err(self.io())?;
             if read == 0 {
                 return Err(self.ends_early(element, index));
             }
             self.line += 1;
-            if read == LINE_LIMIT && self.record.last() != Some(&b'\n') {
+            if read == LINE_LIMIT && self.record.last() != Some(&self.line_end) {
                 return Err(self.fail(0, format!("a line of more than {LINE_LIMIT} bytes")));
             }
             if !self.record.trim_ascii().is_empty() {
@@ -245,6 +260,7 @@ fn list_count(items: f64) -> Result<u32, String> {
 /// Parses the line of an ASCII record.
 fn parse_line(
     line: &[u8],
+    mark: &mut DecimalMark,
     properties: &[Property],
     wants: impl Fn(usize) -> bool,
     mut visit: impl FnMut(usize, Part) -> Result<(), String>,
@@ -254,7 +270,13 @@ fn parse_line(
     let mut number = |kind: Scalar| -> Result<f64, String> {
         let word =
             words.next().ok_or_else(|| format!("too few values for {} properties", properties.len()))?;
-        let value = word.parse().map_err(|_| format!("`{}` is not a number", roles::excerpt(word)))?;
+        let value = mark.parse(word).map_err(|why| match why {
+            NotANumber::Word => format!("`{}` is not a number", roles::excerpt(word)),
+            NotANumber::OtherMark => format!(
+                "`{}` has two decimal marks, or another than the numbers before it; a file has one, and thousands have none",
+                roles::excerpt(word)
+            ),
+        })?;
         if kind.holds(value) {
             Ok(value)
         } else {

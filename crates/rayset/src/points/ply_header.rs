@@ -7,6 +7,7 @@ use std::io::{self, BufRead, Read};
 use std::path::Path;
 
 use super::{ColumnType, Place, ReadError, roles};
+use crate::regular_file::held;
 
 /// Longest header accepted, in bytes, so that a file of another kind is not searched to its end.
 const HEADER_LIMIT: u64 = 64 << 20;
@@ -188,6 +189,8 @@ pub(super) struct Header {
     /// Length of the header in bytes and in lines, including its last line.
     pub(super) bytes: u64,
     pub(super) lines: u64,
+    /// The byte that ends a line: a carriage return if nothing follows that of the first line.
+    pub(super) line_end: u8,
 }
 
 impl Header {
@@ -198,7 +201,12 @@ impl Header {
             description: String::new(),
             bytes: 0,
             lines: 0,
+            line_end: b'\n',
         };
+        let start = held(input).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        if start.starts_with(b"ply\r") && start.get(4).is_some_and(|&byte| byte != b'\n') {
+            header.line_end = b'\r';
+        }
         let mut format = None;
         let mut comments = String::new();
         let mut declared = 0;
@@ -207,7 +215,8 @@ impl Header {
             let place = Place::Line(header.lines + 1);
             let fail = |what: String| ReadError::malformed(path, place, what);
             let io = |source| ReadError::Io { path: path.to_owned(), source };
-            header.bytes += read_line(input, &mut line, HEADER_LIMIT - header.bytes).map_err(io)?;
+            header.bytes +=
+                read_line(input, &mut line, HEADER_LIMIT - header.bytes, header.line_end).map_err(io)?;
             header.lines += 1;
             let text = String::from_utf8_lossy(&line);
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
@@ -217,7 +226,7 @@ impl Header {
                 }
                 continue;
             }
-            let is_whole = line.last() == Some(&b'\n');
+            let is_whole = line.last() == Some(&header.line_end);
             if header.bytes == HEADER_LIMIT && !is_whole {
                 return Err(fail(format!("a header of more than {HEADER_LIMIT} bytes")));
             }
@@ -304,25 +313,25 @@ fn property(words: &[&str]) -> Result<Property, String> {
 }
 
 /// Reads a line; of long comments, only the start is kept. Returns the number of bytes read, at most `limit`.
-fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>, limit: u64) -> io::Result<u64> {
+fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>, limit: u64, last: u8) -> io::Result<u64> {
     line.clear();
-    let mut read = input.take(LINE_LIMIT.min(limit)).read_until(b'\n', line)? as u64;
+    let mut read = input.take(LINE_LIMIT.min(limit)).read_until(last, line)? as u64;
     let is_comment =
         [&b"comment"[..], b"obj_info"].iter().any(|word| line.trim_ascii_start().starts_with(word));
-    while is_comment && line.last() != Some(&b'\n') && read < limit {
+    while is_comment && line.last() != Some(&last) && read < limit {
         let buffer = match input.fill_buf() {
             Ok(buffer) => buffer,
             Err(e) if e.kind() == io::ErrorKind::Interrupted => continue,
             Err(e) => return Err(e),
         };
-        let end = buffer.iter().position(|&b| b == b'\n');
+        let end = buffer.iter().position(|&b| b == last);
         let most = usize::try_from(limit - read).unwrap_or(usize::MAX);
         let part = end.map_or(buffer.len(), |at| at + 1).min(most);
         if part == 0 {
             break;
         }
         if end.is_some_and(|at| at < part) {
-            line.push(b'\n');
+            line.push(last);
         }
         input.consume(part);
         read += part as u64;

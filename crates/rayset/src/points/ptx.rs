@@ -6,11 +6,13 @@
 //! say the same once more, and are not used. Points at 0 0 0 are directions in which nothing was found: they are delivered as
 //! NaN, so that they are counted as invalid.
 //!
-//! The column `scan` has the numbers of the scans, from 0. A scan without colours among others that have them is black.
+//! The column `scan` has the numbers of the scans, from 0. Points of a scan without colours, among others that have them, have
+//! NaN as their colour.
 
 use std::path::Path;
 
 use super::lines::Lines;
+use super::stream::Stream;
 use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, roles};
 
 /// Numbers on each of the lines that a scan begins with.
@@ -60,8 +62,13 @@ impl PtxSource {
     /// # Errors
     /// [`ReadError`] if the file cannot be read, or does not begin as a scan does.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        Self::of(Stream::open(path)?)
+    }
+
+    /// The points of a stream.
+    pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
         let mut source = Self {
-            lines: Lines::open(path)?,
+            lines: Lines::of(input)?,
             line: Vec::new(),
             schema: Schema::new(Vec::new(), ColorDepth::Byte),
             selected: Vec::new(),
@@ -90,7 +97,8 @@ impl PtxSource {
         }
         source.schema.columns.push(ColumnInfo::new("intensity", ColumnType::F32));
         if source.has_color {
-            let color = |name: &str| ColumnInfo::new(name, ColumnType::U8);
+            // Some scans may have no colours, which is NaN.
+            let color = |name: &str| ColumnInfo::new(name, ColumnType::F32);
             source.schema.columns.extend(["red", "green", "blue"].map(color));
         }
         source.schema.columns.push(ColumnInfo::new("scan", ColumnType::U16).of_classes());
@@ -220,11 +228,14 @@ impl PtxSource {
             return Err(self.lines.fail(what));
         }
         let [x, y, z, intensity, red, green, blue] = numbers;
-        let color = [red, green, blue];
+        let mut color = [red, green, blue];
         if !color.iter().all(|v| (0.0..=255.0).contains(v) && v.fract() == 0.0) {
             return Err(self
                 .lines
                 .fail(format!("a colour of {color:?}; expected whole numbers from 0 to 255")));
+        }
+        if found == PLAIN {
+            color = [f64::NAN; 3];
         }
         let m = &self.pose;
         let place = |axis: usize| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis];

@@ -43,9 +43,12 @@ const AXES: [&[&str]; 3] = [
 
 const COLORS: [&str; 3] = ["red", "green", "blue"];
 /// Aliases of the three colours, which are used only if all three are present.
-const COLOR_ALIASES: [[&str; 3]; 6] = [
+const COLOR_ALIASES: [[&str; 3]; 8] = [
     ["diffuse_red", "diffuse_green", "diffuse_blue"],
     ["r", "g", "b"],
+    // Of CloudCompare, as fractions and as scalar fields.
+    ["rf", "gf", "bf"],
+    ["scalar_r", "scalar_g", "scalar_b"],
     // Of ParaView.
     ["rgb:0", "rgb:1", "rgb:2"],
     ["rgb_0", "rgb_1", "rgb_2"],
@@ -81,12 +84,17 @@ pub(super) fn is_longitude(name: &str) -> bool {
 /// `red`, `green` or `blue`.
 pub(super) fn colors(columns: &[ColumnInfo]) -> Vec<(String, usize)> {
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
-    let find = |name: &str| place(&names, name);
+    let found = color_places(&names);
+    found.map_or_else(Vec::new, |found| COLORS.iter().map(|c| (*c).to_owned()).zip(found).collect())
+}
+
+/// The places of three colours that have other names than `red`, `green` and `blue`. `None` if any column is called so.
+pub(super) fn color_places(names: &[&str]) -> Option<[usize; 3]> {
+    let find = |name: &str| place(names, name);
     if COLORS.iter().any(|name| find(name).is_some()) {
-        return Vec::new();
+        return None;
     }
-    let all = COLOR_ALIASES.iter().find_map(|[r, g, b]| Some([find(r)?, find(g)?, find(b)?]));
-    all.map_or_else(Vec::new, |found| COLORS.iter().map(|c| (*c).to_owned()).zip(found).collect())
+    COLOR_ALIASES.iter().find_map(|[r, g, b]| Some([find(r)?, find(g)?, find(b)?]))
 }
 
 /// The column that `name` refers to: the one of that name, otherwise the one with that role, otherwise the one of that name
@@ -99,7 +107,7 @@ pub(super) fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str
 }
 
 /// Names of positions of three numbers, without case.
-pub(super) const POSITIONS: [&str; 17] = [
+pub(super) const POSITIONS: [&str; 22] = [
     "positions",
     "position",
     "xyz",
@@ -117,7 +125,39 @@ pub(super) const POSITIONS: [&str; 17] = [
     "pc",
     "pcd",
     "verts",
+    // Centres of Gaussians.
+    "means3d",
+    "means",
+    "centers",
+    "centres",
+    "centroids",
 ];
+/// Parts of names of three numbers that are no positions.
+const OTHER_VECTORS: [&str; 16] = [
+    "colo",
+    "rgb",
+    "normal",
+    "scal",
+    "quat",
+    "rotat",
+    "vel",
+    "force",
+    "accel",
+    "grad",
+    "cov",
+    "size",
+    "extent",
+    "direction",
+    "flow",
+    "feature",
+];
+
+/// Whether three numbers of this name may be positions, if nothing else is.
+pub(super) fn may_be_positions(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    !OTHER_VECTORS.iter().any(|other| name.contains(other))
+}
+
 /// Names of colours of three or four numbers.
 const VECTORS_OF_COLORS: [&str; 9] =
     ["rgb", "rgba", "color", "colors", "colour", "colours", "point_colors", "rgbs", "vertex_colors"];
@@ -154,8 +194,13 @@ pub(super) fn is_class(name: &str) -> bool {
 
 /// The start of a text from a file, shortened for a message and without control characters.
 pub(super) fn excerpt(text: &str) -> String {
+    shortened(text, 40)
+}
+
+/// The start of a text from a file, of up to `most` characters and without control characters.
+pub(super) fn shortened(text: &str, most: usize) -> String {
     let text = text.trim();
-    let mut short: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(40).collect();
+    let mut short: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(most).collect();
     if short.len() < text.len() {
         short.push('…');
     }

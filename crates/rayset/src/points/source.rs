@@ -17,7 +17,7 @@ pub enum ColorDepth {
     Byte,
     /// 0 to 65535.
     Word,
-    /// Not stated by the format: decided from the largest value of the whole input (≤ 1, ≤ 255, or larger).
+    /// Not stated by the format: decided from the largest value of the source (≤ 1, ≤ 255, or larger).
     Guess,
 }
 
@@ -36,6 +36,9 @@ pub struct Schema {
     pub description: String,
     /// What of the file is lost or was decided without asking, in sentences for the person who reads it.
     pub warnings: Vec<String>,
+    /// How the columns of a table were read, in one line for the person who reads it: their names in their order, and where
+    /// these come from. Empty for formats that say themselves what their columns are.
+    pub reading: String,
     /// The direction that is up in files of this kind; `None` if they have no convention.
     pub up: Option<[f64; 3]>,
 }
@@ -51,6 +54,7 @@ impl Schema {
             crs: String::new(),
             description: String::new(),
             warnings: Vec::new(),
+            reading: String::new(),
             up: None,
         }
     }

@@ -17,6 +17,8 @@ const BUFFER_BYTES: usize = 256 << 10;
 /// cut off or damaged, and near which byte.
 pub(super) struct Stream {
     path: PathBuf,
+    /// Bytes that were looked at, and are still to be read.
+    front: io::Cursor<Vec<u8>>,
     input: Input,
     packing: Option<Packing>,
     memory: u64,
@@ -43,7 +45,20 @@ impl Stream {
                 Input::Packed(Box::new(BufReader::with_capacity(BUFFER_BYTES, unpacked)))
             }
         };
-        Ok(Self { path: path.to_owned(), input, packing, memory })
+        Ok(Self { path: path.to_owned(), front: io::Cursor::default(), input, packing, memory })
+    }
+
+    /// The first `most` bytes, or all that there are, which are read again.
+    pub(super) fn head(&mut self, most: u64) -> io::Result<Vec<u8>> {
+        let mut head = Vec::new();
+        self.take(most).read_to_end(&mut head)?;
+        self.front = io::Cursor::new(head.clone());
+        Ok(head)
+    }
+
+    /// Whether bytes that were looked at are still to be read.
+    fn has_front(&self) -> bool {
+        self.front.position() < self.front.get_ref().len() as u64
     }
 
     /// The file.
@@ -86,6 +101,9 @@ impl Stream {
 
 impl Read for Stream {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.has_front() {
+            return self.front.read(buffer);
+        }
         match &mut self.input {
             Input::Plain(input) => input.read(buffer),
             Input::Packed(input) => input.read(buffer),
@@ -95,6 +113,9 @@ impl Read for Stream {
 
 impl BufRead for Stream {
     fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.has_front() {
+            return self.front.fill_buf();
+        }
         match &mut self.input {
             Input::Plain(input) => input.fill_buf(),
             Input::Packed(input) => input.fill_buf(),
@@ -102,6 +123,9 @@ impl BufRead for Stream {
     }
 
     fn consume(&mut self, bytes: usize) {
+        if self.has_front() {
+            return self.front.consume(bytes);
+        }
         match &mut self.input {
             Input::Plain(input) => input.consume(bytes),
             Input::Packed(input) => input.consume(bytes),

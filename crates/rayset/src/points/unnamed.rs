@@ -2,9 +2,10 @@
 //!
 //! A leading column that counts rows, or has times, comes before the positions. Behind these, three numbers of length one are
 //! a normal; three bytes, words or numbers up to 1 a colour; a number before a colour an intensity; a small whole number
-//! behind colours or normals a label. Four columns are x y z intensity, six without any of these x y z red green blue, seven
-//! x y z intensity red green blue. Columns that count returns, from 1 to 7, are no colour; what comes before two of them is an
-//! intensity.
+//! behind colours or normals a label. Four columns are x y z intensity, six without any of these x y z red green blue. Of four
+//! columns that are a colour with either end, the end that differs more from the two columns between is the intensity: channels
+//! of a colour are alike and vary together. If neither does, the first is. Columns that count returns, from 1 to 7, are no
+//! colour; what comes before two of them is an intensity.
 
 /// Rows that are looked at.
 pub(super) const ROWS: usize = 256;
@@ -16,6 +17,9 @@ const MOST_LABEL: f64 = 64.0;
 
 /// A pulse of a LiDAR has at most this many returns, of which files have the number of each and that of all.
 const MOST_RETURNS: f64 = 7.0;
+
+/// Correlations, of two columns each, that differ by more than this say which column is a channel of a colour.
+const LEAST_CORRELATION: f64 = 0.5;
 
 /// Fewer rows than these may have such numbers by chance.
 const FEWEST_ROWS: usize = 4;
@@ -102,7 +106,51 @@ impl Sample<'_> {
         let brightest = (first..last).map(|column| self.most(column)).fold(0.0, f64::max);
         let fractions = (first..last).any(|column| !self.all(column, |v| v.fract() == 0.0));
         let opaque = self.all(last, |v| v == 255.0);
-        opaque || self.is_label(last) && (fractions || brightest > MOST_LABEL)
+        let is_label = self.is_label(last) && (fractions || brightest > MOST_LABEL);
+        opaque || is_label || self.belongs_with_next(first, last)
+    }
+
+    /// Whether column `first` is a channel of a colour with the next two, rather than column `last` behind them is.
+    fn belongs_with_next(&self, first: usize, last: usize) -> bool {
+        let middle = [first + 1, first + 2];
+        let shared = |column: usize| middle.iter().map(|&other| self.correlation(column, other)).sum::<f64>();
+        let apart = |column: usize| middle.iter().map(|&other| self.difference(column, other)).sum::<f64>();
+        let is_bytes = |column: usize| self.all(column, |v| v.fract() == 0.0 && (0.0..=255.0).contains(&v));
+        let (of_first, of_last) = (shared(first), shared(last));
+        match (is_bytes(first), is_bytes(last)) {
+            // Where the others are bytes, a channel is one, too.
+            (a, b) if a != b && middle.iter().all(|&column| is_bytes(column)) => a,
+            // Of points of one colour, the column that varies is none of it.
+            _ if !middle.iter().any(|&column| self.varies(column))
+                && self.varies(first) != self.varies(last) =>
+            {
+                !self.varies(first)
+            }
+            _ if (of_first - of_last).abs() > LEAST_CORRELATION => of_first > of_last,
+            _ => of_first > LEAST_CORRELATION && apart(first) < apart(last),
+        }
+    }
+
+    /// The coefficient of correlation of two columns; 0 if one of them is constant.
+    fn correlation(&self, a: usize, b: usize) -> f64 {
+        let pairs = || {
+            let pairs = self.0.iter().filter_map(|row| Some((*row.get(a)?, *row.get(b)?)));
+            pairs.filter(|(a, b)| a.is_finite() && b.is_finite())
+        };
+        let count = pairs().count().max(1) as f64;
+        let (mean_a, mean_b) = pairs().fold((0.0, 0.0), |sum, (a, b)| (sum.0 + a / count, sum.1 + b / count));
+        let [mut aa, mut ab, mut bb] = [0.0; 3];
+        for (a, b) in pairs().map(|(a, b)| (a - mean_a, b - mean_b)) {
+            (aa, ab, bb) = (aa + a * a, ab + a * b, bb + b * b);
+        }
+        if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
+    }
+
+    /// The mean difference of two columns.
+    fn difference(&self, a: usize, b: usize) -> f64 {
+        let pairs = self.0.iter().filter_map(|row| Some((row.get(a)? - row.get(b)?).abs()));
+        let (count, sum) = pairs.filter(|d| d.is_finite()).fold((0.0, 0.0), |(n, sum), d| (n + 1.0, sum + d));
+        sum / f64::max(count, 1.0)
     }
 }
 
@@ -138,6 +186,8 @@ pub(super) fn names(width: usize, rows: &[Vec<f64>]) -> Vec<String> {
             names.push("intensity".to_owned());
         } else if left == 1 && (has_color || has_normal) && sample.is_label(at) {
             names.push("label".to_owned());
+        } else if left == 1 && has_color && !has_normal && at == first + 3 && !unknown {
+            names.push("intensity".to_owned());
         } else {
             names.push(format!("column{}", at + 1));
         }
@@ -184,6 +234,26 @@ mod tests {
         assert_eq!(with(&|i| [any(i), 0.9, 0.4, 3.0]), "x y z red green blue label");
         assert_eq!(with(&|i| [any(i).cos(), 0.0, any(i).sin(), 3.0]), "x y z nx ny nz label");
         assert_eq!(names(7, &[]).join(" "), "x y z intensity red green blue");
+    }
+
+    #[test]
+    fn of_four_columns_that_are_a_colour_with_either_end_the_one_unlike_the_others_is_the_intensity() {
+        let with = |four: &dyn Fn(f64) -> [f64; 4]| {
+            of(|i| [vec![any(i), any(i + 20.0), any(i + 40.0)], four(i).to_vec()].concat())
+        };
+        let (light, byte) =
+            (|i: f64| (100.0 * any(i)).round(), |i: f64| (250.0 * any(7.0 * i + 3.0)).round());
+        // Points of one colour in light and shade, and of many colours.
+        for hue in [[100.0, 80.0, 50.0], [40.0, 120.0, 60.0], [20.0, 25.0, 155.0]] {
+            let color = |i: f64| hue.map(|v| v + light(i));
+            let last = with(&|i| [color(i)[0], color(i)[1], color(i)[2], byte(i)]);
+            assert_eq!(last, "x y z red green blue intensity");
+            let first = with(&|i| [byte(i), color(i)[0], color(i)[1], color(i)[2]]);
+            assert_eq!(first, "x y z intensity red green blue");
+        }
+        // More than a byte is no channel among bytes.
+        assert_eq!(with(&|i| [200.0, 90.0, 40.0 + i, 300.0 + 7.0 * i]), "x y z red green blue intensity");
+        assert_eq!(with(&|i| [200.0, 90.0, 40.0, byte(i)]), "x y z red green blue intensity");
     }
 
     #[test]

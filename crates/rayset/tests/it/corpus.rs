@@ -96,6 +96,14 @@ fn point_files() -> Vec<(&'static str, Vec<u8>)> {
         ("p.xyz", b"# made up\n1 2 3 0.5\n-1e3\t2.0D+01 3 nan\n".to_vec()),
         ("p.txt", b"//x y z radius\n0 0 0 1\n1 1 1 2\n".to_vec()),
         ("p.pts", b"2\n1 2 3 -100 1 2 3\n4 5 6 200 4 5 6\n1\n7 8 9 0 0 0 0\n".to_vec()),
+        ("p.xyz", b"1 2 3\r4 5 6\r".to_vec()),
+        ("p.xyz", b"1 2 3\n4 5 6\n\0\0\0\0\0\0\0\0".to_vec()),
+        ("p.csv", b"x,y,z\n\"0,473\",\"-11,542\",\"0,047\"\n\"1,5\",2,\"3,25\"\n".to_vec()),
+        ("p.txt", b"1 2 3 200 90 40 7\n4 5 6 100 50 20 9\n5 5 6 90 45 18 200\n".to_vec()),
+        (
+            "p.pcd",
+            b"VERSION .7\nFIELDS x y z rgb\nWIDTH 2\nDATA ascii\n1 2 3 13132850\n4 5 6 4.2e-39\n".to_vec(),
+        ),
     ];
     for format in 0..=10 {
         let file = LasFile::random(format, 40, usize::from(format % 3), u64::from(format));
@@ -150,8 +158,12 @@ fn splats_and_meshes() -> Vec<(&'static str, Vec<u8>)> {
         ("m.stl", "meshes/ball-ascii.stl"),
     ];
     let off = b"OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 1\n3 0 1 2\n4 0 1 2 3 255 0 0\n".to_vec();
+    let faces = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+                  element face 1\nproperty list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\n\
+                  property uchar blue\nend_header\n0 0 0\n1,5 0 0\n1 1 0\n3 0 1 2 200 40 30\n"
+        .to_vec();
     let scan = (0..40_u16).flat_map(|i| f32::from(i % 7 * (i + 1) % 11).to_le_bytes()).collect();
-    files.into_iter().map(read).chain([("m.off", off), ("p.bin", scan)]).collect()
+    files.into_iter().map(read).chain([("m.off", off), ("p.bin", scan), ("mesh.ply", faces)]).collect()
 }
 
 /// Files that other programs wrote: the name of the input, their folder, and they.
@@ -207,9 +219,16 @@ fn volume_files() -> Vec<(&'static str, Vec<u8>)> {
     let fixture = |name: &str| std::fs::read(volume_fixtures("volumes").join(name)).expect("a fixture");
     let inline = base64(&[words(&[shorts.len() as u64], 4), shorts].concat());
     let ascii: Vec<String> = (0..60).map(|i| i.to_string()).collect();
+    let series = |sizes: &str| format!("NRRD0004\ntype: uchar\nsizes: {sizes}\nencoding: raw\n");
+    let interleaved = series("3 5 2 2") + "kinds: list domain domain domain\n\n";
+    let slice = b"6X\x03\x07\x82\x01\x09\x00";
+    let short = [&b"11111 3 2 2 8 1 1 1 0 0 0 1 0 0 X"[..], slice, slice].concat();
     vec![
         ("v.nrrd", with(&nrrd("raw"), &voxels)),
         ("v.nrrd", with(&nrrd("gzip"), &gzipped(&voxels))),
+        ("v.nrrd", with(&(series("5 2 2 3") + "\n"), &voxels)),
+        ("v.nrrd", with(&interleaved, &voxels)),
+        ("v.slc", short),
         ("v.mha", with(&meta(""), &voxels)),
         ("v.mha", with(&meta("BinaryDataByteOrderMSB = False\n"), &voxels)),
         ("v.nii", nifti()),

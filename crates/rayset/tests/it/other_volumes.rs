@@ -175,6 +175,8 @@ fn volumes_of_other_writers_that_are_damaged_are_errors() {
         let array_ends = rest.windows(9).position(|part| part == b"attribute");
         array_ends.is_none_or(|end| rest[..end].iter().all(u8::is_ascii_whitespace))
     };
+    // The last number of a text ends with the file, if no white space follows: one that is shortened is a number, too.
+    let of_last_number: fn(&[u8]) -> bool = |rest| rest.trim_ascii().iter().all(u8::is_ascii_digit);
     for (name, harmless) in [
         ("c_little_i2.npy", (|_| false) as fn(&[u8]) -> bool),
         ("c_u1.npy", |_| false),
@@ -183,7 +185,7 @@ fn volumes_of_other_writers_that_are_damaged_are_errors() {
         ("runs.slc", |_| false),
         ("plain.slc", |_| false),
         ("plain.dx", behind_array),
-        ("ascii_cells.vtk", blank),
+        ("ascii_cells.vtk", of_last_number),
         ("binary_cells.vtk", blank),
     ] {
         let path = folder.path().join(name);

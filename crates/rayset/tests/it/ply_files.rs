@@ -186,7 +186,8 @@ fn ascii_values_that_their_header_does_not_allow_are_errors() {
         ("1 2 3 256", "line 10: `256` is no value of type u8"),
         ("1 2 3 0.5", "line 10: `0.5` is no value of type u8"),
         ("1 2 3 nan", "line 10: `nan` is no value of type u8"),
-        ("1 2 3 1,5", "line 10: `1,5` is not a number"),
+        ("1 2 3 1,5", "line 10: `1,5` is no value of type u8"),
+        ("1 2 3 1,5,2", "line 10: `1,5,2` is not a number"),
     ] {
         let what = refusal(text(row));
         assert!(what.starts_with(expected), "{what}");

@@ -8,6 +8,7 @@ use flate2::read::MultiGzDecoder;
 
 use super::data::io_error;
 use super::refused::{refused, refused_by_content};
+use super::series::Series;
 use super::{ReadError, VolumeSource, dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
 use crate::storage::input_file::{InputFile, Named, look};
 
@@ -26,7 +27,7 @@ struct Format {
     begins: fn(&[u8], &Path) -> Result<bool, ReadError>,
     /// Whether a file may be compressed by gzip as a whole.
     zipped: bool,
-    open: fn(&Path) -> Result<VolumeSource, ReadError>,
+    open: fn(&Path, Option<u64>) -> Result<VolumeSource, ReadError>,
 }
 
 /// In this order: the first that recognizes the beginning of a file reads it.
@@ -41,7 +42,7 @@ const FORMATS: &[Format] = &[
         extensions: &["mha", "mhd"],
         begins: |head, _| Ok(head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = ")),
         zipped: false,
-        open: meta::open,
+        open: |path, index| alone(path, index, meta::open),
     },
     Format {
         extensions: &["nii", "nii.gz"],
@@ -53,19 +54,34 @@ const FORMATS: &[Format] = &[
         extensions: &["vdb"],
         begins: |head, _| Ok(head.starts_with(VDB_MAGIC)),
         zipped: false,
-        open: vdb::open,
+        open: |path, index| alone(path, index, vdb::open),
     },
     // Arrays of other dimensions are no volumes, so the name does not tell.
-    Format { extensions: &[], begins: npy::is_volume, zipped: false, open: npy::open },
-    Format { extensions: &["slc"], begins: |head, _| Ok(slc::is_slc(head)), zipped: false, open: slc::open },
+    Format {
+        extensions: &[],
+        begins: npy::is_volume,
+        zipped: false,
+        open: |path, index| alone(path, index, npy::open),
+    },
+    Format {
+        extensions: &["slc"],
+        begins: |head, _| Ok(slc::is_slc(head)),
+        zipped: false,
+        open: |path, index| alone(path, index, slc::open),
+    },
     // Files of other datasets have the same name.
     Format {
         extensions: &[],
         begins: |head, _| Ok(legacy_vtk::is_grid(head)),
         zipped: false,
-        open: legacy_vtk::open,
+        open: |path, index| alone(path, index, legacy_vtk::open),
     },
-    Format { extensions: &["dx"], begins: |head, _| Ok(dx::is_dx(head)), zipped: false, open: dx::open },
+    Format {
+        extensions: &["dx"],
+        begins: |head, _| Ok(dx::is_dx(head)),
+        zipped: false,
+        open: |path, index| alone(path, index, dx::open),
+    },
     Format {
         extensions: &["vti"],
         // Other files of VTK begin as this one does.
@@ -74,7 +90,7 @@ const FORMATS: &[Format] = &[
             Ok(VTI_TYPES.iter().any(|kind| has(kind)))
         },
         zipped: false,
-        open: vti::open,
+        open: |path, index| alone(path, index, vti::open),
     },
 ];
 
@@ -84,6 +100,16 @@ const EXPECTED: &str = "expected NRRD, MetaImage, NIfTI, OpenVDB, VTI, legacy VT
 
 const VDB_MAGIC: &[u8] = b" BDV\0\0\0\0";
 const VTI_TYPES: [&[u8]; 2] = [b"<VTKFile type=\"ImageData\"", b"<VTKFile type='ImageData'"];
+
+/// Opens a volume of a format that has one in a file.
+fn alone(
+    path: &Path,
+    index: Option<u64>,
+    open: fn(&Path) -> Result<VolumeSource, ReadError>,
+) -> Result<VolumeSource, ReadError> {
+    Series::new(path, 1, index)?;
+    open(path)
+}
 
 /// What a file is.
 enum Kind {
@@ -128,11 +154,11 @@ pub(super) fn is_volume(path: &Path) -> Result<bool, ReadError> {
     Ok(!matches!(kind_of(path)?, Kind::Unknown))
 }
 
-/// Opens a volume in its own format.
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+/// Opens a volume in its own format; of a series that of an index.
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let refuse = |what: String| Err(ReadError::Format { path: path.to_owned(), what });
     match kind_of(path)? {
-        Kind::Read(format) => Ok((format.open)(path)?.with_header(path)),
+        Kind::Read(format) => Ok((format.open)(path, index)?.with_header(path)),
         Kind::Refused(what) => refuse(what),
         Kind::Unknown => refuse(EXPECTED.to_owned()),
     }

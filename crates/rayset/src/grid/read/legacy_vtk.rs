@@ -102,7 +102,7 @@ fn text(path: &Path, array: &Array) -> Result<Voxels, ReadError> {
             format!("the file ends before all voxels are there: {left} bytes for {} numbers", array.count);
         return Err(ReadError::Data { path: path.to_owned(), offset: 0, what });
     }
-    let data = TextNumbers::new(data_at(path, array.at)?, array.stored, array.count, Behind::Space);
+    let data = TextNumbers::new(data_at(path, array.at)?, array.stored, array.count, Behind::Anything);
     Ok(Voxels { path: path.to_owned(), data: Box::new(data), rest: None })
 }
 

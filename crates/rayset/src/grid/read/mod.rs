@@ -18,6 +18,7 @@ mod nrrd;
 mod orientation;
 mod raw;
 mod refused;
+mod series;
 mod slc;
 mod source;
 mod stored;
@@ -37,7 +38,16 @@ impl VolumeSource {
     /// [`ReadError`] if it cannot be opened, its header is invalid, or it is too small for the voxels that its header
     /// promises.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        formats::open(path)
+        formats::open(path, None)
+    }
+
+    /// As [`open`](Self::open), of a file with a series of volumes, as NIfTI and NRRD of four dimensions are, that of an index,
+    /// counted from 0; the first if `None`.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open), and if the file has no volume of the index.
+    pub fn open_of_series(path: &Path, index: Option<u64>) -> Result<Self, ReadError> {
+        formats::open(path, index)
     }
 
     /// Opens a raw file, which contains nothing but voxels.

@@ -1,8 +1,8 @@
-//! NIfTI-1 (`n+1`), plain or gzip: the first volume of the file, placed by its sform, otherwise its qform, otherwise its
+//! NIfTI-1 (`n+1`), plain or gzip: one volume of the file, the first unless another is asked for, placed by its sform, otherwise its qform, otherwise its
 //! spacing.
 //!
 //! As in the format's own library, a spacing that is not positive counts as 1. Voxels are scaled if `scl_slope` is finite
-//! and not 0. After the volume, the other volumes of its series must follow, and nothing else.
+//! and not 0. Before and after the volume there are the other volumes of its series, and nothing else.
 
 use std::io::Read;
 use std::path::Path;
@@ -12,6 +12,7 @@ use flate2::bufread::MultiGzDecoder;
 use super::data::{Begin, Compression, Place, data_at};
 use super::error::ReadError;
 use super::orientation::Orientation;
+use super::series::Series;
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use crate::numbers::Stored;
@@ -72,7 +73,7 @@ impl Fields<'_> {
     }
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let zipped = super::data::is_gzip(path);
     let fields = fields(path, zipped)?;
     let (size, volumes) = size(&fields)?;
@@ -114,9 +115,10 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
         let what = "expected a whole number of bytes; voxels begin at 348 or later";
         return Err(fields.wrong(VOX_OFFSET, "vox_offset", what));
     }
-    let rest =
-        bytes.checked_mul(volumes - 1).ok_or_else(|| fields.wrong(DIM, "dim", "the series is too long"))?;
-    let start = start as u64;
+    let series = Series::new(path, volumes, index)?;
+    let all = bytes.checked_mul(volumes).ok_or_else(|| fields.wrong(DIM, "dim", "the series is too long"))?;
+    let before = bytes * series.index;
+    let (start, rest) = ((start as u64).saturating_add(before), all - before - bytes);
     let place = Place { path, start: if zipped { 0 } else { start }, bytes, rest: Some(rest) };
     let voxels = if zipped {
         place.compressed(Compression::Gzip, None, Begin::After(start))?
@@ -126,7 +128,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     // The axes of every space that has a code point to the right, to the front and up.
     let of_patient = fields.i16(SFORM_CODE) > 0 || fields.i16(QFORM_CODE) > 0;
     let orientation = Orientation::of_patient("RAS").filter(|_| of_patient).unwrap_or_default();
-    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(orientation))
+    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(orientation).of_series(series))
 }
 
 fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {

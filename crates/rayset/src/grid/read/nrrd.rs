@@ -1,16 +1,21 @@
-//! NRRD (teem), attached or detached: raw and gzip encodings, three axes.
+//! NRRD (teem), attached or detached: raw and gzip encodings, three axes, or four of a series.
+//!
+//! Of four axes, that of the series is the one without a direction in space, otherwise the one whose `kinds` is no `domain` or
+//! `space`, otherwise the last. It must be the first, where the voxels of all volumes lie side by side, or the last.
 //!
 //! Skipping follows the format's own library (teem, `formatNRRD.c` and `encodingGzip.c`): first `line skip` lines of the
 //! file as stored, then `byte skip` bytes, which are counted in the decompressed data if the data are compressed. A `byte
 //! skip` of −1 means that the voxels are at the end of the data, and −n − 1 that n bytes follow them. Nothing else may
 //! follow voxels in the file of the header, or in compressed data; a separate file of plain data may continue.
 
+use std::io::{self, Read};
 use std::path::Path;
 
 use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes, skip_lines};
 use super::error::ReadError;
-use super::fields::{Lines, counts, numbers};
+use super::fields::Lines;
 use super::orientation::Orientation;
+use super::series::{Interleaved, Series};
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 use crate::numbers::Stored;
@@ -19,12 +24,14 @@ use crate::numbers::Stored;
 struct Header {
     /// The keys seen so far, so that repeated ones are detected, and their places.
     keys: Vec<(&'static str, String)>,
-    size: Option<[u64; 3]>,
+    sizes: Option<Vec<u64>>,
     stored: Option<Stored>,
     big_endian: Option<bool>,
     encoding: String,
-    spacings: Option<[f64; 3]>,
-    directions: Option<DMat3>,
+    spacings: Option<Vec<f64>>,
+    /// `None` for an axis that has none in space.
+    directions: Option<Vec<Option<DVec3>>>,
+    kinds: Vec<String>,
     origin: Option<DVec3>,
     data_file: Option<String>,
     byte_skip: i64,
@@ -32,7 +39,7 @@ struct Header {
     orientation: Orientation,
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let mut lines = Lines::open(path)?;
     let mut header = Header::default();
     if !lines.next()?.is_some_and(|first| first.starts_with("NRRD000")) {
@@ -57,9 +64,35 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     }
     let described = header.described(path)?;
     let bytes = described.check(path)?;
-    let voxels = header.voxels(path, lines.bytes, bytes)?;
-    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation))
+    let axis = header.series_axis();
+    let volumes = axis.and_then(|axis| header.sizes.as_ref()?.get(axis).copied()).unwrap_or(1);
+    let series = Series::new(path, volumes, index)?;
+    let too_long = || ReadError::header(path, &header.place("sizes"), "a series longer than any file");
+    let all = bytes.checked_mul(series.volumes).ok_or_else(too_long)?;
+    let mut voxels = header.voxels(path, lines.bytes, all)?;
+    match axis {
+        Some(0) => {
+            if series.volumes > MOST_INTERLEAVED {
+                let what = format!("a series of more than {MOST_INTERLEAVED} volumes, voxel by voxel");
+                return Err(ReadError::header(path, &header.place("sizes"), &what));
+            }
+            let width = described.stored.bytes();
+            let count = bytes / width as u64;
+            voxels.data = Box::new(Interleaved::new(voxels.data, series, width, count));
+        }
+        Some(3) => {
+            let before = bytes * series.index;
+            let passed = io::copy(&mut (&mut voxels.data).take(before), &mut io::sink());
+            passed.map_err(super::data::io_error(path))?;
+            voxels.rest = voxels.rest.map(|rest| rest + all - before - bytes);
+        }
+        _ => {}
+    }
+    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation).of_series(series))
 }
+
+/// Most volumes of a series that are stored voxel by voxel.
+const MOST_INTERLEAVED: u64 = 1 << 16;
 
 impl Header {
     /// The place of a key in the header; the key itself if it is missing.
@@ -70,14 +103,35 @@ impl Header {
     fn described(&self, path: &Path) -> Result<Described, ReadError> {
         let missing =
             |key: &str, what: &str| ReadError::header(path, key, &format!("missing; expected {what}"));
-        let size = self.size.ok_or_else(|| missing("sizes", "three numbers of voxels"))?;
+        let sizes = self.sizes.clone().ok_or_else(|| missing("sizes", "three numbers of voxels"))?;
+        let axis = self.series_axis();
+        if let Some(1 | 2) = axis {
+            let what = "the axis of the series is between those of space; only the first or the last is read";
+            return Err(ReadError::header(path, &self.place("sizes"), what));
+        }
+        let of_space = |place: &usize| Some(*place) != axis;
+        let in_space: Vec<u64> = (0..sizes.len()).filter(of_space).map(|place| sizes[place]).collect();
+        let size = in_space.try_into().map_err(|_| missing("sizes", "three numbers of voxels"))?;
         let stored = self.stored.ok_or_else(|| missing("type", "a type of numbers, as in unsigned char"))?;
         if self.big_endian.is_none() && stored.bytes() > 1 {
             return Err(missing("endian", "little or big, as numbers have several bytes"));
         }
-        let (linear, axes) = match (self.directions, self.spacings) {
-            (Some(directions), _) => (directions, "space directions"),
-            (None, Some(spacings)) => (DMat3::from_diagonal(DVec3::from_array(spacings)), "spacings"),
+        let (linear, axes) = match (&self.directions, &self.spacings) {
+            (Some(directions), _) => {
+                let columns: Vec<DVec3> = directions.iter().copied().flatten().collect();
+                let [x, y, z] = columns.try_into().unwrap_or([DVec3::ZERO; 3]);
+                (DMat3::from_cols(x, y, z), "space directions")
+            }
+            (None, Some(spacings)) => {
+                let series = axis.filter(|_| spacings.len() == sizes.len());
+                let places = (0..spacings.len()).filter(|place| Some(*place) != series);
+                let spacing: Option<[f64; 3]> =
+                    places.map(|place| spacings[place]).collect::<Vec<_>>().try_into().ok();
+                let spacing = spacing.filter(|spacing| spacing.iter().all(|v| v.is_finite()));
+                let wrong =
+                    || ReadError::header(path, &self.place("spacings"), "expected three finite numbers");
+                (DMat3::from_diagonal(DVec3::from_array(spacing.ok_or_else(wrong)?)), "spacings")
+            }
             (None, None) => (DMat3::IDENTITY, "space origin"),
         };
         Ok(Described {
@@ -90,6 +144,16 @@ impl Header {
             size_place: self.place("sizes"),
             axes_place: self.place(axes),
         })
+    }
+
+    /// The axis of a series of volumes; `None` if there is one volume.
+    fn series_axis(&self) -> Option<usize> {
+        self.sizes.as_ref().filter(|sizes| sizes.len() == 4)?;
+        let directions = self.directions.as_ref().filter(|directions| directions.len() == 4);
+        let without = directions.and_then(|directions| directions.iter().position(Option::is_none));
+        let in_space = |kind: &String| ["domain", "space"].contains(&kind.as_str());
+        let kind = || self.kinds.iter().position(|kind| !in_space(kind)).filter(|_| self.kinds.len() == 4);
+        Some(without.or_else(kind).unwrap_or(3))
     }
 
     fn voxels(&self, path: &Path, header_bytes: u64, bytes: u64) -> Result<Voxels, ReadError> {
@@ -132,8 +196,14 @@ impl Header {
         }
         self.keys.push((key, place.to_owned()));
         match key {
-            "dimension" if value != "3" => return Err("only volumes of three dimensions are read"),
-            "sizes" => self.size = Some(counts(value).ok_or("expected three numbers of voxels")?),
+            "dimension" if !["3", "4"].contains(&value) => {
+                return Err("only volumes of three dimensions are read, and series of them");
+            }
+            "sizes" => {
+                let sizes = list::<u64>(value).filter(|sizes| (3..=4).contains(&sizes.len()));
+                self.sizes = Some(sizes.ok_or("expected three numbers of voxels, or four of a series")?);
+            }
+            "kinds" => self.kinds = value.split_ascii_whitespace().map(str::to_lowercase).collect(),
             "type" => {
                 self.stored = Some(stored(value).ok_or("expected a type of numbers, as in unsigned char")?);
             }
@@ -145,15 +215,19 @@ impl Header {
                 };
             }
             "encoding" => self.encoding = value.to_lowercase(),
-            "spacings" => self.spacings = Some(numbers(value).ok_or("expected three finite numbers")?),
+            "spacings" => {
+                let spacings = list::<f64>(value).filter(|all| (3..=4).contains(&all.len()));
+                self.spacings = Some(spacings.ok_or("expected three finite numbers")?);
+            }
             "space directions" => {
-                let columns = vectors(value).and_then(|v| <[DVec3; 3]>::try_from(v).ok());
-                let [x, y, z] = columns.ok_or("expected three vectors of finite numbers like (1,0,0)")?;
-                self.directions = Some(DMat3::from_cols(x, y, z));
+                let columns = vectors(value).filter(|all| all.iter().flatten().count() == 3);
+                let columns = columns.ok_or("expected three vectors of finite numbers like (1,0,0)")?;
+                self.directions = Some(columns);
             }
             "space origin" => {
                 let origin = vectors(value).filter(|v| v.len() == 1);
-                self.origin = Some(origin.ok_or("expected a vector of finite numbers like (0,0,0)")?[0]);
+                let origin = origin.and_then(|origin| origin[0]);
+                self.origin = Some(origin.ok_or("expected a vector of finite numbers like (0,0,0)")?);
             }
             "space" => self.orientation = orientation(value),
             "data file" if value == "LIST" || value.starts_with("LIST ") || value.contains('%') => {
@@ -169,7 +243,8 @@ impl Header {
 }
 
 /// The keys that are used, each with its other spellings.
-const KEYS: [&[&str]; 12] = [
+const KEYS: [&[&str]; 13] = [
+    &["kinds"],
     &["dimension"],
     &["sizes"],
     &["type"],
@@ -192,17 +267,32 @@ fn orientation(space: &str) -> Orientation {
     Orientation::of_patient(&initials.to_ascii_uppercase()).unwrap_or_default()
 }
 
-/// Vectors like `(1,0,0) (0,1,0)`; `none` is skipped.
-fn vectors(text: &str) -> Option<Vec<DVec3>> {
-    let words = text.split_inclusive(')').map(str::trim).filter(|word| !word.is_empty() && *word != "none");
-    words
-        .map(|word| {
-            let inside = word.trim_start_matches("none").trim().strip_prefix('(')?.strip_suffix(')')?;
-            let all: Option<Vec<f64>> = inside.split(',').map(|n| n.trim().parse().ok()).collect();
-            let vector = all.and_then(|all| <[f64; 3]>::try_from(all).ok()).map(DVec3::from_array);
-            vector.filter(|vector| vector.is_finite())
-        })
-        .collect()
+/// Vectors like `(1,0,0) (0,1,0)`; `none`, or one that is nothing but NaN, is none.
+fn vectors(text: &str) -> Option<Vec<Option<DVec3>>> {
+    let mut all = Vec::new();
+    let mut rest = text.trim();
+    while !rest.is_empty() {
+        if let Some(behind) = rest.strip_prefix("none") {
+            all.push(None);
+            rest = behind.trim_start();
+            continue;
+        }
+        let (inside, behind) = rest.strip_prefix('(')?.split_once(')')?;
+        let numbers: Option<Vec<f64>> = inside.split(',').map(|n| n.trim().parse().ok()).collect();
+        let vector = DVec3::from_array(<[f64; 3]>::try_from(numbers?).ok()?);
+        all.push(match vector {
+            vector if vector.is_finite() => Some(vector),
+            vector if vector.to_array().iter().all(|v| v.is_nan()) => None,
+            _ => return None,
+        });
+        rest = behind.trim_start();
+    }
+    Some(all)
+}
+
+/// All words as numbers.
+fn list<T: std::str::FromStr>(text: &str) -> Option<Vec<T>> {
+    text.split_ascii_whitespace().take(5).map(|word| word.parse().ok()).collect()
 }
 
 fn stored(name: &str) -> Option<Stored> {

@@ -1,7 +1,8 @@
 //! SLC, of the volume visualization group at Stony Brook (`.slc`): a header in text, a picture, slices of bytes that are
 //! plain or run-length encoded.
 //!
-//! The layout is that of VTK's `vtkSLCReader`.
+//! The layout is that of VTK's `vtkSLCReader`. As there, encoded slices may end one voxel early if all of them do; the last
+//! voxel of a slice is then as the one before it.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
@@ -73,16 +74,20 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let picture = count(12, "width")?.saturating_mul(count(13, "height")?).saturating_mul(3);
     let start = picture.saturating_add(head.len() as u64);
     let place = Place { path, start, bytes, rest: None };
-    let voxels = match words[11] {
-        "0" => place.plain()?,
+    let (voxels, missing) = match words[11] {
+        "0" => (place.plain()?, 0),
         "1" => encoded(&place, size)?,
         other => return Err(wrong(&format!("compression {other}; 0 (none) and 1 (run-length) are read"))),
     };
-    Ok(VolumeSource::new(&described, bytes, voxels))
+    let source = VolumeSource::new(&described, bytes, voxels);
+    if missing == 0 {
+        return Ok(source);
+    }
+    Ok(source.with_about("every slice ends one voxel early: its last voxel is as the one before it".into()))
 }
 
-/// Opens slices that are run-length encoded.
-fn encoded(place: &Place<'_>, size: [u64; 3]) -> Result<Voxels, ReadError> {
+/// Opens slices that are run-length encoded; also returns by how many voxels each of them ends early.
+fn encoded(place: &Place<'_>, size: [u64; 3]) -> Result<(Voxels, u64), ReadError> {
     let (path, bytes) = (place.path.to_owned(), place.bytes);
     let left = regular_file_bytes(&path)?.saturating_sub(place.start);
     if bytes / MOST_RATIO > left {
@@ -90,8 +95,13 @@ fn encoded(place: &Place<'_>, size: [u64; 3]) -> Result<Voxels, ReadError> {
             format!("the file ends before all voxels are there: {left} compressed bytes cannot hold {bytes}");
         return Err(ReadError::Data { path, offset: 0, what });
     }
-    let slices = Slices::new(data_at(&path, place.start)?, size[0] * size[1], size[2]);
-    Ok(Voxels { path, data: Box::new(slices), rest: Some(0) })
+    let slice = size[0] * size[1];
+    // The first slice says of all whether they end early. Where it is damaged, reading it says how.
+    let mut first = Slices::new(data_at(&path, place.start)?, slice - 1, 1, 0);
+    let is_short = io::copy(&mut first, &mut io::sink()).is_ok_and(|voxels| voxels == slice - 1);
+    let missing = u64::from(is_short);
+    let slices = Slices::new(data_at(&path, place.start)?, slice, size[2], missing);
+    Ok((Voxels { path, data: Box::new(slices), rest: Some(0) }, missing))
 }
 
 /// What the next bytes of a slice are.
@@ -114,6 +124,9 @@ struct Slices<R> {
     left: u64,
     packed: u64,
     run: Run,
+    /// By how many voxels each slice ends early, and its last voxel so far.
+    missing: u64,
+    last: u8,
 }
 
 fn invalid(what: String) -> io::Error {
@@ -121,8 +134,9 @@ fn invalid(what: String) -> io::Error {
 }
 
 impl<R: Read> Slices<BufReader<R>> {
-    fn new(data: BufReader<R>, slice_bytes: u64, slices: u64) -> Self {
-        Self { data: BufReader::new(data), slice_bytes, slices, left: 0, packed: 0, run: Run::Copy(0) }
+    fn new(data: BufReader<R>, slice_bytes: u64, slices: u64, missing: u64) -> Self {
+        let (data, run) = (BufReader::new(data), Run::Copy(0));
+        Self { data, slice_bytes, slices, left: 0, packed: 0, run, missing, last: 0 }
     }
 }
 
@@ -171,6 +185,10 @@ impl<R: Read> Slices<R> {
         match (u64::from(count), self.left) {
             (0, 0) if self.packed == 0 => self.run = Run::Copy(0),
             (0, 0) => return Err(invalid("a slice ends before its length".into())),
+            (0, left) if left == self.missing && self.packed == 0 => {
+                (self.run, self.left) = (Run::Same(left as u8, self.last), 0);
+                return Ok(true);
+            }
             (0, left) => return Err(invalid(format!("a slice ends {left} voxels early"))),
             (count, left) if count > left => return Err(invalid("a slice has too many voxels".into())),
             _ if code & 0x80 != 0 => self.run = Run::Copy(count),
@@ -208,6 +226,7 @@ impl<R: Read> Read for Slices<R> {
                     *count -= now as u8;
                 }
             }
+            self.last = to.last().copied().unwrap_or(self.last);
             written += now;
         }
         Ok(written)

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use super::data::{Voxels, what_of};
 use super::error::ReadError;
 use super::orientation::Orientation;
+use super::series::Series;
 use crate::geometry::{DAffine3, DVec3};
 use crate::grid::format::VoxelKind;
 use crate::numbers::Stored;
@@ -132,6 +133,14 @@ impl VolumeSource {
     /// The same volume, of whose space the format says more.
     pub(super) fn with_orientation(self, orientation: Orientation) -> Self {
         Self { up: orientation.up, facing: orientation.facing, ..self }
+    }
+
+    /// The same volume, one of a series.
+    pub(super) fn of_series(self, series: Series) -> Self {
+        match series.about() {
+            Some(sentence) => self.with_about(sentence),
+            None => self,
+        }
     }
 
     /// The same volume, with a sentence about a choice of its reader.

@@ -1,10 +1,11 @@
 //! Maps the columns of the sources to the columns of a record.
 
+use super::depths::Depths;
 use super::error::BuildError;
 use super::options::{BuildOptions, Rule};
 use super::record::RecordLayout;
 use crate::octree::format::NAME_BYTES;
-use crate::points::{ColumnInfo, ColumnType, PointSource};
+use crate::points::{ColumnInfo, ColumnType, PointSource, Schema};
 
 /// The columns of a record, and the columns of the sources from which they come.
 pub(super) struct Columns {
@@ -14,13 +15,24 @@ pub(super) struct Columns {
     /// Index in `names`.
     pub(super) radius: Option<usize>,
     pub(super) weight: Option<usize>,
-    pub(super) color: Option<[usize; 3]>,
     pub(super) attributes: Vec<usize>,
     /// The attributes, each of the common type of all sources.
     pub(super) infos: Vec<ColumnInfo>,
 }
 
 const COLORS: [&str; 3] = ["red", "green", "blue"];
+/// Columns that points without colours are shown in grey by; the first that a source has.
+const INTENSITIES: [&str; 5] = ["intensity", "reflectance", "scalar_intensity", "reflectivity", "amplitude"];
+
+/// Where the colours of a source come from: columns of its batches.
+pub(super) struct ColorOrigin {
+    pub(super) color: Option<[usize; 3]>,
+    /// Of points without a colour.
+    pub(super) intensity: Option<usize>,
+    /// The number that denotes the depth of its colours, and the type of these.
+    pub(super) depth: u32,
+    pub(super) family: u8,
+}
 
 /// The rule for radii: the one in the options, otherwise the column `radius` if every source has one, otherwise
 /// [`Rule::Auto`].
@@ -62,8 +74,7 @@ impl Columns {
         let mut of_rule =
             |rule: &Rule| if let Rule::Attribute(name) = rule { Some(place(name)) } else { None };
         let (radius, weight) = (of_rule(radius), of_rule(weight));
-        let has_color = options.keep_color && COLORS.iter().all(|c| all_have(sources, c));
-        let color = has_color.then(|| COLORS.map(&mut place));
+        let has_color = options.keep_color && sources.iter().any(|source| colors(source.schema()).is_some());
         let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
         for (input, source) in sources.iter().enumerate() {
             if let Some(name) = names.iter().find(|name| source.schema().find(name).is_none()) {
@@ -79,8 +90,39 @@ impl Columns {
             has_color,
             attributes: infos.iter().map(|info| info.kind).collect(),
         };
-        Ok(Self { layout, names, radius, weight, color, attributes, infos })
+        Ok(Self { layout, names, radius, weight, attributes, infos })
     }
+
+    /// The columns to select of source `input`, and where in its batches colours are, if the records have any. Those in
+    /// `names` come first, in their order.
+    pub(super) fn selection(&self, schema: &Schema, input: usize) -> (Vec<usize>, Option<ColorOrigin>) {
+        let mut selected: Vec<usize> = self.names.iter().filter_map(|name| schema.find(name)).collect();
+        if !self.layout.has_color {
+            return (selected, None);
+        }
+        let mut select = |column: usize| {
+            selected.push(column);
+            selected.len() - 1
+        };
+        let columns = colors(schema);
+        // Only numbers that can be NaN can be missing.
+        let may_lack =
+            columns.is_none_or(|colors| colors.iter().any(|&c| !schema.columns[c].kind.is_integer()));
+        let intensity = INTENSITIES.iter().filter(|_| may_lack).find_map(|name| schema.find(name));
+        let origin = ColorOrigin {
+            color: columns.map(|columns| columns.map(&mut select)),
+            intensity: intensity.map(&mut select),
+            depth: Depths::number(schema, input),
+            family: Depths::family(schema),
+        };
+        (selected, Some(origin))
+    }
+}
+
+/// The three columns of colours, if a source has all of them.
+fn colors(schema: &Schema) -> Option<[usize; 3]> {
+    let [red, green, blue] = COLORS.map(|name| schema.find(name));
+    Some([red?, green?, blue?])
 }
 
 /// A column as it is stored: of the common type of all sources, and with their unit if it is the same for all.

@@ -1,9 +1,8 @@
 //! The first pass: every record is read once, checked, and written to a temporary file with the data that later passes need.
 
-use super::columns::Columns;
+use super::columns::{ColorOrigin, Columns};
 use super::context::Context;
 use super::control::Stage;
-use super::depths::Depths;
 use super::error::{BuildError, Quantity};
 use super::options::{BuildOptions, InvalidPolicy};
 use super::survey::{Form, LIMIT, Survey, Totals};
@@ -29,19 +28,18 @@ pub(super) fn run(
     let stretches: Vec<_> = sources.into_iter().enumerate().map(Stretch::whole).collect();
     let mut reader = Reader::new(context, &columns, &stretches);
     for stretch in stretches {
-        let (input, mark, before) = (stretch.input, writer.mark(), reader.tally.totals.clone());
+        let (input, mark) = (stretch.input, writer.mark());
         let read = reader
             .read(stretch, &mut |record| writer.push(record).map_err(context.io("write temporary files in")));
         match (read, context.control.leaves_out) {
             (Err(BuildError::Read(error)), Some(leaves_out)) if leaves_out(input, &error) => {
                 // As if it had not been there: pages must not depend on how far it could be read.
                 writer.rewind(mark);
-                reader.tally.totals = before;
             }
             (read, _) => read?,
         }
     }
-    let totals = reader.tally.totals;
+    let totals = reader.totals;
     totals.refuse_unusable(context.options)?;
     let spill = writer.finish().map_err(context.io("write temporary files in"))?;
     Ok(Ingested { spill, survey: Survey::new(&form, &totals) })
@@ -80,13 +78,15 @@ pub(super) fn read(
     for stretch in stretches {
         reader.read(stretch, &mut write)?;
     }
-    Ok(reader.tally.totals)
+    Ok(reader.totals)
 }
 
 /// Reads one source after another.
 struct Reader<'a> {
     context: &'a Context<'a>,
     tally: Tally<'a>,
+    /// Over all sources that have been read to their end.
+    totals: Totals,
     batch: PointBatch,
     /// Records of all sources, as far as they say; 0 if one of them does not.
     records_hint: u64,
@@ -97,27 +97,38 @@ impl<'a> Reader<'a> {
         let tally = Tally {
             options: context.options,
             columns,
-            depth: 0,
+            colors: None,
             totals: Totals::none(columns.attributes.len()),
             record: Vec::with_capacity(columns.layout.stride()),
         };
         let records_hint = stretches.iter().map(Stretch::count_hint).sum::<Option<u64>>().unwrap_or(0);
-        Self { context, tally, batch: PointBatch::default(), records_hint }
+        let totals = Totals::none(columns.attributes.len());
+        Self { context, tally, totals, batch: PointBatch::default(), records_hint }
     }
 
-    /// Reads a stretch and closes its source.
+    /// Reads a stretch and closes its source. Its records count once it has been read to its end.
     fn read(
+        &mut self,
+        stretch: Stretch<'_>,
+        write: &mut impl FnMut(&[u8]) -> Result<(), BuildError>,
+    ) -> Result<(), BuildError> {
+        self.tally.totals = Totals::none(self.tally.columns.attributes.len());
+        self.read_records(stretch, write)?;
+        self.totals.merge(&self.tally.totals);
+        Ok(())
+    }
+
+    fn read_records(
         &mut self,
         mut stretch: Stretch<'_>,
         write: &mut impl FnMut(&[u8]) -> Result<(), BuildError>,
     ) -> Result<(), BuildError> {
         let Self { context, tally, batch, .. } = self;
         let source = &mut stretch.source;
-        let names = &tally.columns.names;
-        let selection: Vec<usize> = names.iter().filter_map(|name| source.schema().find(name)).collect();
+        let (selection, colors) = tally.columns.selection(source.schema(), stretch.input);
         source.select(&selection);
         source.watch(&context.control.cancel);
-        tally.depth = Depths::number(source.schema());
+        tally.colors = colors;
         if stretch.first > 0 {
             or_cancelled(context, source.skip(stretch.first))?;
         }
@@ -136,7 +147,7 @@ impl<'a> Reader<'a> {
             tally.take(batch, (stretch.input, index), write)?;
             index += batch.len() as u64;
             context.check()?;
-            context.progress(Stage::Read, tally.totals.records, self.records_hint);
+            context.progress(Stage::Read, self.totals.records + tally.totals.records, self.records_hint);
         }
     }
 }
@@ -162,8 +173,8 @@ fn check_batch(batch: &PointBatch, input: usize, selected: usize) -> Result<(), 
 struct Tally<'a> {
     options: &'a BuildOptions,
     columns: &'a Columns,
-    /// The colour depth of the current source.
-    depth: u8,
+    /// Where the colours of the current source come from.
+    colors: Option<ColorOrigin>,
     totals: Totals,
     /// The latest record, encoded.
     record: Vec<u8>,
@@ -229,13 +240,21 @@ impl Tally<'_> {
             }
             record.extend_from_slice(&(w as f32).to_le_bytes());
         }
-        if let Some(color) = columns.color {
-            for column in color {
-                let v = batch.columns[column].get(i) as f32;
-                totals.depths.include(self.depth, v);
-                record.extend_from_slice(&v.to_le_bytes());
-            }
-            record.push(self.depth);
+        if let Some(origin) = &self.colors {
+            let number = |column: usize| batch.columns[column].get(i) as f32;
+            let color = origin.color.map(|columns| columns.map(number));
+            let (color, depth) = match color.filter(|color| color.iter().all(|v| !v.is_nan())) {
+                Some(color) => {
+                    totals.depths.include(origin.depth, origin.family, color);
+                    (color, origin.depth)
+                }
+                None => {
+                    let (depth, value) = totals.depths.include_colorless(origin.intensity.map(number));
+                    ([value; 3], depth)
+                }
+            };
+            color.iter().for_each(|v| record.extend_from_slice(&v.to_le_bytes()));
+            record.extend_from_slice(&depth.to_le_bytes());
         }
         for (column, info) in columns.attributes.iter().zip(&columns.infos) {
             batch.columns[*column].write_as(i, info.kind, record);

@@ -57,6 +57,8 @@ pub struct BuildReport {
     pub header: super::format::Header,
     /// Time of each stage.
     pub times: Vec<(Stage, Duration)>,
+    /// What was decided about colours without asking, in sentences for the person who builds.
+    pub remarks: Vec<String>,
 }
 
 /// Builds one cloud from all `sources`, in memory. No file is created; the cloud is the same, byte for byte, as one that is
@@ -121,8 +123,10 @@ fn build(
     order_and_pack(context, &ingested, &mut assembler)?;
     let (output, header) = assembler.finish(context, &ingested.survey)?;
     clock.lap(Stage::Write);
-    let (points, skipped, times) = (header.points, ingested.survey.skipped, clock.laps);
-    Ok((output, BuildReport { points, skipped, header, times }))
+    let survey = &ingested.survey;
+    let (points, skipped, times) = (header.points, survey.skipped, clock.laps);
+    let remarks = survey.depths.remarks();
+    Ok((output, BuildReport { points, skipped, header, times, remarks }))
 }
 
 /// Sorts the records into file order, bucket by bucket, and passes runs and nodes to the assembler.

@@ -71,7 +71,7 @@ pub struct BuildOptions {
     pub weight_scale: f64,
     /// Names of further columns to store.
     pub attributes: Vec<String>,
-    /// Whether to store colours if every input has them.
+    /// Whether to store colours if an input has them. Points without a colour are then grey by their intensity, or grey.
     pub keep_color: bool,
     /// What to do with invalid records.
     pub invalid: InvalidPolicy,

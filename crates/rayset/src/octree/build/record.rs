@@ -12,7 +12,7 @@ use crate::points::ColumnType;
 /// Number of bits of a position along the Hilbert curve.
 const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
-/// The layout of a record: position (three `f64`), radius, weight (`f32`), colour (three `f32` and a byte for their depth,
+/// The layout of a record: position (three `f64`), radius, weight (`f32`), colour (three `f32` and an `u32` for their depth,
 /// see [`Depths`](super::depths::Depths)), attributes in their own types. Nothing is aligned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
@@ -23,7 +23,7 @@ pub(super) struct RecordLayout {
 }
 
 const POSITION_BYTES: usize = 24;
-const COLOR_BYTES: usize = 13;
+const COLOR_BYTES: usize = 16;
 
 impl RecordLayout {
     /// Size of a record in bytes.
@@ -64,6 +64,12 @@ pub(super) fn position(record: &[u8]) -> [f64; 3] {
 pub(super) fn float(record: &[u8], at: usize) -> f32 {
     let b = &record[at..at + 4];
     f32::from_le_bytes([b[0], b[1], b[2], b[3]])
+}
+
+/// The colour at a byte offset of a record, and the number that denotes its depth.
+pub(super) fn color(record: &[u8], at: usize) -> ([f32; 3], u32) {
+    let b = &record[at + 12..at + COLOR_BYTES];
+    ([0, 4, 8].map(|channel| float(record, at + channel)), u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
 }
 
 /// The radius of a record that has one.

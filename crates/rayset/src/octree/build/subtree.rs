@@ -1,5 +1,6 @@
 //! Converts sorted records in memory to encoded runs and draft nodes, in several threads at once.
 
+use super::depths::Scale;
 use super::options::Precision;
 use super::pieces::Pack;
 use super::plan::{Cell, LEAF_POINTS};
@@ -91,8 +92,8 @@ pub(super) struct Packer {
     store_radius: bool,
     store_weight: bool,
     weight: f32,
-    /// Factors that scale colours to 0–1, by depth.
-    color_factors: [f32; 6],
+    /// How colours become 0 to 1, by depth.
+    color_scales: Vec<Scale>,
     precision: f64,
     cancel: CancelToken,
 }
@@ -108,7 +109,7 @@ impl Packer {
             store_radius: radius.is_stored(),
             store_weight: weight.is_stored(),
             weight: survey.weight,
-            color_factors: survey.depths.factors(),
+            color_scales: survey.depths.scales(),
             precision: if let Precision::Relative(p) = precision { p } else { 0.0 },
             cancel: cancel.clone(),
         }
@@ -163,13 +164,12 @@ impl Packer {
                 self.weight
             });
             if layout.has_color {
-                let at = layout.color_at();
-                let factor = self.color_factors[usize::from(r[at + 12])];
-                columns.color.push(std::array::from_fn(|c| {
-                    let v = record::float(r, at + 4 * c) * factor;
-                    // NaN becomes 0, by the cast.
-                    (v.clamp(0.0, 1.0) * 255.0).round() as u8
-                }));
+                let (color, depth) = record::color(r, layout.color_at());
+                let (factor, offset) = self.color_scales.get(depth as usize).copied().unwrap_or_default();
+                // NaN becomes 0, by the cast.
+                columns
+                    .color
+                    .push(color.map(|v| ((v * factor + offset).clamp(0.0, 1.0) * 255.0).round() as u8));
             }
             for (index, column) in columns.attributes.iter_mut().enumerate() {
                 let at = layout.attribute_at(index);

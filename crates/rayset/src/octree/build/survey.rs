@@ -178,7 +178,7 @@ impl Totals {
         self.bounds = self.bounds.union(other.bounds);
         self.radius_range = union(self.radius_range, other.radius_range);
         self.weight_range = union(self.weight_range, other.weight_range);
-        self.depths.merge(other.depths);
+        self.depths.merge(&other.depths);
         for (range, other) in self.attribute_ranges.iter_mut().zip(&other.attribute_ranges) {
             *range = (range.0.min(other.0), range.1.max(other.1));
         }
@@ -244,7 +244,7 @@ impl Survey {
             auto_scale: form.auto_scale,
             weight: form.weight,
             weight_range: totals.weight_range,
-            depths: totals.depths,
+            depths: totals.depths.clone(),
             attributes: (form.attributes.iter().zip(&totals.attribute_ranges))
                 .map(|(info, &(min, max))| AttributeInfo {
                     name: info.name.clone(),

@@ -136,8 +136,8 @@ fn wanted(scan: &Scan, selected: &[usize]) -> Vec<usize> {
     let mut fields: Vec<usize> = coordinates.collect();
     for &column in selected {
         match scan.origins[column] {
-            Origin::Missing(_) | Origin::ScanIndex => {}
-            Origin::Field { field, invalid, .. } | Origin::Color { field, invalid, .. } => {
+            Origin::Missing | Origin::ScanIndex => {}
+            Origin::Field { field, invalid } | Origin::Color { field, invalid, .. } => {
                 fields.extend([Some(field), invalid].into_iter().flatten());
             }
             Origin::Vector { fields: vector, .. } => fields.extend(vector),
@@ -186,13 +186,13 @@ impl Decoded<'_> {
 
     fn append(&self, origin: Origin, scan: usize, rows: usize, column: &mut Values) {
         match origin {
-            Origin::Missing(number) => (0..rows).for_each(|_| column.push(number)),
+            Origin::Missing => (0..rows).for_each(|_| column.push(f64::NAN)),
             Origin::ScanIndex => (0..rows).for_each(|_| column.push(scan as f64)),
-            Origin::Field { field, invalid, missing } => {
+            Origin::Field { field, invalid } => {
                 let number = self.scan.fields[field];
                 for row in 0..rows {
                     if self.is_invalid(invalid, row) {
-                        column.push(missing);
+                        column.push(f64::NAN);
                     } else {
                         number.push(self.raw[field][row], column);
                     }
@@ -201,7 +201,7 @@ impl Decoded<'_> {
             Origin::Color { field, invalid, range: (min, max) } => {
                 for row in 0..rows {
                     let share = (self.value(field, row) - min) / (max - min);
-                    column.push(if self.is_invalid(invalid, row) { 0.0 } else { share.clamp(0.0, 1.0) });
+                    column.push(if self.is_invalid(invalid, row) { f64::NAN } else { share.clamp(0.0, 1.0) });
                 }
             }
             Origin::Vector { fields, axis } => {

@@ -61,12 +61,12 @@ impl Pose {
 /// What a column is made of in a scan.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Origin {
-    /// The scan has nothing of it, which is this number.
-    Missing(f64),
+    /// The scan has nothing of it, which is NaN.
+    Missing,
     /// The index of the scan.
     ScanIndex,
-    /// The numbers of a field, or `missing` where `invalid` is not 0.
-    Field { field: usize, invalid: Option<usize>, missing: f64 },
+    /// The numbers of a field, or NaN where `invalid` is not 0.
+    Field { field: usize, invalid: Option<usize> },
     /// The same, from a range to 0 to 1.
     Color { field: usize, invalid: Option<usize>, range: (f64, f64) },
     /// A component of a vector that turns with the scan.
@@ -204,20 +204,17 @@ fn origin(name: &str, scan: &Scan, cloud: &PointCloud, ranges: Option<Ranges>) -
     let place = cloud.prototype.iter().position(|record| column_name(&record.name) == Some(name));
     let color = ["red", "green", "blue"].iter().position(|color| *color == name);
     let Some(field) = place else {
-        // Colours have no number for what is missing; other columns have NaN.
-        return match color {
-            Some(_) => (Origin::Missing(0.0), ColumnType::U8),
-            None => (Origin::Missing(f64::NAN), ColumnType::F32),
-        };
+        return (Origin::Missing, ColumnType::F32);
     };
     let number = scan.fields[field];
     let invalid = invalid_name(&cloud.prototype[field].name).and_then(|name| find(cloud, &name));
     if let Some(channel) = color {
         let origin = match ranges {
             Some(ranges) => Origin::Color { field, invalid, range: ranges[channel] },
-            None => Origin::Field { field, invalid, missing: 0.0 },
+            None => Origin::Field { field, invalid },
         };
-        return (origin, if ranges.is_some() { ColumnType::F32 } else { number.column_type() });
+        let kind = if ranges.is_some() { ColumnType::F32 } else { number.column_type() };
+        return (origin, if invalid.is_some() { kind.common(ColumnType::F32) } else { kind });
     }
     // Surface normals, as an extension of the standard names them.
     const NORMAL: [&str; 3] = ["normalX", "normalY", "normalZ"];
@@ -228,7 +225,7 @@ fn origin(name: &str, scan: &Scan, cloud: &PointCloud, ranges: Option<Ranges>) -
     }
     let kind = number.column_type();
     let kind = if invalid.is_some() { kind.common(ColumnType::F32) } else { kind };
-    (Origin::Field { field, invalid, missing: f64::NAN }, kind)
+    (Origin::Field { field, invalid }, kind)
 }
 
 /// The depth of the colours of all scans, and the ranges by which they become 0 to 1 if that is needed.

@@ -25,15 +25,17 @@ pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, Rea
     if vertex.count > u64::from(u32::MAX) {
         return Err(fail(format!("{} vertices; at most {} can be read", vertex.count, u32::MAX)));
     }
-    let (colors, depth) = colors(vertex);
+    let (colors, depth) = colors_of(vertex);
+    let (face_colors, face_depth) = colors_of(face);
     for element in &header.elements {
         match element.name.as_str() {
             "vertex" => read_vertices(&mut body, vertex, axes, colors, sink)?,
-            "face" => read_faces(&mut body, face, corners, vertex.count, sink)?,
+            "face" => read_faces(&mut body, face, (corners, face_colors), vertex.count, sink)?,
             _ => body.skip(element)?,
         }
     }
     body.check_rest()?;
+    let depth = if colors.is_some() { depth } else { face_depth };
     Ok(Description { text: header.description, depth, place: Place::Line(header.lines) })
 }
 
@@ -51,9 +53,9 @@ fn corners(face: &Element) -> Result<usize, String> {
         .ok_or_else(|| "the `face` element has no list called `vertex_indices`".to_owned())
 }
 
-/// The properties of a vertex that are its colour, and their range.
-fn colors(vertex: &Element) -> (Option<[usize; 3]>, ColorDepth) {
-    let scalars = vertex.properties.iter().enumerate().filter_map(|(place, property)| match property {
+/// The properties of an element that are its colour, and their range.
+fn colors_of(element: &Element) -> (Option<[usize; 3]>, ColorDepth) {
+    let scalars = element.properties.iter().enumerate().filter_map(|(place, property)| match property {
         Property::Scalar { name, kind } => Some((place, *kind, ColumnInfo::new(name, kind.column_type()))),
         Property::List { .. } => None,
     });
@@ -107,13 +109,14 @@ fn read_vertices(
 fn read_faces(
     body: &mut Body,
     element: &Element,
-    corners: usize,
+    (corners, colors): (usize, Option<[usize; 3]>),
     vertices: u64,
     sink: &mut impl Sink,
 ) -> Result<(), ReadError> {
     for index in 0..element.count {
         sink.check()?;
-        let mut fan = Fan::default();
+        let (mut fan, mut color) = (Fan::default(), [0.0; 3]);
+        let first = sink.triangles();
         body.record(element, index, |place| place == corners, |place, part| {
             match part {
                 Part::Count(count) if place == corners && count > CORNER_LIMIT => {
@@ -128,10 +131,18 @@ fn read_faces(
                     }
                     fan.corner(corner as u32, sink);
                 }
-                _ => {}
+                Part::Scalar(value) => {
+                    if let Some(channel) = colors.and_then(|colors| colors.iter().position(|&c| c == place)) {
+                        color[channel] = value as f32;
+                    }
+                }
+                Part::Count(_) => {}
             }
             Ok(())
         })?;
+        if colors.is_some() && sink.triangles() > first {
+            sink.face_color(first, color);
+        }
     }
     Ok(())
 }

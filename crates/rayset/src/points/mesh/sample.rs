@@ -46,7 +46,8 @@ impl MeshFormat {
 }
 
 /// Points on the surface of a mesh, evenly distributed by area; the same for the same mesh and number. The mesh is held in
-/// memory: 24 bytes per vertex, with a colour 36, and 20 bytes per triangle.
+/// memory: 24 bytes per vertex, with a colour 36, and 20 bytes per triangle,
+/// with a colour of its own 32.
 ///
 /// Equal shares of the area, triangle after triangle, have a point each. Where in its triangle it lies follows from its
 /// number by a sequence of low discrepancy, of which any part in a row is spread evenly; random points would leave holes of
@@ -69,7 +70,8 @@ pub struct MeshSource {
 }
 
 impl MeshSource {
-    /// Reads the vertices and faces of a PLY, OBJ, OFF or STL file. Colours of vertices, if all have them, are interpolated.
+    /// Reads the vertices and faces of a PLY, OBJ, OFF or STL file. Colours of vertices, if all have them, are interpolated;
+    /// otherwise points have the colours of their faces, if all of these have any.
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be read, has no faces with an area, or a face refers to a vertex that does not exist.
@@ -95,7 +97,7 @@ impl MeshSource {
             survey.triangles.saturating_mul(POINTS_PER_TRIANGLE).clamp(FEWEST_POINTS, MOST_POINTS);
         let points_wanted = points.unwrap_or(by_triangles);
         let colors = ["red", "green", "blue"].map(|name| ColumnInfo::new(name, ColumnType::F32));
-        let (columns, depth) = if survey.has_colors() {
+        let (columns, depth) = if survey.has_colors() || survey.has_face_colors() {
             (colors.to_vec(), description.depth)
         } else {
             (Vec::new(), ColorDepth::Unit)
@@ -209,7 +211,12 @@ impl PointSource for MeshSource {
             let shares = shares(number);
             let p = a * shares[0] + b * shares[1] + c * shares[2];
             batch.position.push(p.to_array());
+            let face = self.mesh.face_colors.get(triangle);
             for (column, &channel) in batch.columns.iter_mut().zip(&self.selected) {
+                if let Some(color) = face {
+                    column.push(color[channel].into());
+                    continue;
+                }
                 let of_corner = corners.map(|corner| f64::from(self.mesh.colors[corner as usize][channel]));
                 column.push(shares.iter().zip(of_corner).map(|(share, color)| share * color).sum());
             }

@@ -8,6 +8,10 @@ use crate::points::{ColorDepth, Place, ReadError};
 pub(super) trait Sink {
     fn vertex(&mut self, position: DVec3, color: Option<[f32; 3]>);
     fn triangle(&mut self, corners: [u32; 3]);
+    /// The colour of the triangles that came last, back to the one of this number.
+    fn face_color(&mut self, first: u64, color: [f32; 3]);
+    /// The number of triangles so far.
+    fn triangles(&self) -> u64;
     /// Whether reading is to end. Asked at every vertex and every face.
     fn is_cancelled(&self) -> bool;
 
@@ -22,7 +26,7 @@ pub(super) trait Sink {
 pub(super) struct Description {
     /// Format, and what the file says of itself.
     pub(super) text: String,
-    /// Of the colours of vertices.
+    /// Of the colours of vertices, or of faces if these alone have any.
     pub(super) depth: ColorDepth,
     /// The place in the file of what is wrong with the mesh as a whole.
     pub(super) place: Place,
@@ -34,9 +38,15 @@ pub(super) struct Survey {
     pub(super) vertices: u64,
     pub(super) triangles: u64,
     colored: u64,
+    colored_triangles: u64,
 }
 
 impl Survey {
+    /// Whether every triangle has a colour, and not every vertex.
+    pub(super) fn has_face_colors(&self) -> bool {
+        !self.has_colors() && self.triangles > 0 && self.colored_triangles == self.triangles
+    }
+
     /// Whether every vertex has a colour.
     pub(super) fn has_colors(&self) -> bool {
         self.vertices > 0 && self.colored == self.vertices
@@ -45,7 +55,8 @@ impl Survey {
     /// Memory that the mesh takes, in bytes.
     pub(super) fn bytes(&self) -> u64 {
         let vertex = size_of::<DVec3>() + if self.has_colors() { size_of::<[f32; 3]>() } else { 0 };
-        let triangle = size_of::<[u32; 3]>() + size_of::<f64>();
+        let color = if self.has_face_colors() { size_of::<[f32; 3]>() } else { 0 };
+        let triangle = size_of::<[u32; 3]>() + size_of::<f64>() + color;
         self.vertices
             .saturating_mul(vertex as u64)
             .saturating_add(self.triangles.saturating_mul(triangle as u64))
@@ -62,6 +73,14 @@ impl Sink for Survey {
         self.triangles += 1;
     }
 
+    fn face_color(&mut self, first: u64, _: [f32; 3]) {
+        self.colored_triangles += self.triangles - first;
+    }
+
+    fn triangles(&self) -> u64 {
+        self.triangles
+    }
+
     fn is_cancelled(&self) -> bool {
         false
     }
@@ -74,7 +93,10 @@ pub(super) struct Mesh {
     /// Of every vertex, or none.
     pub(super) colors: Vec<[f32; 3]>,
     pub(super) triangles: Vec<[u32; 3]>,
+    /// Of every triangle, or none.
+    pub(super) face_colors: Vec<[f32; 3]>,
     has_colors: bool,
+    has_face_colors: bool,
     cancel: CancelToken,
 }
 
@@ -87,7 +109,9 @@ impl Mesh {
             vertices: Vec::with_capacity(vertices),
             colors: Vec::with_capacity(if has_colors { vertices } else { 0 }),
             triangles: Vec::with_capacity(triangles),
+            face_colors: Vec::with_capacity(if survey.has_face_colors() { triangles } else { 0 }),
             has_colors,
+            has_face_colors: survey.has_face_colors(),
             cancel: cancel.clone(),
         }
     }
@@ -103,6 +127,16 @@ impl Sink for Mesh {
 
     fn triangle(&mut self, corners: [u32; 3]) {
         self.triangles.push(corners);
+    }
+
+    fn face_color(&mut self, _: u64, color: [f32; 3]) {
+        if self.has_face_colors {
+            self.face_colors.resize(self.triangles.len(), color);
+        }
+    }
+
+    fn triangles(&self) -> u64 {
+        self.triangles.len() as u64
     }
 
     fn is_cancelled(&self) -> bool {

@@ -34,12 +34,18 @@ pub(super) fn column_bytes(scalar: Scalar, number: &[u8]) -> [u8; 8] {
     bytes
 }
 
+/// The dimensions of an array; of three and more those that are longer than one.
+pub(super) fn dimensions(shape: &[u64]) -> Vec<u64> {
+    let longer = || shape.iter().copied().filter(|length| *length != 1).collect();
+    if shape.len() > 2 { longer() } else { shape.to_vec() }
+}
+
 impl Array {
     /// The rows of an array of one or two dimensions. With two, three rows of more than 64 numbers are three axes. `None`
-    /// if it has other dimensions, or rows that are too long.
+    /// if it has other dimensions, or rows that are too long. Of three and more dimensions those of length one do not count.
     pub(super) fn rows(&self) -> Option<Rows> {
         let fortran = self.header.fortran;
-        match *self.header.shape.as_slice() {
+        match *dimensions(&self.header.shape) {
             [rows] => Some(Rows { rows, width: 1, apart: false }),
             [width @ 3, rows] if rows > MOST_WIDTH => Some(Rows { rows, width, apart: !fortran }),
             [rows, width] if width <= MOST_WIDTH => Some(Rows { rows, width, apart: fortran }),

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::array::{MOST_WIDTH, Rows, Strand};
 use crate::array_file::{Array, Fault, Scalar};
 use crate::numbers::Stored;
-use crate::points::{ColorDepth, ColumnInfo, ColumnType, Schema, roles, unnamed};
+use crate::points::{ColorDepth, ColumnInfo, ColumnType, Schema, reading, roles, unnamed};
 
 /// A number of each row.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,8 +74,23 @@ impl Named {
         }
     }
 
-    /// Takes x, y and z as positions, and the rest as columns. `None` if the three are not there.
-    fn finish(self, rows: u64, description: String) -> Option<Layout> {
+    /// Takes other names, if there are any.
+    fn renamed(self, names: Option<&[String]>) -> Result<Self, Fault> {
+        match names {
+            None => Ok(self),
+            Some(names) if names.len() == self.names.len() => Ok(Self { names: names.to_vec(), ..self }),
+            Some(names) => Err(no_points(format!(
+                "{} names of columns are given for rows of {} numbers: {}",
+                names.len(),
+                self.names.len(),
+                roles::shortened(&self.names.join(","), 400)
+            ))),
+        }
+    }
+
+    /// Takes x, y and z as positions, and the rest as columns. `None` if the three are not there. `by` says where the names
+    /// come from.
+    fn finish(self, rows: u64, description: String, by: &str) -> Option<Layout> {
         let [Some(x), Some(y), Some(z)] = roles::axes(&self.names) else { return None };
         let (mut infos, mut columns) = (Vec::new(), Vec::new());
         for (place, (name, source)) in self.names.iter().zip(&self.sources).enumerate() {
@@ -95,6 +110,7 @@ impl Named {
             _ => ColorDepth::Guess,
         };
         schema.description = description;
+        reading::note(&mut schema, &self.names, [x, y, z], by);
         let axes = [x, y, z].map(|place| self.sources[place]);
         Some(Layout { strands: self.strands, axes, columns, schema, rows })
     }
@@ -106,6 +122,8 @@ fn plain_names(path: &Path, array: &Array, rows: Rows, scalar: Scalar) -> io::Re
     let names = unnamed::names(rows.width as usize, &sample).into_iter().enumerate();
     Ok(names.map(|(i, name)| if name.starts_with("column") { format!("column_{i}") } else { name }).collect())
 }
+
+const NAMELESS: &str = "the names of columns have no x, y and z";
 
 fn no_points(what: String) -> Fault {
     Fault::Wrong { at: 0, what }
@@ -154,33 +172,23 @@ impl Layout {
         if array.header.is_structured {
             if let ([rows], true) = (array.header.shape.as_slice(), array.header.element_bytes > 0) {
                 named.add_fields(array);
-                if let Some(layout) = named.finish(*rows, description) {
-                    return Ok(layout);
-                }
+                let by = if names.is_some() { reading::BY_OPTION } else { "the names of fields" };
+                let layout = named.renamed(names)?.finish(*rows, description, by);
+                return layout
+                    .ok_or_else(|| no_points(if names.is_some() { NAMELESS.into() } else { wrong(array) }));
             }
             return Err(no_points(wrong(array)));
         }
         let (Some(rows), Some(scalar)) = (array.rows().filter(|rows| rows.width >= 3), array.number()) else {
             return Err(no_points(wrong(array)));
         };
-        let names = match names {
-            None => plain_names(path, array, rows, scalar)?,
-            Some(names) if names.len() as u64 == rows.width => names.to_vec(),
-            Some(names) => {
-                return Err(no_points(format!(
-                    "{} names of columns are given for rows of {} numbers",
-                    names.len(),
-                    rows.width
-                )));
-            }
-        };
-        named.add_plain(array, rows, scalar, &names);
-        let nameless = || no_points("the names of columns have no x, y and z".into());
-        named.finish(rows.rows, description).ok_or_else(nameless)
+        named.add_plain(array, rows, scalar, &plain_names(path, array, rows, scalar)?);
+        let by = if names.is_some() { reading::BY_OPTION } else { "the values of the first rows" };
+        named.renamed(names)?.finish(rows.rows, description, by).ok_or_else(|| no_points(NAMELESS.into()))
     }
 
     /// The layout of an archive. The error says what it has instead of points.
-    pub(super) fn of_archive(path: &Path, arrays: &[Array]) -> Result<Self, Fault> {
+    pub(super) fn of_archive(path: &Path, arrays: &[Array], names: Option<&[String]>) -> Result<Self, Fault> {
         let base =
             |array: &Array| array.member.name.rsplit('/').next().unwrap_or_default().to_ascii_lowercase();
         let is_plain =
@@ -194,26 +202,48 @@ impl Layout {
             let mut found = arrays.iter().enumerate().filter(|(_, array)| wanted(array));
             found.next().map(|(i, _)| i).filter(|_| found.next().is_none())
         };
-        // By its name; three arrays; a structured one; else the only one that can be.
+        // Arrays with a row of numbers for each row of another.
+        let agreeing = |array: &Array| {
+            let rows = |array: &Array| array.number().and_then(|_| array.rows()).map(|rows| rows.rows);
+            let others = arrays.iter().filter(|other| rows(other).is_some() && rows(other) == rows(array));
+            others.count().saturating_sub(1)
+        };
+        let most = arrays.iter().filter(is_plain).map(agreeing).max().unwrap_or(0);
+        let agreed = |array: &&Array| {
+            let is_three = array.rows().is_some_and(|rows| rows.width == 3);
+            most > 0
+                && is_plain(array)
+                && is_three
+                && agreeing(array) == most
+                && roles::may_be_positions(&base(array))
+        };
+        // By its name; three arrays; a structured one; one that others agree with; else the only one that can be.
         let position = roles::POSITIONS.iter().find_map(called);
         let position = match position {
             None if axes() => None,
-            None => one(&|array| array.header.is_structured).or_else(|| one(&|array| is_plain(array))),
+            None => one(&|array| array.header.is_structured)
+                .or_else(|| one(&agreed))
+                .or_else(|| one(&|array| is_plain(array) && (most == 0 || agreeing(array) == most))),
             found => found,
         };
         let mut named = Named::default();
-        let mut rows = None;
+        let (mut rows, mut taken) = (None, Vec::new());
         if let Some(array) = position.map(|index| &arrays[index]) {
             if array.header.is_structured {
-                return Self::of_array(path, array, None);
+                return Self::of_array(path, array, names);
             }
             if let (Some(of), Some(scalar)) = (array.rows(), array.number()) {
                 named.add_plain(array, of, scalar, &plain_names(path, array, of, scalar)?);
                 rows = Some(of.rows);
+                taken.push(roles::excerpt(&array.member.name));
             }
         }
         let is_x = |array: &&Array| roles::axes(&[base(array)])[0].is_some();
         let rows = rows.or_else(|| arrays.iter().find(is_x).map(|array| array.header.count()));
+        // With names of columns, any arrays that agree are a table.
+        let table =
+            || arrays.iter().filter(|array| array.number().is_some()).max_by_key(|array| agreeing(array));
+        let rows = rows.or_else(|| names.and_then(|_| table()?.rows()).map(|of| of.rows));
         let Some(rows) = rows else { return Err(no_points(refused(arrays))) };
         let mut left_out = Vec::new();
         for (index, array) in arrays.iter().enumerate().filter(|(index, _)| Some(*index) != position) {
@@ -221,6 +251,7 @@ impl Layout {
             match (of, array.number()) {
                 (Some(of), Some(scalar)) => {
                     let name = arrays[index].member.name.clone();
+                    taken.push(roles::excerpt(&name));
                     named.add_plain(array, of, scalar, &roles::components(&name, of.width as usize));
                 }
                 _ => left_out.push(format!(
@@ -235,7 +266,13 @@ impl Layout {
             left_out.truncate(8);
             description.push_str(&format!("; left out for their shapes or types: {}", left_out.join(", ")));
         }
-        named.finish(rows, description).ok_or_else(|| no_points(refused(arrays)))
+        let used = named.renamed(names)?;
+        let by = match names {
+            Some(_) => reading::BY_OPTION.to_owned(),
+            None => format!("the arrays {}", roles::shortened(&taken.join(", "), 200)),
+        };
+        let nameless = || if names.is_some() { NAMELESS.into() } else { refused(arrays) };
+        used.finish(rows, description, &by).ok_or_else(|| no_points(nameless()))
     }
 }
 

@@ -1,10 +1,11 @@
 //! Arrays of NumPy as points: NPY files, and NPZ archives of several.
 //!
 //! **Plain arrays** have a row a point, N × 3 or wider, in either order of memory; three rows of more than 64 numbers are x,
-//! y and z. Numbers behind the first three are named as in text files: four are x y z intensity, six x y z red green blue,
-//! seven x y z intensity red green blue; others are `column_3` and so on. **Structured arrays** have fields x, y and z, or one
-//! of three numbers with a name of positions. **Archives** have an array with such a name, or x, y and z, and every other
-//! array with as many rows is a column. Of fields of three numbers the columns are `name_x`, `name_y`, `name_z`; of those with
+//! y and z. Numbers behind the first three are named as in text files: four are x y z intensity, six x y z red green blue;
+//! others are `column_3` and so on. Dimensions of length one, as those of batches are, do not count. **Structured arrays** have fields x, y and z, or one
+//! of three numbers with a name of positions. **Archives** have an array with such a name, or x, y and z, or an array of three
+//! numbers that others agree with in its rows and whose name is of nothing else; every other array with as many rows is a
+//! column. Of fields of three numbers the columns are `name_x`, `name_y`, `name_z`; of those with
 //! a name of colours, red, green and blue.
 //!
 //! Numbers are integers and floating-point numbers of 8 to 64 bits, in both byte orders; of `float16` the columns are of single
@@ -16,7 +17,7 @@ mod layout;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use self::array::{Strand, column_bytes};
+use self::array::{Strand, column_bytes, dimensions};
 use self::layout::{Layout, Source};
 use super::{ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values};
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, begins_with_array, text_place};
@@ -35,7 +36,7 @@ pub(super) fn begins(head: &[u8]) -> bool {
     let Some((start, length)) = text_place(head) else { return false };
     // A header that is too long for the head has many fields.
     let Some(text) = head.get(start..start.saturating_add(length as usize)) else { return true };
-    Header::parse(text, start).is_ok_and(|header| header.shape.len() < 3)
+    Header::parse(text, start).is_ok_and(|header| dimensions(&header.shape).len() < 3)
 }
 
 /// The points of a file of arrays.
@@ -51,7 +52,7 @@ pub(super) struct NpySource {
 }
 
 impl NpySource {
-    /// Opens a file. `names` are those of all columns of a plain array.
+    /// Opens a file. `names` are those of all columns: of a plain array, or of the fields or arrays that have a row a point.
     pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let of_fault = |fault: Fault| match fault {
@@ -67,7 +68,7 @@ impl NpySource {
             Layout::of_array(path, &array, names)
         } else {
             let arrays = Array::all(path).map_err(of_fault)?;
-            Layout::of_archive(path, &arrays)
+            Layout::of_archive(path, &arrays, names)
         };
         let Layout { strands, axes, columns, schema, rows } = layout.map_err(of_fault)?;
         Ok(Self {

@@ -10,6 +10,21 @@ pub(super) struct Origin {
     /// Bytes from the start of the field.
     pub(super) at: usize,
     kind: ColumnType,
+    /// The type of the number whose bits are colours, of which this is the byte at `at`.
+    packed: Option<ColumnType>,
+}
+
+/// The largest whole number that three colours make.
+const LARGEST_COLOR: f64 = 16_777_215.0;
+
+/// The bits of colours in a number. Floating-point numbers have them as their own bits, which makes numbers below 1e-37, or,
+/// if a program has converted them, as whole numbers.
+fn packed_bits(kind: ColumnType, bytes: &[u8]) -> [u8; 4] {
+    let number = if kind.is_integer() { 0.0 } else { kind.decode(bytes) };
+    if kind.bytes() > 4 || (1.0..=LARGEST_COLOR).contains(&number) && number.fract() == 0.0 {
+        return (number as u32).to_le_bytes();
+    }
+    std::array::from_fn(|i| bytes[i])
 }
 
 impl Origin {
@@ -27,7 +42,11 @@ impl Origin {
 
     /// Appends the numbers of `rows` points, as [`coordinates`](Self::coordinates) finds them.
     pub(super) fn append(self, bytes: &[u8], start: usize, stride: usize, rows: usize, column: &mut Values) {
-        (0..rows).for_each(|row| column.push_le_bytes(&bytes[row * stride + start + self.at..]));
+        let fields = (0..rows).map(|row| &bytes[row * stride + start..]);
+        match self.packed {
+            Some(kind) => fields.for_each(|field| column.push_le_bytes(&packed_bits(kind, field)[self.at..])),
+            None => fields.for_each(|field| column.push_le_bytes(&field[self.at..])),
+        }
     }
 }
 
@@ -45,7 +64,8 @@ impl Columns {
         let [Some(x), Some(y), Some(z)] = roles::axes(&names) else {
             return Err("no fields called x, y and z, of one number each".into());
         };
-        let axes = [x, y, z].map(|field| Origin { field, at: 0, kind: header.fields[field].kind });
+        let axes =
+            [x, y, z].map(|field| Origin { field, at: 0, kind: header.fields[field].kind, packed: None });
         let mut columns =
             Self { schema: Schema::new(Vec::new(), ColorDepth::Guess), axes, origins: Vec::new() };
         let has_colors =
@@ -56,8 +76,8 @@ impl Columns {
                 continue;
             }
             match info.name.as_str() {
-                "rgb" | "rgba" if info.bytes() == 4 && info.count == 1 && !has_colors => {
-                    columns.add_packed_color(field, info.name == "rgba");
+                "rgb" | "rgba" if is_packed(info) && !has_colors => {
+                    columns.add_packed_color(field, info);
                 }
                 _ => columns.add_numbers(field, info),
             }
@@ -75,17 +95,20 @@ impl Columns {
     }
 
     /// Colours in the bits of a number of any type: alpha, red, green and blue, from the highest on.
-    fn add_packed_color(&mut self, field: usize, has_alpha: bool) {
+    fn add_packed_color(&mut self, field: usize, info: &Field) {
+        let has_alpha = info.name == "rgba";
+        // With alpha, the bits of a float may be those of a whole number.
+        let packed = (!has_alpha || info.kind == ColumnType::F64).then_some(info.kind);
         for (at, name) in [(2, "red"), (1, "green"), (0, "blue"), (3, "alpha")] {
             if name != "alpha" || has_alpha {
-                self.add(Origin { field, at, kind: ColumnType::U8 }, name.to_owned());
+                self.add(Origin { field, at, kind: ColumnType::U8, packed }, name.to_owned());
             }
         }
     }
 
     fn add_numbers(&mut self, field: usize, info: &Field) {
         for part in 0..info.count {
-            let origin = Origin { field, at: part * info.kind.bytes(), kind: info.kind };
+            let origin = Origin { field, at: part * info.kind.bytes(), kind: info.kind, packed: None };
             let name = info.name.replace(char::is_control, " ");
             self.add(origin, if info.count > 1 { format!("{name}_{part}") } else { name });
         }
@@ -105,6 +128,11 @@ impl Columns {
         columns.push(if is_class { info.of_classes() } else { info });
         self.origins.push(origin);
     }
+}
+
+/// Whether a field is a number of which the bits can be colours. In double precision, it is a whole number.
+fn is_packed(info: &Field) -> bool {
+    info.count == 1 && (info.kind.bytes() == 4 || info.kind == ColumnType::F64)
 }
 
 fn describe(header: &Header) -> String {

@@ -59,9 +59,14 @@ impl PcdSource {
     /// # Errors
     /// [`ReadError`] if the file cannot be read, violates its format, or has no x, y and z.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let mut input = Stream::open(path)?;
+        Self::of(Stream::open(path)?)
+    }
+
+    /// The points of a stream.
+    pub(super) fn of(mut input: Stream) -> Result<Self, ReadError> {
+        let path = input.path().to_owned();
         let header = Header::read(&mut input)?;
-        let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
+        let fail = |what: String| ReadError::malformed(&path, Place::Line(header.lines), what);
         let columns = Columns::new(&header).map_err(fail)?;
         let starts = header.fields.iter().scan(0, |end, field| {
             *end += field.bytes();
@@ -76,7 +81,7 @@ impl PcdSource {
             (Data::Binary, _) => Body::Binary(input),
             (Data::Compressed, None) => {
                 memory = Transposed::memory_needed(&header.fields, rows);
-                Body::Compressed(Transposed::open(path, &header)?)
+                Body::Compressed(Transposed::open(&path, &header)?)
             }
             (Data::Compressed, Some(packing)) => {
                 let what = format!(
@@ -88,7 +93,7 @@ impl PcdSource {
             }
         };
         Ok(Self {
-            path: path.to_owned(),
+            path,
             starts,
             stride,
             header_bytes: header.bytes,

@@ -249,6 +249,42 @@ pub(super) fn columns(types: &[TypeLayout]) -> Vec<(ColumnInfo, Supply)> {
     columns
 }
 
+/// Columns under other names.
+pub(super) struct Renamed {
+    pub(super) columns: Vec<(ColumnInfo, Supply)>,
+    /// Names of the three coordinates and of all columns.
+    pub(super) all: Vec<String>,
+    /// Which of the three coordinates are x, y and z.
+    pub(super) axes: [usize; 3],
+}
+
+/// The columns under the given names, which begin with those of the three coordinates; `-` leaves a column out.
+pub(super) fn renamed(
+    columns: Vec<(ColumnInfo, Supply)>,
+    names: Option<&[String]>,
+) -> Result<Renamed, String> {
+    let own = ["x", "y", "z"]
+        .map(str::to_owned)
+        .into_iter()
+        .chain(columns.iter().map(|(info, _)| info.name.clone()));
+    let own: Vec<String> = own.collect();
+    let Some(names) = names else { return Ok(Renamed { columns, all: own, axes: [0, 1, 2] }) };
+    if names.len() != own.len() {
+        let (given, wanted) = (names.len(), own.len());
+        return Err(format!("{given} names of columns are given for {wanted}: {}", own.join(",")));
+    }
+    let (coordinates, others) = names.split_at(3);
+    let [Some(x), Some(y), Some(z)] = roles::axes(coordinates) else {
+        return Err("x, y and z must be the first three of the names of columns, in any order".into());
+    };
+    let columns = columns.into_iter().zip(others).filter(|(_, name)| !name.is_empty() && *name != "-");
+    let columns = columns.map(|((info, supply), name)| {
+        let is_class = info.is_class || roles::is_class(name);
+        (ColumnInfo { name: name.clone(), is_class, ..info }, supply)
+    });
+    Ok(Renamed { columns: columns.collect(), all: names.to_vec(), axes: [x, y, z] })
+}
+
 /// What is read and how radii and weights are made, for the description of the source.
 pub(super) fn description(header: &Header, types: &[TypeLayout], counts: &[u64; MOST_TYPES]) -> String {
     let mut words = header.description();

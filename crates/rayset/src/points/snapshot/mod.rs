@@ -18,7 +18,7 @@ use self::header::Header;
 use self::layout::{Radius, Supply, TypeLayout};
 use self::table::{Blocks, Table};
 use super::particles::{self, MOST_TYPES};
-use super::{ColorDepth, PointBatch, PointSource, ReadError, Schema, Values, siblings};
+use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, Values, reading, siblings};
 
 /// Memory in bytes for blocks of datasets. Where their chunks are larger together, they are decoded more than once.
 const BLOCKS_BYTES: u64 = 48 << 20;
@@ -30,6 +30,8 @@ pub(super) struct SnapshotSource {
     files: Vec<PathBuf>,
     types: Vec<TypeLayout>,
     supplies: Vec<Supply>,
+    /// Which of the three coordinates are x, y and z.
+    axes: [usize; 3],
     schema: Schema,
     count: u64,
     selected: Vec<usize>,
@@ -51,8 +53,12 @@ struct Part {
 }
 
 impl SnapshotSource {
-    /// Opens all files of the snapshot to which a file belongs.
-    pub(super) fn open(path: &Path, wanted: Option<&[String]>) -> Result<Self, ReadError> {
+    /// Opens all files of the snapshot to which a file belongs. `names` are those of positions and all columns.
+    pub(super) fn open(
+        path: &Path,
+        wanted: Option<&[String]>,
+        names: Option<&[String]>,
+    ) -> Result<Self, ReadError> {
         let file = File::open(path)?;
         let header = Header::read(&file)?;
         if header.is_virtual {
@@ -82,14 +88,19 @@ impl SnapshotSource {
             let file = File::open(&files[samples[kind].unwrap_or(0)])?;
             types.push(TypeLayout::read(&file, &header, kind)?);
         }
-        let (columns, supplies) = layout::columns(&types).into_iter().unzip();
+        let named = layout::renamed(layout::columns(&types), names);
+        let named = named.map_err(|what| ReadError::malformed(path, Place::Byte(0), what))?;
+        let (columns, supplies) = named.columns.into_iter().unzip();
         let mut schema = Schema::new(columns, ColorDepth::Guess);
         schema.description = layout::description(&header, &types, &counts);
+        let by = if names.is_some() { reading::BY_OPTION } else { "the names of datasets" };
+        reading::note(&mut schema, &named.all, named.axes, by);
         let largest = types.iter().map(|layout| layout.largest_chunk).max().unwrap_or(0);
         let blocks = types.iter().map(|layout| layout.all_blocks).max().unwrap_or(0);
         Ok(Self {
             files,
             supplies,
+            axes: named.axes,
             schema,
             count: chosen.iter().fold(0, |all, &kind| all.saturating_add(counts[kind])),
             selected: Vec::new(),
@@ -267,7 +278,7 @@ impl PointSource for SnapshotSource {
             }
             let Some(part) = &mut self.open else { return Ok(()) };
             let count = part.load()?.min((limit - batch.len()) as u64) as usize;
-            let position = |row| [0, 1, 2].map(|axis| part.positions.get(row, axis));
+            let position = |row| self.axes.map(|axis| part.positions.get(row, axis));
             batch.position.extend((part.row..part.row + count as u64).map(position));
             for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
                 part.append(&self.types[part.kind], &self.supplies[index], count, column);

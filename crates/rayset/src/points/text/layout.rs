@@ -1,13 +1,14 @@
 //! Detects the layout of a text file: what precedes its points, and how its rows are read.
 
-use super::number::{DecimalMark, NotANumber};
 use super::rows::{Separator, Splitter};
+use crate::points::decimal_mark::{DecimalMark, NotANumber, are_decimals};
 use crate::points::lines::Lines;
 use crate::points::{ReadError, roles, unnamed};
 
 /// How the rows of a file are read, determined from its header and its first row.
 pub(super) struct Layout {
     pub(super) separator: Separator,
+    pub(super) mark: DecimalMark,
     /// A name for each column; empty or `-` for columns that are skipped.
     pub(super) names: Vec<String>,
     pub(super) axes: [usize; 3],
@@ -153,11 +154,13 @@ impl Layout {
     ) -> Result<Self, ReadError> {
         let row = Splitter::whole(separator, &first);
         let row = row.ok_or_else(|| lines.fail_at(first_line, "a quote that is not closed"))?;
+        let texts = fields(lines, separator, &row)?;
+        let mark = decimal_mark(separator, &texts);
         let mut names = match names {
             Some(names) => names,
             None => {
                 let width = row.len() - usize::from(row.ends_empty());
-                unnamed::names(width, &sample(lines, separator, &row)?)
+                unnamed::names(width, &sample(mark, &texts))
             }
         };
         // A header may end with a separator, as rows may.
@@ -190,15 +193,24 @@ impl Layout {
         let axes = whole_axes(&names).map_err(|axis| lines.fail_at(first_line, no_column(axis)))?;
         if header_line.is_some() {
             // Of a header not every column needs to be of numbers: dates and names of things are passed over.
-            let rows = fields(lines, separator, &row)?;
             for (place, name) in names.iter_mut().enumerate() {
-                let mut texts = rows.iter().filter_map(|row| row.get(place));
-                if !axes.contains(&place) && texts.all(|text| is_word(separator, text)) {
+                let mut texts = texts.iter().filter_map(|row| row.get(place));
+                if !axes.contains(&place) && texts.all(|text| is_word(mark, text)) {
                     *name = "-".to_owned();
                 }
             }
         }
-        Ok(Self { separator, names, axes, header_line, count: None, first, first_line, is_open_ended: false })
+        Ok(Self {
+            separator,
+            mark,
+            names,
+            axes,
+            header_line,
+            count: None,
+            first,
+            first_line,
+            is_open_ended: false,
+        })
     }
 }
 
@@ -258,11 +270,11 @@ fn settle(
     let rows: Vec<(Separator, Splitter)> = rows.filter(|(_, row)| row.len() >= 3).collect();
     if let Some(names) = names {
         let axes = whole_axes(names).ok()?;
-        let fits = rows.iter().find(|(separator, row)| are_numbers(*separator, row, axes, true))?;
+        let fits = rows.iter().find(|(_, row)| are_numbers(row, axes, true))?;
         return Some((fits.0, Some(names.to_vec())));
     }
     let Some(header) = header else {
-        let fits = rows.iter().find(|(separator, row)| are_numbers(*separator, row, [0, 1, 2], false))?;
+        let fits = rows.iter().find(|(_, row)| are_numbers(row, [0, 1, 2], false))?;
         return Some((fits.0, None));
     };
     let named = |separator| {
@@ -271,20 +283,21 @@ fn settle(
     };
     for (separator, row) in &rows {
         if let Some((axes, names)) = named(*separator)
-            && are_numbers(*separator, row, axes, true)
+            && are_numbers(row, axes, true)
         {
             return Some((*separator, Some(names)));
         }
     }
     let (axes, names) = Separator::ALL.into_iter().find_map(named)?;
-    let fits = rows.iter().find(|(separator, row)| are_numbers(*separator, row, axes, true))?;
+    let fits = rows.iter().find(|(_, row)| are_numbers(row, axes, true))?;
     Some((fits.0, Some(names)))
 }
 
 /// Whether the values at `axes` are numbers with the same decimal mark, or markers of missing values. An empty value counts
 /// as missing only if the columns have names.
-fn are_numbers(separator: Separator, row: &Splitter, axes: [usize; 3], may_be_empty: bool) -> bool {
-    let mut mark = first_mark(separator);
+fn are_numbers(row: &Splitter, axes: [usize; 3], may_be_empty: bool) -> bool {
+    // Between commas, another comma can only be quoted.
+    let mut mark = DecimalMark::Open;
     axes.into_iter().all(|axis| {
         axis < row.len() && {
             let field = row.field(axis);
@@ -293,9 +306,11 @@ fn are_numbers(separator: Separator, row: &Splitter, axes: [usize; 3], may_be_em
     })
 }
 
-/// The decimal mark before any number has been read: if commas separate values, it is a point.
-pub(super) fn first_mark(separator: Separator) -> DecimalMark {
-    if separator == Separator::Comma { DecimalMark::Point } else { DecimalMark::Open }
+/// The decimal mark before any number has been read: if commas separate values, it is a point, unless quoted values of the
+/// first rows show that it is a comma.
+fn decimal_mark(separator: Separator, rows: &[Vec<String>]) -> DecimalMark {
+    let is_open = separator != Separator::Comma || are_decimals(rows.iter().flatten().map(String::as_str));
+    if is_open { DecimalMark::Open } else { DecimalMark::Point }
 }
 
 /// The values of the first rows, of which `first` has been read.
@@ -310,14 +325,12 @@ fn fields(lines: &mut Lines, separator: Separator, first: &Splitter) -> Result<V
 }
 
 /// The numbers of the first rows; what is none is NaN.
-fn sample(lines: &mut Lines, separator: Separator, first: &Splitter) -> Result<Vec<Vec<f64>>, ReadError> {
-    let mut mark = first_mark(separator);
-    let rows = fields(lines, separator, first)?;
+fn sample(mut mark: DecimalMark, rows: &[Vec<String>]) -> Vec<Vec<f64>> {
     let mut number = |text: &String| mark.parse(text).unwrap_or(f64::NAN);
-    Ok(rows.iter().map(|row| row.iter().map(&mut number).collect()).collect())
+    rows.iter().map(|row| row.iter().map(&mut number).collect()).collect()
 }
 
 /// Whether a value is neither a number, whatever its decimal mark, nor missing.
-fn is_word(separator: Separator, text: &str) -> bool {
-    matches!(first_mark(separator).parse(text), Err(NotANumber::Word))
+fn is_word(mut mark: DecimalMark, text: &str) -> bool {
+    matches!(mark.parse(text), Err(NotANumber::Word))
 }

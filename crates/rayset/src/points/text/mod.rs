@@ -4,11 +4,11 @@
 //! which the first row has numbers for x, y and z. The layout of the first row applies to the whole file, and a row with
 //! another number of values is an error. A separator may follow the last value. Values may be quoted: within quotes, `""` is
 //! a quote, and separators and line breaks are part of the value. A record is at most 64 KiB long. Lines end with `\n` or
-//! `\r\n`. Empty lines, and lines that start with `#` or `//`, are skipped.
+//! `\r\n`, or in files without these with `\r`. Bytes of 0 behind the last line are passed over. Empty lines, and lines that start with `#` or `//`, are skipped.
 //!
 //! **Numbers** are what Rust parses as `f64`, or have Fortran exponents, `1.0D+05`. If values are not separated by commas,
-//! the decimal mark may be a comma between digits; a file has a single decimal mark, that of the first number that has one.
-//! `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing values and become NaN. Values of
+//! or the values of the first rows are quoted and show that a comma separates no thousands, the decimal mark may be a comma
+//! between digits; a file has a single decimal mark, that of the first number that has one. `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing values and become NaN. Values of
 //! columns that are not selected are not parsed, and may be any text.
 //!
 //! **Names** come from the caller, otherwise from a header, otherwise from the values of the first rows (see
@@ -21,16 +21,16 @@
 //! and must be correct. After them, another count and its points may follow, and so on: all belong to the same cloud.
 
 mod layout;
-mod number;
 mod rows;
 
 use std::path::Path;
 
 use self::layout::Layout;
-use self::number::{DecimalMark, NotANumber};
 use self::rows::{Progress, Separator, Splitter};
+use super::decimal_mark::{DecimalMark, NotANumber};
 use super::lines::Lines;
-use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, roles};
+use super::stream::Stream;
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, reading, roles};
 
 /// The points of a text file.
 #[derive(Debug)]
@@ -71,7 +71,12 @@ impl TextSource {
     /// # Errors
     /// [`ReadError`] if the file cannot be read, contains no data, or its columns do not include x, y and z.
     pub fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
-        let mut lines = Lines::open(path)?;
+        Self::of(Stream::open(path)?, names)
+    }
+
+    /// The points of a stream.
+    pub(super) fn of(input: Stream, names: Option<&[String]>) -> Result<Self, ReadError> {
+        let mut lines = Lines::of(input)?;
         let layout = Layout::find(&mut lines, names)?;
         let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
         let mut places = Vec::new();
@@ -84,6 +89,12 @@ impl TextSource {
         }
         schema.roles = roles::colors(&schema.columns);
         schema.description = describe(&layout);
+        let by = match (layout.header_line, names) {
+            (_, Some(_)) => reading::BY_OPTION.to_owned(),
+            (Some(line), None) => format!("the header on line {line}"),
+            (None, None) => "the values of the first rows".to_owned(),
+        };
+        reading::note(&mut schema, &layout.names, layout.axes, &by);
         let x = &layout.names[layout.axes[0]];
         if layout.header_line.is_some() && roles::is_longitude(x) {
             schema.crs = "EPSG:4326".into();
@@ -95,7 +106,7 @@ impl TextSource {
         Ok(Self {
             lines,
             separator: layout.separator,
-            mark: layout::first_mark(layout.separator),
+            mark: layout.mark,
             width: layout.names.len(),
             is_open_ended: layout.is_open_ended,
             axes: layout.axes,
@@ -194,7 +205,8 @@ impl TextSource {
         Err(self.fail(match why {
             NotANumber::Word => format!("`{field}` is not a number"),
             NotANumber::OtherMark if self.separator == Separator::Comma => format!(
-                "`{field}`: where commas separate values the decimal mark is a point, and thousands have no mark"
+                "`{field}`: where commas separate values the decimal mark is a point, or a comma in quotes if the first rows \
+                 show that it separates no thousands; thousands have no mark"
             ),
             NotANumber::OtherMark => format!(
                 "`{field}` has two decimal marks, or another than the numbers before it; a file has one, and \

@@ -248,7 +248,8 @@ impl BuildParts {
         context.check()?;
         output.publish()?;
         let times = vec![(Stage::Write, started.elapsed())];
-        Ok(BuildReport { points: header.points, skipped: survey.skipped, header, times })
+        let remarks = survey.depths.remarks();
+        Ok(BuildReport { points: header.points, skipped: survey.skipped, header, times, remarks })
     }
 
     /// Removes everything that the parts have written, and the folder if nothing else is in it.

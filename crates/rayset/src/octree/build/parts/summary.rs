@@ -1,6 +1,6 @@
 //! What a part of `read` says of its records, as JSON; floating-point numbers as their bits, so that they stay what they are.
 
-use super::super::depths::Depths;
+use super::super::depths::{Depths, Seen};
 use super::super::error::Skipped;
 use super::super::options::{BuildOptions, InvalidPolicy, Precision};
 use super::super::record::RecordLayout;
@@ -66,8 +66,44 @@ struct StoredTotals {
     bounds: [u64; 6],
     radius_range: (u32, u32),
     weight_range: (u32, u32),
-    depths: [u32; 3],
+    depths: StoredDepths,
     attribute_ranges: Vec<(u64, u64)>,
+}
+
+/// What is known of colours; of each source that states no depth its number, type, largest value, whether it has fractions,
+/// and its number of points.
+#[derive(Clone, Debug, PartialEq, serde::Deserialize, serde::Serialize)]
+struct StoredDepths {
+    guessed: Vec<(u32, u8, u32, bool, u64)>,
+    intensities: Vec<(u16, u64)>,
+    plain: u64,
+    has_stated: bool,
+}
+
+impl StoredDepths {
+    fn of(depths: &Depths) -> Self {
+        let guessed = depths.guessed.iter().map(|(number, seen)| {
+            (*number, seen.family, seen.largest.to_bits(), seen.has_fractions, seen.points)
+        });
+        Self {
+            guessed: guessed.collect(),
+            intensities: depths.intensities.iter().map(|(bucket, points)| (*bucket, *points)).collect(),
+            plain: depths.plain,
+            has_stated: depths.has_stated,
+        }
+    }
+
+    fn restored(&self) -> Depths {
+        let guessed = self.guessed.iter().map(|&(number, family, largest, has_fractions, points)| {
+            (number, Seen { family, largest: f32::from_bits(largest), has_fractions, points })
+        });
+        Depths {
+            guessed: guessed.collect(),
+            intensities: self.intensities.iter().copied().collect(),
+            plain: self.plain,
+            has_stated: self.has_stated,
+        }
+    }
 }
 
 impl Summary {
@@ -186,7 +222,7 @@ impl StoredTotals {
             bounds: [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits),
             radius_range: bits(totals.radius_range),
             weight_range: bits(totals.weight_range),
-            depths: totals.depths.largest.map(f32::to_bits),
+            depths: StoredDepths::of(&totals.depths),
             attribute_ranges: (totals.attribute_ranges.iter())
                 .map(|(min, max)| (min.to_bits(), max.to_bits()))
                 .collect(),
@@ -206,7 +242,7 @@ impl StoredTotals {
             bounds: Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) },
             radius_range: floats(self.radius_range),
             weight_range: floats(self.weight_range),
-            depths: Depths { largest: self.depths.map(f32::from_bits) },
+            depths: self.depths.restored(),
             attribute_ranges: (self.attribute_ranges.iter())
                 .map(|&(min, max)| (f64::from_bits(min), f64::from_bits(max)))
                 .collect(),

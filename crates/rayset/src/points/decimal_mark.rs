@@ -1,4 +1,4 @@
-//! Parsing the numbers of text tables.
+//! Parsing the numbers of text, whose decimal mark may be a comma.
 
 /// The decimal mark. A file has a single one: that of the first number that has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +66,19 @@ impl DecimalMark {
         }
         if *self == mark { Ok(()) } else { Err(NotANumber::OtherMark) }
     }
+}
+
+/// Whether texts with a comma show that it is a decimal mark. In groups of thousands, there are three digits behind a comma, at
+/// most three before it, and the first is not 0.
+pub(super) fn are_decimals<'t>(mut texts: impl Iterator<Item = &'t str>) -> bool {
+    texts.any(|text| {
+        let Some((whole, fraction)) = text.split_once(',') else { return false };
+        let digits = whole.trim_start_matches(['+', '-']);
+        let is_number = [digits, fraction]
+            .iter()
+            .all(|part| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit()));
+        is_number && (fraction.len() != 3 || digits.len() > 3 || digits.starts_with('0'))
+    })
 }
 
 /// Whether a text marks a missing value.
