@@ -85,6 +85,11 @@ fn the_array_of_three_numbers_that_others_agree_with_is_the_points() {
         assert_eq!((points.len(), points.position[49]), (50, [147.0, 148.0, 149.0]), "{name}");
         assert!(schema.find("red").is_some() && schema.reading.contains(name), "{}", schema.reading);
     }
+    // The matrices of its cameras are no volume.
+    let folder = folder();
+    let path = folder.path().join("a.npz");
+    std::fs::write(&path, gaussians("means3d")).expect("a write");
+    assert!(!rayset::grid::read::VolumeSource::is_volume(&path).expect("it reads"));
 }
 
 #[test]

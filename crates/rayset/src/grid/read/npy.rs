@@ -30,7 +30,9 @@ fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
 pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
     if is_archive(head) {
         return match Array::all(path) {
-            Ok(arrays) => Ok(arrays.iter().any(|array| is_volume_array(&array.header))),
+            Ok(arrays) => {
+                Ok(!is_of_points(&arrays) && arrays.iter().any(|array| is_volume_array(&array.header)))
+            }
             Err(Fault::Io(source)) if is_of_reading(&source) => Err(io_error(path)(source)),
             // Whoever reads it will say what is wrong with it.
             Err(_) => Ok(false),
@@ -40,6 +42,17 @@ pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
     let text = head.get(start..start.saturating_add(length as usize));
     let header = text.and_then(|text| Header::parse(text, start).ok());
     Ok(header.is_some_and(|header| is_volume_array(&header)))
+}
+
+/// Whether an archive is of points: another array has as many rows as one of three numbers a row, and no volume has a usual
+/// name. Matrices of cameras stand beside such points.
+fn is_of_points(arrays: &[Array]) -> bool {
+    let rows = |array: &Array| array.header.shape.first().copied();
+    let agrees = |array: &Array| arrays.iter().filter(|other| rows(other) == rows(array)).count() > 1;
+    let is_usual = |array: &Array| USUAL_NAMES.contains(&array.member.name.as_str());
+    let has_volume = arrays.iter().any(|array| is_usual(array) && is_volume_array(&array.header));
+    let mut of_three = arrays.iter().filter(|array| matches!(*array.header.shape.as_slice(), [_, 3]));
+    !has_volume && of_three.any(agrees)
 }
 
 /// One slice is a picture.
