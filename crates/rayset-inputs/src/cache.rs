@@ -13,6 +13,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use rayset::storage::{self, address_of};
 
+use crate::choices::BuildChoices;
 use crate::host::{Host, TemporaryFolder};
 use crate::{text, values};
 
@@ -29,9 +30,8 @@ pub struct CacheArgs {
     /// Most bytes that the cache keeps; 20GiB by default
     #[arg(long, value_parser = values::size)]
     cache_limit: Option<u64>,
-    /// Names of the columns of text files and of arrays, as in x,y,z,-,intensity; - leaves one out
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, help_heading = "Columns of tables")]
-    columns: Option<Vec<String>>,
+    #[command(flatten)]
+    pub(super) choices: BuildChoices,
 }
 
 /// Bytes that the cache keeps if nothing else is said.
@@ -71,12 +71,12 @@ impl CacheArgs {
     /// The same, with names of the columns of text files and of arrays; `-` leaves one out.
     #[must_use]
     pub fn with_columns(self, columns: Option<Vec<String>>) -> Self {
-        Self { columns, ..self }
+        Self { choices: BuildChoices::of_columns(columns), ..self }
     }
 
-    /// Names of columns, if any were given.
-    pub(super) fn columns(&self) -> Option<&[String]> {
-        self.columns.as_deref()
+    /// The options that say how inputs are built, as one would type them.
+    pub fn build_words(&self) -> Vec<String> {
+        self.choices.words()
     }
 
     /// The place of what is built of `inputs` with `options`, a text that says what they are.
@@ -154,7 +154,7 @@ fn entries(folder: &Path) -> Vec<Entry> {
 }
 
 /// Raised when what is built of the same input changes within a version of the program: entries of before are not used.
-const GENERATION: u32 = 4;
+const GENERATION: u32 = 5;
 
 /// `site-0123456789abcdef.rset`: the name of the first input, and a hash of all that the entry depends on.
 fn entry_name(inputs: &[PathBuf], options: &str) -> Result<String> {

@@ -6,8 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use rayset::build::{self, BuildControl, BuildOptions, GridBuildOptions, Progress};
-use rayset::points::ReadOptions;
-use rayset::volumes::VolumeSource;
+use rayset::volumes::{RawLayout, VolumeSource};
 use rayset::{Cloud, Grid};
 
 use super::cache::{self, CacheArgs, Place};
@@ -16,7 +15,9 @@ use super::files;
 use super::kinds::{self, Built};
 use super::magnitude;
 use super::sources::{has_volume, open_points, remark_about};
+use crate::choices::BuildChoices;
 use crate::host::{Host, Reported};
+use crate::speed::with_speeds;
 use crate::text;
 
 /// What an input is.
@@ -54,9 +55,11 @@ pub struct Resources<'a> {
 pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
     if let [file] = files.as_slice() {
-        if cache.columns().is_some() && (kinds::is_scene(file)? || kinds::is_built(file)?) {
+        if let Some(option) = cache.choices.given()
+            && (kinds::is_scene(file)? || kinds::is_built(file)?)
+        {
             bail!(
-                "--columns names the columns of text and of arrays, and {} is a scene or has been built: build it with them",
+                "{option} says how an input is built, and {} is a scene or has been built: build it with {option}",
                 file.display()
             );
         }
@@ -88,9 +91,7 @@ fn built(path: &Path) -> Result<Input> {
 
 /// Builds files of points or voxels, unless that has been done before.
 fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
-    let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
-    let options = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
-    let place = cache.place(&files, &options, resources.host)?;
+    let place = cache.place(&files, &cache.choices.key(), resources.host)?;
     if let Place::Kept(path) = &place
         && path.exists()
     {
@@ -104,7 +105,7 @@ fn of_raw(files: Vec<PathBuf>, cache: &CacheArgs, resources: Resources<'_>) -> R
     }
     let started = Instant::now();
     resources.host.writes(place.path(), &files)?;
-    build(&files, &read, place.path(), resources)?;
+    build(&files, &cache.choices, place.path(), resources)?;
     let input = built(place.path())?;
     let seconds = started.elapsed().as_secs_f64();
     match &place {
@@ -127,18 +128,18 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn build(files: &[PathBuf], read: &ReadOptions, output: &Path, resources: Resources<'_>) -> Result<()> {
+fn build(files: &[PathBuf], choices: &BuildChoices, output: &Path, resources: Resources<'_>) -> Result<()> {
     let Resources { memory, host, .. } = resources;
-    if has_volume(files)? {
+    if choices.raw().is_some() || has_volume(files)? {
         let [file] = files else {
             bail!("these are {} files, volumes among them, {}", files.len(), what_to_do_with_volumes(files))
         };
-        return build_volume(file, output, resources);
+        return build_volume(file, choices.raw().as_ref(), output, resources);
     }
-    let options = BuildOptions::default().with_memory_bytes(memory);
+    let options = choices.applied(BuildOptions::default().with_memory_bytes(memory))?;
     let threads = resources.threads.unwrap_or(options.threads);
-    let sources = open_points(files, read, host)?;
-    let columns = columns::customary(&sources);
+    let sources = with_speeds(open_points(files, &choices.read_options(), host)?);
+    let columns = columns::wanted(choices.attributes(), &sources);
     if let Some(remark) = columns.remark() {
         resources.host.remark(&remark);
     }
@@ -177,17 +178,26 @@ fn what_to_do_with_volumes(files: &[PathBuf]) -> String {
 }
 
 /// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.
-fn build_volume(file: &Path, output: &Path, Resources { memory, host, .. }: Resources<'_>) -> Result<()> {
+fn build_volume(
+    file: &Path,
+    raw: Option<&RawLayout>,
+    output: &Path,
+    Resources { memory, host, .. }: Resources<'_>,
+) -> Result<()> {
+    let open = || match raw {
+        Some(layout) => VolumeSource::open_raw(file, layout),
+        None => VolumeSource::open(file),
+    };
     let options = GridBuildOptions::default().with_memory_bytes(memory);
     let build = |source| {
         build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
         anyhow::Ok(())
     };
-    let source = VolumeSource::open(file)?;
+    let source = open()?;
     remark_about(file, &source, host);
     build(source)?;
     let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(()) };
-    let mut source = VolumeSource::open(file)?;
+    let mut source = open()?;
     let sentence = format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
     host.remark(&format!("{}: {sentence}", file.display()));
     let factor = 10_f64.powi(exponent);
