@@ -53,8 +53,8 @@ pub(crate) struct BuildArgs {
     /// Factor on the weight, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     weight_scale: f64,
-    /// Columns to keep besides positions, radii, weights and colours, as in intensity,classification; `all`, or `none`. By
-    /// default all that together take at most 16 bytes a point
+    /// Columns to keep besides positions, radii, weights and colours, as in intensity,classification or
+    /// Velocities; `all`, or `none`. By default all that together take at most 16 bytes a point, vectors whole
     #[arg(long, value_delimiter = ',')]
     attributes: Option<Vec<String>>,
     /// Leave colours out
@@ -166,19 +166,10 @@ fn open(
     strict: bool,
 ) -> Result<(Points, BuildOptions)> {
     let points = rayset_inputs::open_points(inputs, &read_options(args), strict, &Program::quiet())?;
-    let sources = &points.sources;
-    let named = args.attributes.as_deref().unwrap_or_default();
-    let attributes = match (&args.attributes, named) {
-        (None, _) => {
-            let columns = rayset_inputs::customary_columns(sources);
-            columns.remark().into_iter().for_each(report::remark);
-            columns.kept
-        }
-        (Some(_), [one]) if one == "all" => rayset_inputs::all_columns(sources).kept,
-        (Some(_), [one]) if one == "none" => Vec::new(),
-        (Some(_), _) => named.to_vec(),
-    };
-    Ok((points, options.with_attributes(attributes)))
+    let points = Points { sources: rayset_inputs::with_speeds(points.sources), ..points };
+    let columns = rayset_inputs::wanted_columns(args.attributes.as_deref(), &points.sources);
+    columns.remark().into_iter().for_each(report::remark);
+    Ok((points, options.with_attributes(columns.kept)))
 }
 
 /// Does a step of a part.

@@ -11,9 +11,9 @@ use rayset::memory::{self, SceneNeeds};
 use rayset::scene::{CloudObject, RenderSettings, Scene};
 use rayset::{Cloud, Grid};
 
-use crate::annotate::of_reference_system;
+use crate::annotate::{of_header, of_reference_system};
 use crate::histogram::{Histogram, terminal_is_unicode};
-use rayset_inputs::{CacheArgs, Input};
+use rayset_inputs::{CacheArgs, Input, units};
 
 use crate::input::{self, Resources};
 use crate::memory::PROCESS_BYTES;
@@ -191,7 +191,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         color: h.has_color,
         attributes: h.attributes.iter().map(Attribute::of).collect(),
         crs: h.crs.clone(),
-        length_unit: of_reference_system(&h.crs).and_then(|space| space.unit),
+        length_unit: of_reference_system(&h.crs).map_or_else(|| of_header(h), |space| space.unit),
         histograms: told(histograms(cloud)).unwrap_or_default(),
         guess: told(look::of_cloud(cloud, &LookArgs::default(), &CameraArgs::default(), GUESSED))
             .map(|chosen| Guess::of(&chosen)),
@@ -301,7 +301,8 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
     ));
     report::say(format_args!("colours     {}", if info.color { "yes" } else { "no" }));
     for a in &info.attributes {
-        let unit = if a.unit.is_empty() { String::new() } else { format!(" {}", a.unit) };
+        let unit = units::readable(&a.name, &a.unit);
+        let unit = if unit.is_empty() { unit } else { format!(" {unit}") };
         let classes = if a.classes { ", classes" } else { "" };
         report::say(format_args!(
             "attribute   {}: {} to {}{unit} ({}{classes})",
@@ -315,6 +316,14 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
     if !info.crs.is_empty() {
         let unit = info.length_unit.map_or_else(String::new, |unit| format!(", lengths in {unit}"));
         report::say(format_args!("reference   {}{unit}", name_of(&info.crs)));
+    }
+    if let Some(unit) = info.length_unit.filter(|_| info.crs.is_empty()) {
+        report::say(format_args!("lengths     in {unit}"));
+    }
+    let readable: Vec<String> = info.attributes.iter().map(|a| units::readable(&a.name, &a.unit)).collect();
+    let used = readable.iter().map(String::as_str).chain(info.length_unit);
+    if let Some(words) = units::explained(used) {
+        report::say(format_args!("units       {words}"));
     }
     info.guess.iter().for_each(Guess::describe);
     for source in &info.sources {

@@ -87,7 +87,7 @@ fn main() -> ExitCode {
         // The user has asked for help or the version.
         Err(answer) if !answer.use_stderr() => return ended(report::answer(&answer)),
         Err(error) => {
-            report::misused(&error);
+            report::misused(error, &Cli::command());
             return ExitCode::from(2);
         }
     };

@@ -2,19 +2,23 @@
 
 use rayset::image::{DisplayTransform, ToneMapping};
 
-use crate::annotate::Overlay;
+use crate::annotate::{Mount, Overlay};
 
 /// What whoever merges needs besides pixels.
 pub(crate) struct Note {
     pub(crate) display_transform: DisplayTransform,
+    /// The sheet that the picture has its place on.
+    pub(crate) mount: Option<Mount>,
     pub(crate) overlay: Option<Overlay>,
 }
 
 impl Note {
-    /// As bytes: the exposure, the tone mapping, and the pixels that are laid over the picture, if any.
+    /// As bytes: the exposure, the tone mapping, the sheet, and the pixels that are laid over the picture, if any.
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut bytes = self.display_transform.exposure.to_le_bytes().to_vec();
         bytes.push(u8::from(self.display_transform.tone_mapping == ToneMapping::Filmic));
+        bytes.push(u8::from(self.mount.is_some()));
+        bytes.extend(self.mount.as_ref().map(Mount::encode).unwrap_or_default());
         bytes.push(u8::from(self.overlay.is_some()));
         bytes.extend(self.overlay.as_ref().map(Overlay::encode).unwrap_or_default());
         bytes
@@ -28,12 +32,17 @@ impl Note {
             1 => ToneMapping::Filmic,
             _ => return None,
         };
+        let mount = match bytes.split_off_first()? {
+            0 => None,
+            1 => Some(Mount::decode(&mut bytes)?),
+            _ => return None,
+        };
         let overlay = match (bytes.split_off_first()?, bytes) {
             (0, []) => None,
             (1, rest) => Some(Overlay::decode(rest)?),
             _ => return None,
         };
-        Some(Self { display_transform: DisplayTransform { exposure, tone_mapping }, overlay })
+        Some(Self { display_transform: DisplayTransform { exposure, tone_mapping }, mount, overlay })
     }
 }
 
@@ -44,7 +53,7 @@ mod tests {
     #[test]
     fn notes_come_back_and_anything_else_is_none() {
         let display_transform = DisplayTransform { exposure: -1.3, tone_mapping: ToneMapping::Filmic };
-        let note = Note { display_transform, overlay: None };
+        let note = Note { display_transform, mount: None, overlay: None };
         let back = Note::decode(&note.encode()).expect("a note");
         assert_eq!(back.display_transform, display_transform);
         assert!(back.overlay.is_none());
@@ -59,9 +68,12 @@ mod tests {
         bytes.extend([7; 8]);
         let again = Note::decode(&bytes).expect("a note").encode();
         assert_eq!(again, bytes);
-        for length in [0, 8, 9, bytes.len() - 1] {
+        for length in [0, 8, 9, 10, bytes.len() - 1] {
             assert!(Note::decode(&bytes[..length]).is_none(), "{length}");
         }
-        assert!(Note::decode(&[0, 0, 0, 0, 0, 0, 0, 0, 2, 0]).is_none());
+        let mount = Mount { origin: (0, 0), size: (9, 9), place: (1, 2), background: [0.5; 4] };
+        let mounted = Note { mount: Some(mount), ..Note::decode(&bytes).expect("a note") };
+        assert_eq!(Note::decode(&mounted.encode()).expect("a note").mount, Some(mount));
+        assert!(Note::decode(&[0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0]).is_none());
     }
 }

@@ -112,9 +112,23 @@ pub(crate) fn fail(error: &anyhow::Error) {
     remark(format_args!("error: {error:#}"));
 }
 
-/// Writes what is wrong with the command line, in several lines.
-pub(crate) fn misused(error: &clap::Error) {
+/// Writes what is wrong with the command line, in several lines. Options that help does not show are not suggested.
+pub(crate) fn misused(mut error: clap::Error, program: &clap::Command) {
+    use clap::error::{ContextKind, ContextValue};
+    if let Some(ContextValue::String(option)) = error.get(ContextKind::SuggestedArg)
+        && !is_shown(option.trim_start_matches('-'), program)
+    {
+        error.remove(ContextKind::SuggestedArg);
+        error.remove(ContextKind::SuggestedSubcommand);
+    }
     error.render().to_string().lines().for_each(remark);
+}
+
+/// Whether a program or one of its commands has an option of this name that its help shows.
+fn is_shown(option: &str, program: &clap::Command) -> bool {
+    let name = option.split(['=', ' ']).next().unwrap_or(option);
+    let here = program.get_arguments().any(|arg| arg.get_long() == Some(name) && !arg.is_hide_set());
+    here || name == "help" || name == "version" || program.get_subcommands().any(|c| is_shown(option, c))
 }
 
 /// Leaves out the secrets of addresses, and replaces characters that a terminal would obey, as `shown` says.

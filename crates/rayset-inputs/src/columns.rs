@@ -5,6 +5,7 @@ use std::path::Path;
 use rayset::points::{ColumnInfo, PointSource};
 
 use crate::host::Host;
+use crate::speed::{SPEED, is_velocity};
 
 /// Most bytes that attributes add to a point if nobody asked for them.
 const MOST_BYTES: usize = 16;
@@ -28,7 +29,7 @@ impl Columns {
         let left_out = &self.left_out;
         (!left_out.is_empty()).then(|| {
             format!(
-                "left out {}: attributes take up to {MOST_BYTES} bytes a point unless `build --attributes` names them",
+                "left out {}: attributes take up to {MOST_BYTES} bytes a point unless --attributes names them",
                 left_out.join(", ")
             )
         })
@@ -87,15 +88,73 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
         FIRST.iter().position(|first| first.eq_ignore_ascii_case(&column.name)).unwrap_or(FIRST.len())
     };
     found.sort_by_key(|column| place(column));
-    let mut bytes = 0;
-    for column in found {
-        let fits = bytes + column.kind.bytes() <= most_bytes && columns.kept.len() < MOST;
-        if fits && !columns.kept.contains(&column.name) {
-            bytes += column.kind.bytes();
-            columns.kept.push(column.name.clone());
-        } else if !fits {
-            columns.left_out.push(column.name.clone());
+    let has_velocity = found.iter().any(|column| column.name.strip_suffix("_x").is_some_and(is_velocity));
+    let (mut done, mut bytes): (Vec<&str>, usize) = (Vec::new(), 0);
+    for column in &found {
+        if done.contains(&column.name.as_str()) || column.name == SPEED && has_velocity {
+            continue;
         }
+        // Components of a vector are kept together, or not at all: one of them says nothing. A speed comes with its velocity.
+        let whole = vector_of(column, &found);
+        let stored = whole.iter().filter(|c| !(has_velocity && c.name == SPEED));
+        let own: usize = stored.map(|c| c.kind.bytes()).sum();
+        let fits = bytes + own <= most_bytes && columns.kept.len() + whole.len() <= MOST;
+        bytes += if fits { own } else { 0 };
+        let into = if fits { &mut columns.kept } else { &mut columns.left_out };
+        into.extend(whole.iter().map(|c| c.name.clone()));
+        done.extend(whole.iter().map(|c| c.name.as_str()));
     }
     columns
+}
+
+/// The columns that make a vector with one of them, in their order: `v_x`, `v_y` and `v_z`, or `v_0`, `v_1` and so on, and the
+/// speed of a velocity; a column by itself is all of its vector.
+fn vector_of<'c>(column: &'c ColumnInfo, all: &[&'c ColumnInfo]) -> Vec<&'c ColumnInfo> {
+    let stem = |name: &str| {
+        let (stem, end) = name.rsplit_once('_')?;
+        let is_component = matches!(end, "x" | "y" | "z") || end.parse::<u16>().is_ok();
+        is_component.then(|| stem.to_owned())
+    };
+    let Some(of) = stem(&column.name) else { return vec![column] };
+    let mut whole: Vec<&ColumnInfo> =
+        all.iter().copied().filter(|other| stem(&other.name).as_ref() == Some(&of)).collect();
+    if is_velocity(&of) {
+        whole.extend(all.iter().copied().filter(|other| other.name == SPEED));
+    }
+    whole
+}
+
+/// The columns that names stand for: a vector's name stands for all of its components.
+fn named<S: PointSource + ?Sized>(names: &[String], sources: &[Box<S>]) -> Vec<String> {
+    let Some(first) = sources.first() else { return names.to_vec() };
+    let schema = first.schema();
+    let mut found = Vec::new();
+    for name in names {
+        let components: Vec<&str> = match schema.find(name) {
+            Some(_) => Vec::new(),
+            None => schema.names().filter(|column| is_component_of(column, name)).collect(),
+        };
+        if components.is_empty() {
+            found.push(name.clone());
+        } else {
+            found.extend(components.into_iter().map(str::to_owned));
+        }
+    }
+    found
+}
+
+fn is_component_of(column: &str, vector: &str) -> bool {
+    let Some((stem, end)) = column.rsplit_once('_') else { return false };
+    stem == vector && (matches!(end, "x" | "y" | "z") || end.parse::<u16>().is_ok())
+}
+
+/// The columns that are asked for: `all`, `none` or names; by default the customary ones.
+pub fn wanted<S: PointSource + ?Sized>(asked: Option<&[String]>, sources: &[Box<S>]) -> Columns {
+    let of = |kept: Vec<String>| Columns { kept, left_out: Vec::new() };
+    match asked {
+        None => customary(sources),
+        Some([one]) if one == "all" => of(of_all(sources).kept),
+        Some([one]) if one == "none" => of(Vec::new()),
+        Some(names) => of(named(names, sources)),
+    }
 }

@@ -5,6 +5,7 @@
 //! [`look`] makes a scene of a cloud or a grid by what is in it.
 
 mod cache;
+mod choices;
 mod columns;
 mod files;
 mod host;
@@ -14,16 +15,22 @@ pub mod look;
 mod magnitude;
 mod open;
 mod sources;
+mod speed;
 mod temporary;
 pub mod text;
+pub mod units;
 pub mod values;
 
 pub use self::cache::{CacheArgs, fingerprint};
-pub use self::columns::{Columns, customary as customary_columns, of_all as all_columns};
+pub use self::choices::BuildChoices;
+pub use self::columns::{
+    Columns, customary as customary_columns, of_all as all_columns, wanted as wanted_columns,
+};
 pub use self::files::{Files, expand};
 pub use self::host::{Host, TemporaryFolder, stage_name};
 pub use self::kinds::{Built, is_built, is_scene, open_built};
 pub use self::left_out::LeftOut;
 pub use self::open::{Input, Opened, Resources, open};
 pub use self::sources::{Points, has_volume, open_points, remark_about};
+pub use self::speed::with_speeds;
 pub use self::temporary::OwnFolder;

@@ -10,7 +10,7 @@ use rayset::build::{
     self, BuildControl, BuildError, BuildOptions, GridBuildError, GridBuildOptions, Progress,
 };
 use rayset::output::OutputError;
-use rayset::points::{ReadError, ReadOptions};
+use rayset::points::ReadError;
 use rayset::storage;
 use rayset::volumes::VolumeSource;
 use rayset::{Cloud, Grid};
@@ -22,6 +22,7 @@ use super::kinds::{self, Built};
 use super::magnitude;
 use super::sources::{Points, has_volume, open_points, remark_about};
 use crate::host::{Host, Remembering, Reported};
+use crate::speed::with_speeds;
 use crate::text;
 
 /// What an input is.
@@ -59,17 +60,11 @@ pub struct Resources<'a> {
 pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
     if let [file] = files.paths.as_slice() {
-        if cache.columns().is_some() && (kinds::is_scene(file)? || kinds::is_built(file)?) {
-            bail!(
-                "--columns names the columns of text and of arrays, and {} is a scene or has been built: build it with them",
-                file.display()
-            );
-        }
-        if let Some(index) = cache.volume_index()
+        if let Some(option) = cache.choices.given()
             && (kinds::is_scene(file)? || kinds::is_built(file)?)
         {
             bail!(
-                "--volume-index {index} chooses of a series of volumes, and {} is a scene or has been built",
+                "{option} says how an input is built, and {} is a scene or has been built: build it with {option}",
                 file.display()
             );
         }
@@ -101,10 +96,8 @@ fn built(path: &Path) -> Result<Input> {
 
 /// Builds files of points or voxels, unless that has been done before.
 fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
-    let read = ReadOptions::default().with_text_columns(cache.columns().map(<[String]>::to_vec));
-    let columns = cache.columns().map_or_else(|| "default".to_owned(), |names| format!("columns {names:?}"));
-    let volume = cache.volume_index().map_or_else(String::new, |index| format!(" volume {index}"));
-    let name = Name::of(inputs, &files.paths, &format!("{columns}{volume} strict {}", cache.strict()))?;
+    let options = format!("{} strict {}", cache.choices.key(), cache.strict());
+    let name = Name::of(inputs, &files.paths, &options)?;
     // A pipe has other bytes the next time.
     let is_pipe = |file: &PathBuf| matches!(storage::look(file), Ok(storage::Named::Other));
     let nothing = CacheArgs::none();
@@ -114,7 +107,7 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resou
     }
     let started = Instant::now();
     let mut place = keeping.place(&name, resources.host)?;
-    let mut work = Work { files, read: &read, cache, resources, said: Remembering::of(resources.host) };
+    let mut work = Work { files, cache, resources, said: Remembering::of(resources.host) };
     let pulled_in = match (work.build(place.path()), &place) {
         (Err(error), Place::Kept(_)) if no_room(&error) => {
             resources.host.remark(&format!("nothing is kept: {error:#}; --cache names another folder"));
@@ -220,7 +213,6 @@ impl PulledIn {
 /// A build of files of points, or of a volume.
 struct Work<'a> {
     files: &'a Files,
-    read: &'a ReadOptions,
     cache: &'a CacheArgs,
     resources: Resources<'a>,
     said: Remembering<'a>,
@@ -230,8 +222,9 @@ impl Work<'_> {
     /// Builds the file at `output`. Returns what the inputs pull in.
     fn build(&mut self, output: &Path) -> Result<PulledIn> {
         self.said.forget();
-        if !has_volume(&self.files.paths)? {
-            if let Some(index) = self.cache.volume_index() {
+        let choices = &self.cache.choices;
+        if choices.raw().is_none() && !has_volume(&self.files.paths)? {
+            if let Some(index) = choices.volume_index {
                 bail!("--volume-index {index} is for volumes, and these are points");
             }
             return self.cloud(output);
@@ -245,13 +238,15 @@ impl Work<'_> {
 
     fn cloud(&self, output: &Path) -> Result<PulledIn> {
         let Resources { memory, host, .. } = self.resources;
-        let options = BuildOptions::default().with_memory_bytes(memory);
+        let choices = &self.cache.choices;
+        let options = choices.applied(BuildOptions::default().with_memory_bytes(memory))?;
         let threads = self.resources.threads.unwrap_or(options.threads);
-        let points = open_points(self.files, self.read, self.cache.strict(), &self.said)?;
+        let points = open_points(self.files, &choices.read_options(), self.cache.strict(), &self.said)?;
         let pulled_in = PulledIn::of(points.files(), self.files)?;
         host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
         let Points { sources, left_out } = points;
-        let columns = columns::customary(&sources);
+        let sources = with_speeds(sources);
+        let columns = columns::wanted(choices.attributes(), &sources);
         if let Some(remark) = columns.remark() {
             self.said.remark(&remark);
         }
@@ -287,13 +282,18 @@ impl Work<'_> {
             build::grid_to_file(source, output, &options, &control(&Reported { host, unit: "slices" }))?;
             anyhow::Ok(())
         };
-        let source = VolumeSource::open_of_series(file, self.cache.volume_index())?;
+        let choices = &self.cache.choices;
+        let open = || match choices.raw() {
+            Some(layout) => VolumeSource::open_raw(file, &layout),
+            None => VolumeSource::open_of_series(file, choices.volume_index),
+        };
+        let source = open()?;
         let pulled_in = PulledIn::of(source.paths().into_iter().map(Path::to_owned), self.files)?;
         host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
         remark_about(file, &source, &self.said);
         build(source)?;
         let Some(exponent) = magnitude::exponent(&Grid::open(output)?)? else { return Ok(pulled_in) };
-        let mut source = VolumeSource::open_of_series(file, self.cache.volume_index())?;
+        let mut source = open()?;
         let sentence =
             format!("values are multiplied by 1e{exponent}, because scenes hold numbers up to 1e18");
         self.said.remark(&format!("{}: {sentence}", file.display()));

@@ -2,9 +2,10 @@
 
 use rayset::Cloud;
 use rayset::scene::{Channel, ColorMap, ColorRule, MapInput, Palette, Scene, Shape, Transfer};
+use rayset_inputs::units;
 
 use super::canvas::{Color, Piece, Shape as Drawn, rectangle};
-use super::classes;
+use super::classes::{self, Class, View};
 use super::layout::Layout;
 use super::space::Space;
 use super::ticks::{self, Tick};
@@ -15,7 +16,7 @@ pub(super) struct Shown {
     /// `height (m)`
     title: String,
     /// The classes that occur, with their names, if it shows classes.
-    classes: Option<Vec<(f64, String)>>,
+    classes: Option<Vec<Class>>,
 }
 
 impl Shown {
@@ -49,11 +50,13 @@ impl Shown {
 
     fn of_cloud(cloud: &Cloud, map: &ColorMap, input: MapInput, space: Space) -> Self {
         let header = cloud.header();
-        let MapInput::Attribute(number) = input else { return Self::named(map, "density", "") };
+        let MapInput::Attribute(number) = input else {
+            return Self::named(map, "density", &unit_of_density(cloud));
+        };
         match header.attributes.get(number) {
             Some(attribute) => Self {
                 classes: attribute.is_class.then(|| classes::in_use(cloud, &attribute.name)),
-                ..Self::named(map, &attribute.name, &attribute.unit)
+                ..Self::named(map, &attribute.name, &units::readable(&attribute.name, &attribute.unit))
             },
             None => {
                 let axis = ["x", "y", "z"].get(number - header.attributes.len()).unwrap_or(&"");
@@ -67,21 +70,30 @@ impl Shown {
         Self { map: map.clone(), title, classes: None }
     }
 
-    /// The bar, or the list of classes, at the right of a picture.
-    pub(super) fn piece(&self, layout: &Layout) -> Piece {
-        match &self.classes {
-            Some(classes) => self.list(classes, layout),
-            None => Bar::new(&self.map, &self.title, layout).piece(layout),
+    /// The bar, or the list of the classes that `view` sees, at the right of a picture; without a view, of all classes.
+    pub(super) fn piece(&self, layout: &Layout, view: Option<&View<'_>>) -> Piece {
+        match (&self.classes, view) {
+            (Some(classes), Some(view)) => self.list(&classes::seen(classes, view), layout),
+            (Some(classes), None) => self.list(&classes.iter().collect::<Vec<_>>(), layout),
+            (None, _) => Bar::new(&self.map, &self.title, layout).piece(layout),
         }
     }
 
-    fn list(&self, classes: &[(f64, String)], layout: &Layout) -> Piece {
+    /// Bytes that the classes' places take.
+    pub(super) fn bytes(&self) -> u64 {
+        self.classes.iter().flatten().map(Class::bytes).sum()
+    }
+
+    fn list(&self, classes: &[&Class], layout: &Layout) -> Piece {
         let (em, margin) = (layout.em, layout.margin);
         let row = 1.45 * em;
-        let most = ((0.7 * layout.height() / row) as usize).max(1);
-        let room = 0.4 * layout.width();
+        let (upper, lower) = layout.at_the_right();
+        let most = (((0.7 * layout.height()).min(lower - upper - row) / row) as usize).max(1);
+        let room = layout.room_at_the_right(0.4);
         let mut rows: Vec<(Option<Color>, String)> = (classes.iter().take(most))
-            .map(|(class, name)| (Some(color_at(&self.map, *class)), layout.font.shortened(name, em, room)))
+            .map(|Class { value, name, .. }| {
+                (Some(color_at(&self.map, *value)), layout.font.shortened(name, em, room - 1.6 * em))
+            })
             .collect();
         if classes.len() > most {
             rows.push((None, format!("and {} more", classes.len() - most)));
@@ -91,7 +103,7 @@ impl Shown {
         let widest = (widest + 1.6 * em).max(layout.font.width(&title, em));
         let left = (layout.width() - margin - widest).max(margin).round();
         let height = row * (rows.len() + 1) as f32;
-        let top = (0.5 * (layout.height() - height)).max(margin).round();
+        let top = (0.5 * (upper + lower - height)).max(upper.max(margin)).round();
         let mut piece = layout.panel((left, top), (left + widest, top + height));
         let mut text = Vec::new();
         layout.font.write(&title, em, (left, top + em), &mut text);
@@ -108,6 +120,21 @@ impl Shown {
         layout.write(&mut piece, text);
         piece
     }
+}
+
+/// The unit of the density of a snapshot whose weights are made of masses: that which the file states of densities, else a mass in a
+/// cube; empty of anything else.
+fn unit_of_density(cloud: &Cloud) -> String {
+    let header = cloud.header();
+    if !header.sources.iter().any(|source| source.contains("weight = mass")) {
+        return String::new();
+    }
+    let unit = |name: &str| {
+        let found = header.attributes.iter().find(|a| a.name == name && !a.unit.is_empty())?;
+        Some(units::readable(&found.name, &found.unit))
+    };
+    let per_volume = || Some(format!("{} / ({})³", unit("mass")?, units::of_positions(&header.sources)?));
+    unit("Density").or_else(per_volume).unwrap_or_default()
 }
 
 fn channel_name(channel: &Channel) -> &str {
@@ -165,7 +192,8 @@ impl<'m> Bar<'m> {
         let em = layout.em;
         let (least, most) = (map.range.0.min(map.range.1), map.range.0.max(map.range.1));
         let logarithmic = is_logarithmic(map);
-        let height = (0.46 * layout.height()).max(em).round();
+        let (upper, lower) = layout.at_the_right();
+        let height = (0.46 * layout.height()).min(lower - upper - 3.0 * em).max(em).round();
         // Labels have room for themselves and as much again.
         let wanted = f64::from((height / (2.8 * em)).clamp(1.0, 7.0));
         let found = if logarithmic {
@@ -177,14 +205,14 @@ impl<'m> Bar<'m> {
             0 => title.to_owned(),
             power => format!("{title} ×{}", ticks::power_of_ten(power)),
         };
-        let title = layout.font.shortened(&title, em, 0.6 * layout.width());
+        let title = layout.font.shortened(&title, em, layout.room_at_the_right(0.6));
         let label = |tick: &Tick| layout.font.width(&tick.label, em);
         let labels = found.ticks.iter().map(label).fold(0.0, f32::max);
         let right = layout.width() - layout.margin;
         let width = (1.1 * em).round().max(3.0);
         let left = (right - labels - 0.7 * em - width).round();
         let title_left = left.min(right - layout.font.width(&title, em)).max(layout.margin);
-        let top = (0.5 * (layout.height() - height) + 0.6 * em).round();
+        let top = (0.5 * (upper + lower - height) + 0.6 * em).round();
         let ticks = found.ticks;
         Self { map, title, logarithmic, least, most, ticks, left, top, width, height, title_left, right }
     }

@@ -3,12 +3,8 @@
 use zeno::Command;
 
 use super::canvas::{Color, Piece, Shape, rectangle};
+use super::sheet::{AXES_EMS, COLUMN_EMS, Sheet, em_of};
 use super::text::Font;
-
-/// Heights of a picture in an em.
-const EMS: f32 = 44.0;
-/// An em in pixels: smaller is not readable, larger takes memory to no avail.
-const EM_RANGE: (f32, f32) = (9.0, 128.0);
 
 const DARK: Color = [18, 21, 26];
 const LIGHT: Color = [248, 249, 250];
@@ -25,16 +21,48 @@ pub(super) struct Layout {
     pub(super) ink: Color,
     halo: Color,
     size: (u32, u32),
+    /// Where the picture lies, if it has a place of its own.
+    sheet: Option<Sheet>,
 }
 
 impl Layout {
     /// For a picture of this size, before a background of this brightness as displayed; `None` if it is transparent.
     pub(super) fn new(font: Font, size: (u32, u32), background: Option<f32>) -> Self {
-        let em = (size.1.min(2 * size.0) as f32 / EMS).clamp(EM_RANGE.0, EM_RANGE.1);
+        let em = em_of(size);
         // What is transparent is mostly laid on paper.
         let (ink, halo) = if background.is_some_and(|v| v < 0.5) { (LIGHT, DARK) } else { (DARK, LIGHT) };
         let line = (em / 14.0).round().max(1.0);
-        Self { font, em, margin: (1.2 * em).round(), line, ink, halo, size }
+        Self { font, em, margin: (1.2 * em).round(), line, ink, halo, size, sheet: None }
+    }
+
+    /// The same beside a picture that has its place on a sheet.
+    pub(super) fn beside(self, sheet: Option<Sheet>) -> Self {
+        Self { sheet, ..self }
+    }
+
+    /// Whether what is drawn lies beside the picture.
+    pub(super) fn is_beside(&self) -> bool {
+        self.sheet.is_some()
+    }
+
+    /// Right end of what belongs below the picture.
+    pub(super) fn right_below(&self) -> f32 {
+        self.sheet.map_or(self.width() - self.margin, |sheet| (sheet.corner.0 + sheet.picture.0) as f32)
+    }
+
+    /// Upper and lower end of what stands at the right: between the caption and the axes, if these are there.
+    pub(super) fn at_the_right(&self) -> (f32, f32) {
+        self.sheet.map_or((0.0, self.height()), |sheet| {
+            (sheet.corner.1 as f32, self.height() - self.margin - AXES_EMS * self.em)
+        })
+    }
+
+    /// The most that what stands at the right is wide: `part` of the picture, or the room beside it.
+    pub(super) fn room_at_the_right(&self, part: f32) -> f32 {
+        match self.sheet {
+            Some(_) => (COLUMN_EMS - 1.0) * self.em - self.margin,
+            None => part * self.width(),
+        }
     }
 
     pub(super) fn width(&self) -> f32 {

@@ -1,6 +1,6 @@
-//! `--annotate`: a colour bar, a scale bar, the axes and a caption over a picture.
+//! `--annotate`: a colour bar, a scale bar, the axes and a caption beside a picture, or over it.
 //!
-//! All that is drawn is laid out in pixels of the whole picture, becomes pixels of its own once, and is laid over the
+//! All that is drawn is laid out in pixels of the whole sheet that is written, becomes pixels of its own once, and is laid over the
 //! encoded rows as they come: bands, crops and budgets change nothing, and no picture is read again.
 
 mod canvas;
@@ -8,6 +8,7 @@ mod classes;
 mod color_bar;
 mod layout;
 mod scale_bar;
+mod sheet;
 mod space;
 mod text;
 mod ticks;
@@ -21,22 +22,55 @@ use rayset::memory::SceneNeeds;
 use rayset::scene::{Camera, Scene};
 
 use self::canvas::{Piece, Raster};
+use self::classes::View;
 use self::color_bar::Shown;
 use self::layout::Layout;
 use self::scale_bar::Scale;
-pub(crate) use self::space::{Space, of_reference_system};
+pub(crate) use self::sheet::{Mount, Sheet};
+pub(crate) use self::space::{Space, of_header, of_reference_system};
 use self::text::Font;
 use crate::report;
 
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Annotations (of PNG)")]
 pub(crate) struct AnnotateArgs {
-    /// Draw the colour map with its values, a scale, the axes and a caption over the picture
+    /// Draw the colour map with its values, a scale, the axes and a caption beside the picture, which leaves them a margin
     #[arg(long)]
     pub(crate) annotate: bool,
+    /// Draw them over the picture instead
+    #[arg(long)]
+    pub(crate) annotate_over: bool,
     /// The caption; by default the name of the input, its size and its look. A line break is written \n
-    #[arg(long, requires = "annotate")]
+    #[arg(long)]
     pub(crate) caption: Option<String>,
+}
+
+impl AnnotateArgs {
+    /// Whether anything is drawn.
+    pub(crate) fn is_wanted(&self) -> bool {
+        self.annotate || self.annotate_over
+    }
+
+    /// The lines of the caption, if there is one.
+    fn lines(&self) -> Option<Vec<String>> {
+        self.caption.as_ref().map(|text| text.split("\\n").map(str::to_owned).collect())
+    }
+
+    /// The sheet of `size` on which a picture leaves room for its annotations; `None` if nothing is drawn, or over the
+    /// picture.
+    pub(crate) fn sheet(&self, size: (u32, u32)) -> Option<Sheet> {
+        if self.annotate_over || !self.annotate {
+            return None;
+        }
+        let sheet = Sheet::new(size, self.lines().map_or(2, |lines| lines.len()));
+        if sheet.is_none() {
+            report::remark(format_args!(
+                "--annotate: {}x{} pixels are too few for a margin; annotations lie over the picture",
+                size.0, size.1
+            ));
+        }
+        sheet
+    }
 }
 
 /// What the program needs for drawing besides pixels: outlines, and pages of the typeface and of code that are read in.
@@ -49,15 +83,19 @@ pub(crate) struct Annotations {
     shown: Option<Shown>,
     caption: Vec<String>,
     center: DVec3,
+    /// Of the picture itself.
     size: (u32, u32),
+    /// A row of the sheet, if the picture has a place on it.
+    row_bytes: u64,
 }
 
 impl Annotations {
-    /// For pictures of `size` of a scene. `name` is that of the input, `look` the one that was chosen for it.
+    /// For pictures of `size` of a scene, or with a place on `sheet`. `name` is that of the input, `look` the one that was chosen for it.
     pub(crate) fn new(
         args: &AnnotateArgs,
         scene: &Scene,
         size: (u32, u32),
+        sheet: Option<Sheet>,
         display: DisplayTransform,
         name: &str,
         look: Option<&str>,
@@ -77,31 +115,33 @@ impl Annotations {
             ));
         }
         maps.truncate(1);
-        let caption = match &args.caption {
-            Some(text) => text.split("\\n").map(str::to_owned).collect(),
-            None => vec![name.to_owned(), contents(scene, look)],
-        };
+        let caption = args.lines().unwrap_or_else(|| vec![name.to_owned(), contents(scene, look)]);
         let bounds = scene.root.bounds();
         let center = if bounds.is_empty() { DVec3::ZERO } else { bounds.center() };
-        let layout = Layout::new(font, size, brightness);
-        Ok(Self { layout, space, shown: maps.pop(), caption, center, size })
+        let whole = sheet.map_or(size, |sheet| sheet.size);
+        let layout = Layout::new(font, whole, brightness).beside(sheet);
+        let row_bytes = sheet.map_or(0, |sheet| 20 * u64::from(sheet.size.0));
+        Ok(Self { layout, space, shown: maps.pop(), caption, center, size, row_bytes })
     }
 
     /// An upper bound of the memory that drawing takes, and keeps until the picture is written.
     pub(crate) fn bytes(&self, camera: &Camera) -> u64 {
-        DRAWING_BYTES + self.pieces(camera).iter().map(Piece::bytes).sum::<u64>()
+        let pieces = self.pieces(camera, None).iter().map(Piece::bytes).sum::<u64>();
+        DRAWING_BYTES + self.row_bytes + pieces + self.shown.as_ref().map_or(0, Shown::bytes)
     }
 
     /// What is drawn over the picture that a camera sees.
     pub(crate) fn overlay(&self, camera: &Camera) -> Overlay {
-        Overlay { rasters: self.pieces(camera).iter().map(Piece::drawn).collect() }
+        let view = View { camera, size: self.size };
+        Overlay { rasters: self.pieces(camera, Some(&view)).iter().map(Piece::drawn).collect() }
     }
 
-    fn pieces(&self, camera: &Camera) -> Vec<Piece> {
+    /// All pieces; of classes those that `view` sees, or all.
+    fn pieces(&self, camera: &Camera, view: Option<&View<'_>>) -> Vec<Piece> {
         let layout = &self.layout;
         let scale = Scale::new(camera, self.center, self.size);
         let mut pieces = vec![self.heading()];
-        pieces.extend(self.shown.as_ref().map(|shown| shown.piece(layout)));
+        pieces.extend(self.shown.as_ref().map(|shown| shown.piece(layout, view)));
         pieces.push(triad::piece(camera, self.space, layout));
         pieces.push(Scale::piece(scale.as_ref(), self.space, layout));
         pieces

@@ -39,6 +39,18 @@ impl Scale {
 
     /// `50 m`
     fn label(&self, unit: Option<&str>) -> String {
+        // Of simulations: the next larger or smaller unit of the same kind.
+        if let Some(unit) = unit.filter(|unit| unit.contains("pc")) {
+            let (length, unit) = match self.length {
+                large if large >= 1000.0 && unit.contains("kpc") => {
+                    (large / 1000.0, unit.replace("kpc", "Mpc"))
+                }
+                small if small < 1.0 && unit.contains("kpc") => (small * 1000.0, unit.replace("kpc", "pc")),
+                small if small < 1.0 && unit.contains("Mpc") => (small * 1000.0, unit.replace("Mpc", "kpc")),
+                same => (same, unit.to_owned()),
+            };
+            return text(length, &unit);
+        }
         let (length, unit) = match unit {
             Some("m") if self.length >= 1000.0 => (self.length / 1000.0, "km"),
             Some("m") if self.length < 0.01 => (self.length * 1000.0, "mm"),
@@ -47,18 +59,13 @@ impl Scale {
             None if self.length == 1.0 => (self.length, "unit"),
             None => (self.length, "units"),
         };
-        if (1e-4..1e7).contains(&length) {
-            let decimals = (-(length.log10() + 1e-9).floor()).max(0.0) as usize;
-            format!("{} {unit}", plain(length, decimals))
-        } else {
-            format!("{length:e} {unit}")
-        }
+        text(length, unit)
     }
 
     /// The bar, at the right below. Its box is the same for every length.
     pub(super) fn piece(scale: Option<&Self>, space: Space, layout: &Layout) -> Piece {
         let em = layout.em;
-        let (right, bottom) = (layout.width() - layout.margin, layout.height() - layout.margin);
+        let (right, bottom) = (layout.right_below(), layout.height() - layout.margin);
         let widest = (MOST * layout.width()).max(12.0 * em);
         let mut piece = layout.piece((right - widest, bottom - 2.2 * em), (right, bottom));
         let Some(scale) = scale else { return piece };
@@ -78,6 +85,16 @@ impl Scale {
         layout.font.write(&label, em, (start, top - 0.3 * em), &mut text);
         layout.write(&mut piece, text);
         piece
+    }
+}
+
+/// `50 m`
+fn text(length: f64, unit: &str) -> String {
+    if (1e-4..1e7).contains(&length) {
+        let decimals = (-(length.log10() + 1e-9).floor()).max(0.0) as usize;
+        format!("{} {unit}", plain(length, decimals))
+    } else {
+        format!("{length:e} {unit}")
     }
 }
 
@@ -137,6 +154,9 @@ mod tests {
         assert_eq!(label(0.2, Some("m")), "20 cm");
         assert_eq!(label(0.005, Some("m")), "5 mm");
         assert_eq!(label(50.0, Some("mm")), "50 mm");
+        assert_eq!(label(10_000.0, Some("ckpc/h")), "10 cMpc/h");
+        assert_eq!(label(200.0, Some("kpc")), "200 kpc");
+        assert_eq!(label(0.05, Some("Mpc")), "50 kpc");
         assert_eq!(label(0.05, None), "0.05 units");
         assert_eq!(label(1.0, None), "1 unit");
         assert_eq!(label(2e-9, None), "2e-9 units");

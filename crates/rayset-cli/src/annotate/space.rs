@@ -1,7 +1,9 @@
 //! What a scene's lengths mean: the unit, and where north is.
 
+use rayset::file::Header;
 use rayset::geometry::DAffine3;
 use rayset::scene::{Scene, Shape};
+use rayset_inputs::units;
 
 /// The space of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,12 +25,10 @@ impl Space {
             match &node.shape {
                 Shape::Cloud(object) => {
                     let header = object.cloud.header();
-                    let metres = header.sources.iter().any(|source| source.contains("E57"));
-                    found.push(of_reference_system(&header.crs).unwrap_or(Self {
-                        // The standard of E57 says so.
-                        unit: metres.then_some("m"),
-                        ..Self::UNKNOWN
-                    }));
+                    found.push(
+                        of_reference_system(&header.crs)
+                            .unwrap_or(Self { unit: of_header(header), ..Self::UNKNOWN }),
+                    );
                 }
                 Shape::Grid(object) => {
                     // Spaces of anatomy are in millimetres.
@@ -44,6 +44,23 @@ impl Space {
         }
     }
 }
+
+/// The unit of lengths of a cloud without a known reference system, by what its sources say and where it lies.
+pub(crate) fn of_header(header: &Header) -> Option<&'static str> {
+    /// Distances from the middle of the Earth of what lies on it, in metres.
+    const EARTH: std::ops::Range<f64> = 6.33e6..6.40e6;
+    // The standard of E57 says so.
+    let is_e57 = header.sources.iter().any(|source| source.contains("E57"));
+    if is_e57 || header.points > 0 && EARTH.contains(&header.bounds.center().length()) {
+        return Some("m");
+    }
+    let said = units::of_positions(&header.sources)?;
+    LENGTHS.into_iter().find(|known| *known == said)
+}
+
+/// Lengths of simulations: comoving ones, and those over the Hubble parameter.
+const LENGTHS: [&str; 13] =
+    ["pc", "kpc", "Mpc", "cpc", "ckpc", "cMpc", "pc/h", "kpc/h", "Mpc/h", "cpc/h", "ckpc/h", "cMpc/h", "AU"];
 
 /// What the text of a coordinate reference system says; `None` if it is none that is known.
 pub(crate) fn of_reference_system(text: &str) -> Option<Space> {
@@ -88,8 +105,11 @@ fn of_code(code: u32) -> Option<Space> {
         | 31254..=31259 | 31284..=31287 | 31370 | 3812 | 28991 | 28992 | 27700 | 2056 | 21781 | 2154 // national
         | 3942..=3950 | 5513..=5514 | 2176..=2180 | 3067 | 3006 | 31466..=31469 | 4647 | 5554..=5556
         | 3857);
+    // Around a pole every direction is one to the south, or to the north.
+    let polar = matches!(code, 5041 | 5042 | 3031 | 3413 | 3995);
     let degrees = matches!(code, 4326 | 4258 | 4269 | 4283 | 4617 | 4979 | 4171 | 6318);
-    (metres || degrees).then_some(Space { unit: metres.then_some("m"), y_is_north: true })
+    (metres || degrees || polar)
+        .then_some(Space { unit: (metres || polar).then_some("m"), y_is_north: !polar })
 }
 
 #[cfg(test)]

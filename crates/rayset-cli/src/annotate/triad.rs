@@ -5,6 +5,7 @@ use rayset::scene::Camera;
 
 use super::canvas::{Color, Piece, Shape, polyline};
 use super::layout::Layout;
+use super::sheet::AXES_REACH_EMS;
 use super::space::Space;
 
 /// The customary colours of x, y and z.
@@ -12,11 +13,12 @@ const COLORS: [Color; 3] = [[222, 72, 64], [70, 166, 70], [66, 128, 226]];
 /// Ems from the middle to the tip of an axis across the view.
 const ARM: f32 = 2.6;
 
-/// The axes, at the left below: those that point away from the eye are drawn first. The box is the same for every camera.
+/// The axes, at the left below, or at the right beside the picture: those that point away from the eye are drawn first. The box is the same for every camera.
 pub(super) fn piece(camera: &Camera, space: Space, layout: &Layout) -> Piece {
     let em = layout.em;
-    let reach = (ARM + 1.9) * em;
-    let (x, y) = (layout.margin + 0.85 * reach, layout.height() - layout.margin - 0.85 * reach);
+    let reach = AXES_REACH_EMS * em;
+    let x = if layout.is_beside() { layout.width() - reach - em } else { layout.margin + 0.85 * reach };
+    let y = layout.height() - layout.margin - 0.85 * reach;
     let mut piece = layout.piece((x - reach, y - reach), (x + reach + em, y + reach));
     let forward = camera.direction.normalize_or_zero();
     let right = forward.cross(camera.up).normalize_or_zero();
@@ -83,7 +85,7 @@ mod tests {
         let camera = Camera { position: DVec3::ZERO, direction: DVec3::Y, up: DVec3::Z, projection };
         let space = Space { unit: None, y_is_north: true };
         let raster = piece(&camera, space, &layout).drawn();
-        let reach = (ARM + 1.9) * layout.em;
+        let reach = AXES_REACH_EMS * layout.em;
         let (x, y) = (layout.margin + 0.85 * reach, 400.0 - layout.margin - 0.85 * reach);
         let pixel = |x: f32, y: f32| {
             let mut row = vec![0; 4 * 400];

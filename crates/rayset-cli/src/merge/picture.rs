@@ -28,7 +28,8 @@ pub(super) fn run(args: &MergeArgs) -> Result<()> {
     );
     let note = Note::decode(joined.note())
         .with_context(|| format!("{} is no part of a render by this program", args.parts[0].display()))?;
-    let mut sink = PictureSink::create(&output, &joined.region(), joined.size(), note.display_transform)?
+    let (region, display) = (joined.region(), note.display_transform);
+    let mut sink = PictureSink::create(&output, &region, joined.size(), display, note.mount)?
         .doing("merging")
         .under(note.overlay);
     joined.bands(&CancelToken::new(), &mut sink)?;

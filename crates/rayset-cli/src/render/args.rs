@@ -36,7 +36,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "PART/OF")]
     pub(super) part: Option<Share>,
     /// Parts for OpenEXR: with all layers
-    #[arg(long, requires = "part", conflicts_with = "annotate")]
+    #[arg(long, requires = "part", conflicts_with_all = ["annotate", "annotate_over"])]
     pub(super) layers: bool,
     /// Write the scene that a cloud or grid without one is rendered as, to this file
     #[arg(long)]

@@ -27,10 +27,9 @@ use self::shot::Shot;
 pub(crate) use self::sink::{Format, PictureSink};
 pub(crate) use self::work::PredictorArg;
 use self::work::Work;
-use crate::annotate::Overlay;
+use crate::annotate::{Mount, Overlay};
 use crate::outputs::{self, Outputs};
 use crate::report::{bytes, json_text, remark};
-use rayset_inputs::look::turned;
 use rayset_inputs::values::Frames;
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
@@ -38,7 +37,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let has_layers = check_output(args)?;
     let mut shot = Shot::new(args)?;
     shot.settings.layers = has_layers;
-    let region = args.picture.region(shot.settings)?;
+    let (region, mount) = shot.mounted(args.picture.region(shot.whole())?)?;
     let mut outputs = Outputs::beside(&shot.files);
     let pictures = pictures(args, &shot)?
         .into_iter()
@@ -56,7 +55,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(loading_bytes);
     let (work, plan, prepared) = prepared(args, &shot, needs)?;
     prepared.remarks().iter().for_each(remark);
-    let rendering = Rendering { shot: &shot, prepared, region, work, plan };
+    let rendering = Rendering { shot: &shot, prepared, region, mount, work, plan };
     for (output, camera) in &pictures {
         let overlay = annotations.as_ref().map(|annotations| annotations.overlay(camera));
         let report = match args.part {
@@ -91,13 +90,17 @@ fn prepared(
 /// Refuses what cannot be written. Returns whether the output has layers.
 fn check_output(args: &RenderArgs) -> Result<bool> {
     let destination = Destination::new(&args.output)?;
+    ensure!(
+        args.annotate.caption.is_none() || args.annotate.is_wanted(),
+        "--caption is drawn by --annotate or --annotate-over; add one of them"
+    );
     if args.part.is_some() {
         part::check_name(&destination)?;
         return Ok(args.layers);
     }
     let format = Format::of(&destination)?;
     ensure!(
-        !args.annotate.annotate || format == Format::Png,
+        !args.annotate.is_wanted() || format == Format::Png,
         "--annotate draws on pictures for display; an OpenEXR file holds the light as computed: write a .png"
     );
     Ok(format == Format::Exr)
@@ -112,7 +115,7 @@ fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
             .among((0, turns - 1), "turntable")?
             .map(|frame| {
                 let turn = f64::from(frame) / f64::from(turns);
-                (numbered(frame), turned(&shot.camera, &shot.scene, turn))
+                (numbered(frame), shot.turntable.turned(&shot.camera, turn))
             })
             .collect(),
         (None, Some(frames)) => {
@@ -130,6 +133,7 @@ struct Rendering<'a> {
     shot: &'a Shot,
     prepared: PreparedScene,
     region: Region,
+    mount: Option<Mount>,
     work: Work,
     plan: MemoryPlan,
 }
@@ -145,7 +149,7 @@ impl Rendering<'_> {
         let (shot, settings) = (self.shot, &self.shot.settings);
         let (started, view) = self.begin(camera)?;
         let whole = (settings.width, settings.height);
-        let mut sink = PictureSink::create(output, &self.region, whole, shot.display_transform)?
+        let mut sink = PictureSink::create(output, &self.region, whole, shot.display_transform, self.mount)?
             .seen_by(Census::new(shot.scene.background, shot.display_transform))
             .under(overlay);
         let counts = view.render_bands(&self.region, self.plan.band_rows, &CancelToken::new(), &mut sink)?;
@@ -168,7 +172,7 @@ impl Rendering<'_> {
     ) -> Result<RenderReport> {
         let (started, view) = self.begin(camera)?;
         let held_pixels = u64::from(self.plan.band_rows) * self.region.columns.len() as u64;
-        let options = part::options(share, self.shot, overlay)?.with_held_pixels(held_pixels);
+        let options = part::options(share, self.shot, overlay, self.mount)?.with_held_pixels(held_pixels);
         let counts = part::write(&view, &self.region, &options, output)?;
         let report = self.report(counts, started.elapsed(), output);
         self.remark_on_memory(&report);

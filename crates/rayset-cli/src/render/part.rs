@@ -9,7 +9,7 @@ use rayset::parts::{PartOptions, Share};
 use rayset::{CancelToken, Region, RenderCounts, View};
 
 use super::shot::Shot;
-use crate::annotate::Overlay;
+use crate::annotate::{Mount, Overlay};
 use crate::part_note::Note;
 use crate::progress::Meter;
 
@@ -25,8 +25,13 @@ pub(super) fn check_name(to: &Destination) -> Result<()> {
 }
 
 /// What is written into a part besides pixels.
-pub(super) fn options(share: Share, shot: &Shot, overlay: Option<Overlay>) -> Result<PartOptions> {
-    let note = Note { display_transform: shot.display_transform, overlay };
+pub(super) fn options(
+    share: Share,
+    shot: &Shot,
+    overlay: Option<Overlay>,
+    mount: Option<Mount>,
+) -> Result<PartOptions> {
+    let note = Note { display_transform: shot.display_transform, mount, overlay };
     Ok(PartOptions::new(share).with_note(note.encode()).with_build(build()?))
 }
 

@@ -45,16 +45,17 @@ impl PictureArgs {
         display_transform.exposure = self.exposure.unwrap_or(display_transform.exposure);
     }
 
-    pub(super) fn region(&self, settings: RenderSettings) -> Result<Region> {
+    /// The part of a picture of a size that is asked for.
+    pub(super) fn region(&self, whole: (u32, u32)) -> Result<Region> {
         let Some(crop) = &self.crop else {
-            return Ok(Region { columns: 0..settings.width, rows: 0..settings.height });
+            return Ok(Region { columns: 0..whole.0, rows: 0..whole.1 });
         };
         let &[x, y, width, height] = crop.as_slice() else {
             bail!("--crop takes four numbers: left,top,width,height")
         };
         let (right, bottom) = (x.saturating_add(width), y.saturating_add(height));
         ensure!(
-            width > 0 && height > 0 && right <= settings.width && bottom <= settings.height,
+            width > 0 && height > 0 && right <= whole.0 && bottom <= whole.1,
             "--crop {x},{y},{width},{height} does not lie within the picture"
         );
         Ok(Region { columns: x..right, rows: y..bottom })

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
+use rayset::Region;
 use rayset::image::DisplayTransform;
 use rayset::output::Destination;
 use rayset::scene::{Camera, CameraPath, RenderSettings, Scene};
@@ -12,12 +13,12 @@ use rayset::storage::redacted;
 use super::args::RenderArgs;
 use super::warnings;
 use super::work::DEFAULT_MEMORY;
-use crate::annotate::Annotations;
+use crate::annotate::{Annotations, Mount, Sheet};
 use rayset_inputs::{Input, Opened};
 
 use crate::input::{self, Resources};
 use crate::{outputs, report};
-use rayset_inputs::look::{self, Chosen};
+use rayset_inputs::look::{self, CameraArgs, Chosen, Turntable};
 
 /// A scene with its camera and settings.
 pub(super) struct Shot {
@@ -34,6 +35,10 @@ pub(super) struct Shot {
     pub(super) chosen: Option<String>,
     /// The name of the look that was chosen.
     look: Option<&'static str>,
+    /// The sheet that the picture has its place on, beside its annotations.
+    pub(super) sheet: Option<Sheet>,
+    /// What the cameras of a turntable turn about.
+    pub(super) turntable: Turntable,
     /// Number of points of a cloud; `None` of anything else.
     pub(super) points: Option<u64>,
     /// Keeps what was built of the input.
@@ -48,23 +53,43 @@ impl Shot {
             told: None,
         };
         let opened = input::open(&args.inputs, &args.cache, resources)?;
-        let size = args.picture.size();
-        let (mut file, chosen, look) = match &opened.input {
-            Input::Scene(path) => (scene_file(args, path)?, None, None),
+        let mut size = args.picture.size();
+        let mut sheet = None;
+        if !matches!(opened.input, Input::Scene(_)) {
+            sheet = args.annotate.sheet(size);
+        }
+        let picture = sheet.map_or(size, |sheet| sheet.picture);
+        let camera = CameraArgs { turns: args.turntable.is_some(), ..args.camera.clone() };
+        let (mut file, chosen, look, turntable) = match &opened.input {
+            Input::Scene(path) => (scene_file(args, path)?, None, None, None),
             Input::Cloud(cloud) => {
-                let chosen = look::of_cloud(cloud, &args.look, &args.camera, size)?;
-                let (file, text) = parsed(cloud.path(), &chosen)?;
+                let chosen = look::of_cloud(cloud, &args.look, &camera, picture)?;
+                let (file, text) = parsed(cloud.path(), &chosen, size)?;
                 warnings::of_small_radii(cloud.header(), chosen.middle, &file.camera, file.settings);
                 warnings::of_strays(cloud.header());
-                (file, Some(text), Some(chosen.look))
+                (file, Some(text), Some(chosen.look), chosen.turntable)
             }
             Input::Grid(grid) => {
-                let chosen = look::of_grid(grid, &args.look, &args.camera, size)?;
-                let (file, text) = parsed(grid.path(), &chosen)?;
-                (file, Some(text), Some(chosen.look))
+                let chosen = look::of_grid(grid, &args.look, &camera, picture)?;
+                let (file, text) = parsed(grid.path(), &chosen, size)?;
+                (file, Some(text), Some(chosen.look), chosen.turntable)
             }
         };
         args.picture.apply(&mut file.settings, &mut file.display_transform);
+        if chosen.is_none() {
+            size = (file.settings.width, file.settings.height);
+            sheet = args.annotate.sheet(size);
+        }
+        if let Some(sheet) = sheet {
+            (file.settings.width, file.settings.height) = sheet.picture;
+        }
+        let turntable = turntable.unwrap_or_else(|| {
+            if args.turntable.is_some() && chosen.is_none() {
+                let aspect = f64::from(file.settings.width) / f64::from(file.settings.height);
+                file.camera = look::standing_back(&file.camera, &file.scene, aspect);
+            }
+            Turntable::of_scene(&file.scene, &file.camera)
+        });
         file.files.extend(opened.files.iter().cloned());
         // Errors in what was requested are reported before an output is created.
         file.scene.check()?;
@@ -79,6 +104,8 @@ impl Shot {
             loading_bytes: file.loading_bytes,
             chosen,
             look,
+            sheet,
+            turntable,
             points: if let Input::Cloud(cloud) = &opened.input { Some(cloud.header().points) } else { None },
             _input: opened,
         })
@@ -86,7 +113,7 @@ impl Shot {
 
     /// What is to be drawn over pictures of this scene, if anything.
     pub(super) fn annotations(&self, args: &RenderArgs) -> Result<Option<Annotations>> {
-        if !args.annotate.annotate {
+        if !args.annotate.is_wanted() {
             return Ok(None);
         }
         let name = report::name_of(&args.inputs[0]);
@@ -95,8 +122,23 @@ impl Shot {
             several => format!("{name} and {} more", several - 1),
         };
         let size = (self.settings.width, self.settings.height);
-        Annotations::new(&args.annotate, &self.scene, size, self.display_transform, &name, self.look)
-            .map(Some)
+        let (scene, display) = (&self.scene, self.display_transform);
+        Annotations::new(&args.annotate, scene, size, self.sheet, display, &name, self.look).map(Some)
+    }
+
+    /// Width and height of what is written: of the picture, or of the sheet that it has its place on.
+    pub(super) fn whole(&self) -> (u32, u32) {
+        self.sheet.map_or((self.settings.width, self.settings.height), |sheet| sheet.size)
+    }
+
+    /// What of the picture a part of the sheet shows, and how it is mounted there.
+    pub(super) fn mounted(&self, shown: Region) -> Result<(Region, Option<Mount>)> {
+        let Some(sheet) = &self.sheet else { return Ok((shown, None)) };
+        let within = sheet.picture_within(&shown).with_context(|| {
+            "--crop: there is nothing of the picture in it, which --annotate leaves a margin; --annotate-over does not"
+        })?;
+        let mount = Mount::new(sheet, &shown, &within, self.scene.background);
+        Ok((within, Some(mount)))
     }
 
     /// Writes the scene that was chosen.
@@ -125,9 +167,12 @@ fn scene_file(args: &RenderArgs, path: &Path) -> Result<SceneFile> {
 }
 
 /// The scene that was chosen for a file, and its text.
-fn parsed(path: &Path, chosen: &Chosen) -> Result<(SceneFile, String)> {
+fn parsed(path: &Path, chosen: &Chosen, (width, height): (u32, u32)) -> Result<(SceneFile, String)> {
     report::remark(&chosen.line);
-    let text = serde_json::to_string_pretty(&chosen.scene)?;
+    let mut scene = chosen.scene.clone();
+    // Of the sheet: with the same annotations, the scene makes the same picture.
+    scene["image"]["size"] = serde_json::json!([width, height]);
+    let text = serde_json::to_string_pretty(&scene)?;
     // The place in a text that nobody has written means nothing.
     let file = SceneFile::parse(path, &text).map_err(|error| anyhow!("{}", error.what))?;
     Ok((file, text))

@@ -8,7 +8,7 @@ use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::{BandSink, Region, SinkError};
 
 use super::sanity::Census;
-use crate::annotate::Overlay;
+use crate::annotate::{Mount, Overlay};
 use crate::progress::Meter;
 
 /// Picture formats, by file extension.
@@ -44,6 +44,18 @@ pub(crate) struct PictureSink {
     /// What is laid over the picture, and the picture's first column of the whole.
     overlay: Option<Overlay>,
     left: u32,
+    margin: Option<Margin>,
+}
+
+/// The rows and columns of background around a picture that has its place on a sheet.
+struct Margin {
+    mount: Mount,
+    /// Number of the picture's first row.
+    first_row: u32,
+    /// Rows of the picture.
+    rows: u32,
+    /// A row of the sheet.
+    row: Band,
 }
 
 enum Encoder {
@@ -52,18 +64,20 @@ enum Encoder {
 }
 
 impl PictureSink {
-    /// For a region of a picture whose size is `whole`.
+    /// For a region of a picture whose size is `whole`, by itself or mounted on a sheet.
     pub(crate) fn create(
         to: &Destination,
         region: &Region,
         whole: (u32, u32),
         display_transform: DisplayTransform,
+        mount: Option<Mount>,
     ) -> Result<Self> {
         let doing = || format!("cannot write {}", to.path().display());
         let format = Format::of(to)?;
         let file = OutputFile::create(to)?;
         let output = BufWriter::new(file.writer());
-        let (width, height) = (region.columns.len() as u32, region.rows.len() as u32);
+        let (columns, rows) = (region.columns.len() as u32, region.rows.len() as u32);
+        let (width, height) = mount.map_or((columns, rows), |mount| mount.size);
         let encoder = match format {
             Format::Png => {
                 let png = PngBands::new(output, width, height, display_transform).with_context(doing)?;
@@ -82,7 +96,13 @@ impl PictureSink {
             doing: "tracing",
             census: None,
             overlay: None,
-            left: region.columns.start,
+            left: mount.map_or(region.columns.start, |mount| mount.origin.0),
+            margin: mount.map(|mount| Margin {
+                mount,
+                first_row: region.rows.start,
+                rows,
+                row: Band::new(0, width, 1, false),
+            }),
         })
     }
 
@@ -114,6 +134,34 @@ impl PictureSink {
     }
 }
 
+impl Margin {
+    /// Writes the rows of the sheet that a band has pixels of; with the first band those above the picture, with the last
+    /// those below it.
+    fn rows_of<E>(&mut self, band: &Band, mut write: impl FnMut(&Band) -> Result<(), E>) -> Result<(), E> {
+        let Mount { origin, size, place, background } = self.mount;
+        let top = origin.1 + place.1;
+        let mut write_row = |number: u32, pixels: &[[f32; 4]]| {
+            self.row.first_row = number;
+            self.row.pixels.fill(background);
+            let after = self.row.pixels.iter_mut().skip(place.0 as usize);
+            after.zip(pixels).for_each(|(to, from)| *to = *from);
+            write(&self.row)
+        };
+        if band.first_row == self.first_row {
+            (origin.1..top).try_for_each(|number| write_row(number, &[]))?;
+        }
+        let mut next = top + (band.first_row - self.first_row);
+        for pixels in band.pixels.chunks(band.width.max(1) as usize) {
+            write_row(next, pixels)?;
+            next += 1;
+        }
+        if next == top + self.rows {
+            (next..origin.1 + size.1).try_for_each(|number| write_row(number, &[]))?;
+        }
+        Ok(())
+    }
+}
+
 impl BandSink for PictureSink {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
         if let Some(census) = &mut self.census {
@@ -126,7 +174,11 @@ impl BandSink for PictureSink {
                         overlay.over(row, self.left, rgba);
                     }
                 };
-                png.write_with(band, retouch).map_err(|e| e.to_string())
+                let written = match &mut self.margin {
+                    Some(margin) => margin.rows_of(band, |row| png.write_with(row, retouch)),
+                    None => png.write_with(band, retouch),
+                };
+                written.map_err(|e| e.to_string())
             }
             Encoder::Exr(exr) => exr.write(band).map_err(|e| e.to_string()),
         };

@@ -10,6 +10,7 @@ use serde_json::Value;
 
 use crate::histogram;
 use rayset_inputs::look::{CameraArgs, LookArgs, Looks};
+use rayset_inputs::units;
 
 /// Colours of a map that a page is told.
 const PALETTE_COLORS: usize = 33;
@@ -25,6 +26,8 @@ pub(super) struct LooksOfFile {
     look: LookArgs,
     camera: CameraArgs,
     inputs: Vec<PathBuf>,
+    /// How inputs were built, as options.
+    built_with: Vec<String>,
 }
 
 /// The options of a style, read as the command line's are.
@@ -36,9 +39,15 @@ struct Words {
 }
 
 impl LooksOfFile {
-    pub(super) fn new(looks: Looks, look: LookArgs, camera: CameraArgs, inputs: &[PathBuf]) -> Self {
+    pub(super) fn new(
+        looks: Looks,
+        look: LookArgs,
+        camera: CameraArgs,
+        inputs: &[PathBuf],
+        built_with: Vec<String>,
+    ) -> Self {
         let whole = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
-        Self { looks, look, camera, inputs: inputs.iter().map(whole).collect() }
+        Self { looks, look, camera, inputs: inputs.iter().map(whole).collect(), built_with }
     }
 
     /// The scene as it was asked for on the command line, and what was chosen.
@@ -100,7 +109,8 @@ impl ForPages for LooksOfFile {
         let attributes = match self.looks.cloud() {
             Some(cloud) => {
                 let stored = &cloud.header().attributes;
-                let stored = stored.iter().filter_map(|a| self.attribute(&a.name, &a.unit));
+                let stored =
+                    stored.iter().filter_map(|a| self.attribute(&a.name, &units::readable(&a.name, &a.unit)));
                 stored.chain(["x", "y", "z"].iter().filter_map(|axis| self.attribute(axis, ""))).collect()
             }
             None => Vec::new(),
@@ -120,6 +130,7 @@ impl ForPages for LooksOfFile {
         let chosen = self.looks.chosen(&look, &self.camera, SIZE).map_err(|error| format!("{error:#}"))?;
         let mut command = vec!["rayset".to_owned(), "render".to_owned()];
         command.extend(self.inputs.iter().map(|path: &PathBuf| text(path)));
+        command.extend(self.built_with.iter().cloned());
         command.extend(look.words());
         if let Some([x, y, z]) = self.camera.up {
             command.push(format!("--up={x},{y},{z}"));

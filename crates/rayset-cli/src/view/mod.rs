@@ -186,7 +186,8 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
         Input::Cloud(cloud) => (cloud.path().to_owned(), Looks::of_cloud(cloud)?),
         Input::Grid(grid) => (grid.path().to_owned(), Looks::of_grid(grid, &args.camera)?),
     };
-    let looks = LooksOfFile::new(looks, args.look.clone(), args.camera.clone(), inputs);
+    let looks =
+        LooksOfFile::new(looks, args.look.clone(), args.camera.clone(), inputs, args.cache.build_words());
     let (scene, line) = looks.first()?;
     remark(&line);
     Ok(Subject { title, path, scene, looks: Some(Box::new(looks)) })

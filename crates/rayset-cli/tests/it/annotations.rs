@@ -41,12 +41,12 @@ const HEIGHT: [&str; 10] =
     ["render", "w.rset", "--look", "height", "--size", "320x260", "--samples", "1", "--background", "none"];
 
 #[test]
-fn annotations_lie_over_a_picture_that_is_otherwise_the_same() {
+fn annotations_over_a_picture_leave_the_rest_of_it_as_it_is() {
     let folder = folder();
     let f = folder.path();
     wave(f);
     succeeds(f, &[&HEIGHT[..], &["-o", "plain.png"]].concat());
-    succeeds(f, &[&HEIGHT[..], &["-o", "drawn.png", "--annotate"]].concat());
+    succeeds(f, &[&HEIGHT[..], &["-o", "drawn.png", "--annotate-over"]].concat());
     let ((width, plain), (_, drawn)) = (picture(&f.join("plain.png")), picture(&f.join("drawn.png")));
     let differs = |x: usize, y: usize| plain[y * width + x] != drawn[y * width + x];
     let any = |xs: std::ops::Range<usize>, ys: std::ops::Range<usize>| {
@@ -119,6 +119,9 @@ fn what_cannot_be_annotated_is_refused_before_anything_is_written() {
     let said = rayset(f, &["render", "w.rset", "-o", "a.exr", "--annotate"]).expect_err("refused");
     assert!(said.contains("--annotate") && said.contains(".png"), "{said}");
     assert!(!f.join("a.exr").exists());
+    let margin = ["--annotate", "--crop", "0,0,64,4"];
+    let said = rayset(f, &[&HEIGHT[..], &margin, &["-o", "a.png"]].concat()).expect_err("refused");
+    assert!(said.contains("--crop") && said.contains("margin") && !f.join("a.png").exists(), "{said}");
     let said = rayset(f, &["render", "w.rset", "-o", "a.png", "--caption", "x"]).expect_err("refused");
     assert!(said.contains("--annotate"), "{said}");
 }
@@ -140,4 +143,56 @@ fn pictures_of_every_size_and_of_scenes_can_be_annotated() {
     succeeds(f, &["render", "s.json", "-o", "t.png", "--annotate", "--turntable", "2", "--size", "64x48"]);
     let (first, second) = (picture(&f.join("t.0000.png")), picture(&f.join("t.0001.png")));
     assert!(first.1[64 * 30..] != second.1[64 * 30..], "the axes turn");
+}
+
+#[test]
+fn annotations_have_a_margin_of_their_own_beside_the_picture() {
+    let folder = folder();
+    let f = folder.path();
+    wave(f);
+    // From so near that points fill all of the picture.
+    let near = ["--position", "3.5,3.5,2.2", "--direction", "0,0,-1", "--up", "y", "--fovy", "60"];
+    let plain = [&HEIGHT[..], &near].concat();
+    succeeds(f, &[&plain[..], &["-o", "drawn.png", "--annotate"]].concat());
+    let (width, drawn) = picture(&f.join("drawn.png"));
+    assert_eq!((width, drawn.len()), (320, 320 * 260), "the sheet has the size that was asked for");
+    // The picture is the largest opaque rectangle: its edges are where whole rows and columns begin and end.
+    let is_full = |x: usize, y: usize| drawn[y * width + x][3] > 240;
+    let middle = (110, 120);
+    let left = (0..middle.0).rev().find(|&x| !is_full(x, middle.1)).expect("a margin") + 1;
+    let right = (middle.0..width).find(|&x| !is_full(x, middle.1)).expect("a margin");
+    let top = (0..middle.1).rev().find(|&y| !is_full(middle.0, y)).expect("a margin") + 1;
+    let bottom = (middle.1..260).find(|&y| !is_full(middle.0, y)).expect("a margin");
+    assert!(right - left > 150 && bottom - top > 120, "{left} {right} {top} {bottom}");
+    // What is in it is what the camera sees in a picture of that size, and nothing is drawn over it.
+    let size = format!("{}x{}", right - left, bottom - top);
+    let at = plain.iter().position(|word| *word == "320x260").expect("a size");
+    let mut same = plain.clone();
+    same[at] = &size;
+    succeeds(f, &[&same[..], &["-o", "same.png"]].concat());
+    let (inner, pixels) = picture(&f.join("same.png"));
+    assert_eq!(inner, right - left);
+    for (i, pixel) in pixels.iter().enumerate() {
+        let (x, y) = (left + i % inner, top + i / inner);
+        assert_eq!(*pixel, drawn[y * width + x], "at {x}, {y}");
+    }
+    // Around it there are a caption, a bar and axes.
+    let any = |xs: std::ops::Range<usize>, ys: std::ops::Range<usize>| {
+        ys.clone().any(|y| xs.clone().any(|x| drawn[y * width + x][3] > 0))
+    };
+    assert!(any(0..160, 0..top) && any(right + 8..320, top..160) && any(right + 8..320, 180..260));
+    // Parts that are merged make the same sheet.
+    for part in ["1/2", "2/2"] {
+        let name = format!("{}.part", &part[..1]);
+        succeeds(f, &[&plain[..], &["-o", &name, "--annotate", "--part", part]].concat());
+    }
+    succeeds(f, &["merge", "1.part", "2.part", "-o", "merged.png"]);
+    assert!(fs::read(f.join("merged.png")).ok() == fs::read(f.join("drawn.png")).ok(), "the sheets differ");
+    // The scene that is kept makes the same sheet again.
+    succeeds(
+        f,
+        &[&plain[..], &["-o", "x.png", "--annotate", "--caption", "c", "--write-scene", "s.json"]].concat(),
+    );
+    succeeds(f, &["render", "s.json", "-o", "y.png", "--annotate", "--caption", "c", "--samples", "1"]);
+    assert!(fs::read(f.join("x.png")).ok() == fs::read(f.join("y.png")).ok(), "the sheets differ");
 }

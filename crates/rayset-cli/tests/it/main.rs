@@ -9,6 +9,7 @@ mod columns;
 mod common;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod faults;
+mod first_looks;
 mod info;
 mod inputs;
 mod interrupted;
@@ -26,10 +27,12 @@ mod pictures;
 mod program;
 mod secrets;
 mod settings;
+mod snapshot_inputs;
 mod splats_and_meshes;
 mod tiles;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
+mod turntables;
 mod value_ranges;
 mod volume_builds;
 mod volume_looks;

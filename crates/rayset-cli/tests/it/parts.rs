@@ -241,7 +241,7 @@ fn parts_of_other_pictures_are_refused_and_it_is_said_what_differs() {
     refused(&with(&["--view", "left"]), &["camera"]);
     refused(&with(&["--layers"]), &["layers: true, and there layers: false"]);
     refused(&with(&["--exposure", "1"]), &["exposure or annotations"]);
-    refused(&with(&["--annotate"]), &["exposure or annotations"]);
+    refused(&with(&["--annotate-over"]), &["exposure or annotations"]);
     part(f, "2/3", "2.part", &[]);
     let said = fails(f, &["merge", "1.part", "2.part", "-o", "p.png"]);
     assert!(said.contains("in 3 parts, and that of columns 0..100"), "{said}");

@@ -17,6 +17,7 @@ use self::entry::Listed;
 pub(super) use self::entry::{Entry, Found};
 use self::stamp::Detail;
 pub use self::stamp::fingerprint;
+use crate::choices::BuildChoices;
 use crate::host::{Host, TemporaryFolder};
 use crate::{text, values};
 
@@ -36,12 +37,8 @@ pub struct CacheArgs {
     /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming it at the end
     #[arg(long, help_heading = "Folders of files")]
     strict: bool,
-    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, help_heading = "Columns of tables")]
-    columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as NIfTI and NRRD of four dimensions are; the first, 0, by default
-    #[arg(long, value_name = "N", help_heading = "Volumes")]
-    volume_index: Option<u64>,
+    #[command(flatten)]
+    pub(super) choices: BuildChoices,
 }
 
 /// Bytes that the cache keeps if nothing else is said.
@@ -82,17 +79,12 @@ impl CacheArgs {
     /// The same, with names of the columns of text files and of arrays; `-` leaves one out.
     #[must_use]
     pub fn with_columns(self, columns: Option<Vec<String>>) -> Self {
-        Self { columns, ..self }
+        Self { choices: BuildChoices::of_columns(columns), ..self }
     }
 
-    /// Names of columns, if any were given.
-    pub(super) fn columns(&self) -> Option<&[String]> {
-        self.columns.as_deref()
-    }
-
-    /// The volume of a series that is asked for.
-    pub(super) fn volume_index(&self) -> Option<u64> {
-        self.volume_index
+    /// The options that say how inputs are built, as one would type them.
+    pub fn build_words(&self) -> Vec<String> {
+        self.choices.words()
     }
 
     /// Whether one damaged file of a folder is an error.

@@ -5,15 +5,17 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use rayset::file::Header;
 use rayset::geometry::DVec3;
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
-use super::framing::one_place;
+use super::framing::{Axis, one_place};
 use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
 use super::statistics::{Statistics, percentile};
+use super::turntable::Turntable;
 use super::view::CameraArgs;
 
 /// A scene chosen for an input.
@@ -28,6 +30,8 @@ pub struct Chosen {
     pub look: &'static str,
     /// What is up, and why.
     pub up: String,
+    /// What the cameras of a turntable turn about; `None` of one picture, and of an eye whose place was given.
+    pub turntable: Option<Turntable>,
     /// What opacity is over at some places, estimated.
     pub densities: Densities,
 }
@@ -127,6 +131,9 @@ fn of_sampled_cloud(
         bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
     }
     let mut look = look.clone();
+    // Weights that were made of masses are densities already: divided once more by volumes, they are next to nothing.
+    let twice = look.normalised && weights_are_densities(cloud.header());
+    look.normalised &= !twice;
     let enlarged =
         if look.radius_scale.is_none() { radii_to_be_seen(cloud, &statistics, &look) } else { None };
     look.radius_scale = look.radius_scale.or(enlarged);
@@ -157,7 +164,8 @@ fn of_sampled_cloud(
         sorted: &|name| chosen.sorted(name),
         logarithmic: chosen.name == LookName::Gas,
     };
-    if look.color_by.as_deref() == Some("height") && !header.attributes.iter().any(|a| a.name == "height") {
+    let by_height = look.color_by.as_deref() == Some("height");
+    if by_height && !header.attributes.iter().any(|a| a.name == "height") {
         // In scenes it is z; here it is known what is up.
         look.color_by = Some(chosen.vertical().to_owned());
     }
@@ -168,13 +176,25 @@ fn of_sampled_cloud(
     let apart = away.map_or_else(String::new, |away| {
         format!("; the points lie in places {away:.3e} apart, of which the one with the most is framed")
     });
+    let shows_height = chosen.name == LookName::Height || by_height;
+    let oblique = if shows_height && chosen.orientation.up.abs().max_element() < 0.95 {
+        format!("; heights are along {}, the axis nearest to what is up", chosen.vertical())
+    } else {
+        String::new()
+    };
+    let twice = if twice {
+        "; --normalised is left out: the weights of this cloud are densities already, mass over the volume of the kernel"
+    } else {
+        ""
+    };
     let middle = points.iter().fold(DVec3::ZERO, |sum, (p, _)| sum + *p) / points.len().max(1) as f64;
     Ok(Chosen {
         scene,
-        line: chosen.line() + &enlarged + &apart,
+        line: chosen.line() + &enlarged + &apart + &oblique + twice,
         middle: (!points.is_empty()).then_some(middle),
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
+        turntable: camera.axis(&chosen.orientation, &points).map(turntable),
         densities: Box::new(move || chosen.opacity_densities()),
     })
 }
@@ -204,6 +224,14 @@ fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> 
     let scale = least / radius;
     let digits = 10_f64.powf(scale.log10().floor() - 1.0);
     (radius > 0.0 && scale.is_finite() && scale > 1.0).then(|| ((scale / digits).ceil() * digits).min(1e3))
+}
+
+/// Whether all weights of a cloud were made of masses and volumes of kernels, as its sources say.
+fn weights_are_densities(header: &Header) -> bool {
+    let sources = &header.sources;
+    header.weight.is_stored()
+        && !sources.is_empty()
+        && sources.iter().all(|said| said.contains("weight = mass"))
 }
 
 /// A cloud with other radii.
@@ -244,6 +272,7 @@ fn of_sampled_grid(
         middle: None,
         look: LookName::Volume.name(),
         up: chosen.orientation.reason_and_up(),
+        turntable: camera.axis(&chosen.orientation, &chosen.points).map(turntable),
         densities: {
             let shown = chosen.shown.clone();
             Box::new(move || shown)
@@ -261,6 +290,10 @@ fn around(root: Value, comment: &str, (width, height): (u32, u32)) -> Value {
         "rendering": {},
         "root": root,
     })
+}
+
+fn turntable(Axis { center, up }: Axis) -> Turntable {
+    Turntable { center, axis: up }
 }
 
 fn aspect((width, height): (u32, u32)) -> f64 {

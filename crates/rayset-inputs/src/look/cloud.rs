@@ -22,8 +22,12 @@ const BACKDROP_LINEAR: [f64; 3] = [0.0194, 0.0232, 0.0307];
 const NIGHT: &str = "#000000";
 /// Colours whose brightest reach less than this, as displayed, are made brighter.
 const DARK: f64 = 0.6;
+/// The middle of colours that are darker than this is made brighter, however bright a few are.
+const DIM: f64 = 0.2;
 /// A class counts if it has this share of the points.
-const LEAST_CLASS: f64 = 0.002;
+const LEAST_CLASS: f64 = 0.1;
+/// Fewer different intensities than these are no picture.
+const LEAST_INTENSITIES: usize = 32;
 /// Points that fill more than this dimension are no surface; halos of simulations have 2.3, scans of statues and trees 2.0.
 const FILLING: f64 = 2.2;
 
@@ -75,7 +79,7 @@ impl CloudLook {
             Some(name) => (name, "as asked for".to_owned()),
             None => suggested(header, &statistics, &orientation),
         };
-        let brightest = statistics.brightest_color(header);
+        let has_colors = statistics.has_colors(header);
         let paint = match name {
             LookName::Classes => match class_column(header) {
                 Some(column) => Paint::Classes(column),
@@ -83,15 +87,17 @@ impl CloudLook {
             },
             LookName::Height => Paint::Ramp(vertical(&orientation).to_owned(), json!("viridis")),
             LookName::Intensity => match intensity_column(header, &statistics) {
-                Some(column) => Paint::Ramp(column, json!([[0, "#1c1c1c"], [1, "#ffffff"]])),
+                Some(column) => {
+                    let greys = greys(&statistics.sorted(&column));
+                    Paint::Ramp(column, greys)
+                }
                 None => bail!("--look intensity: {} stores no intensities", cloud.path().display()),
             },
-            _ if brightest.is_some() => Paint::Points,
+            _ if has_colors => Paint::Points,
             _ => Paint::Plain,
         };
-        let dark = brightest.filter(|&b| b < DARK && paint == Paint::Points);
-        // In linear light, roughly the square of displayed values.
-        let exposure = dark.map_or(0.0, |b| (2.2 * (0.85 / b).log2()).clamp(0.0, 4.0));
+        let exposure =
+            if paint == Paint::Points { exposure_of(&statistics.brightnesses(header)) } else { 0.0 };
         let is_normalised = !header.weight.is_stored()
             && f64::from(header.radius.min()) > NORMALISED_RADII[0]
             && f64::from(header.radius.max()) < NORMALISED_RADII[1];
@@ -343,7 +349,7 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
     if said("GADGET") || said("SWIFT") || said("AREPO") || said("snapshot") {
         return (LookName::Gas, "particles of a simulation".into());
     }
-    if statistics.brightest_color(header).is_some() {
+    if statistics.has_colors(header) {
         if fills_volume(statistics) {
             return (LookName::Gas, "points with colours that fill a volume".into());
         }
@@ -359,7 +365,8 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
             return (LookName::Classes, "classified points".into());
         }
     }
-    if orientation.lies {
+    // Along a direction that is no axis there are no coordinates to colour by.
+    if orientation.lies && orientation.up.abs().max_element() > 0.95 {
         return (LookName::Height, "terrain without colours".into());
     }
     if fills_volume(statistics) {
@@ -367,10 +374,37 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
     }
     // Other files have columns of this name that are no measure of light.
     let scanned = ["LAS", "E57", "PTX", "PTS", "PCD"].iter().any(|kind| said(kind));
-    if intensity_column(header, statistics).is_some_and(|column| varies(statistics, &column)) && scanned {
+    let shows =
+        |column: String| varies(statistics, &column) && statistics.different(&column) >= LEAST_INTENSITIES;
+    if intensity_column(header, statistics).is_some_and(shows) && scanned {
         return (LookName::Intensity, "intensities".into());
     }
     (LookName::Surface, "points without colours".into())
+}
+
+/// Stops by which colours of these brightnesses, as displayed and ascending, are made brighter: so far that the brightest reach
+/// white, or the middle is seen, as long as nine in ten stay below white.
+fn exposure_of(brightnesses: &[f64]) -> f64 {
+    // In linear light, roughly the square of displayed values.
+    let stops = |from: f64, to: f64| 2.2 * (to / from.max(1.0 / 255.0)).log2();
+    let [middle, high, brightest] = [0.5, 0.9, 0.99].map(|part| percentile(brightnesses, part));
+    let of_brightest = if brightest < DARK { stops(brightest, 0.85) } else { 0.0 };
+    let of_middle = if middle < DIM { stops(middle, 0.35).min(stops(high, 1.0)) } else { 0.0 };
+    if brightnesses.is_empty() { 0.0 } else { of_brightest.max(of_middle).clamp(0.0, 4.0) }
+}
+
+/// Greys of intensities in ascending order, over the range that is shown: if a few that are far brighter would leave most in the
+/// dark, the middle one is a middle grey.
+fn greys(sorted: &[f64]) -> Value {
+    /// A middle that lies lower than this in the range is dark.
+    const LOW: f64 = 0.3;
+    let (low, high) = range(sorted, 0.02);
+    let middle = (percentile(sorted, 0.5) - low) / (high - low);
+    if middle < LOW {
+        json!([[0, "#1c1c1c"], [middle.max(0.01), "#8c8c8c"], [1, "#ffffff"]])
+    } else {
+        json!([[0, "#1c1c1c"], [1, "#ffffff"]])
+    }
 }
 
 /// The column of class labels, if there is one.

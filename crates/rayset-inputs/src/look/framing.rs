@@ -37,7 +37,7 @@ pub(super) fn frame(
     aspect: f64,
 ) -> Frame {
     let right = direction.cross(up);
-    let extent = |axis: DVec3| spread(points.iter().map(|&(p, r)| (p.dot(axis), SEEN * r)));
+    let extent = |axis: DVec3| spread_along(points, axis);
     let (across, upward, along) = (extent(right), extent(up), extent(direction));
     let center = right * across.middle() + up * upward.middle() + direction * along.middle();
     let half = (upward.half()).max(across.half() / aspect).max(1e-300);
@@ -61,6 +61,84 @@ pub(super) fn frame(
         let distance = (center - position).dot(direction).max(1e-6 * half);
         position += (right * x.middle() + up * y.middle()) * distance;
         // Half of the way, so that it does not swing.
+        position -= direction * (distance * (filled.clamp(0.5, 2.0) - 1.0) * 0.7);
+    }
+    Frame { position, half_height: tangent }
+}
+
+/// The axis about which the cameras of a turntable turn.
+#[derive(Clone, Copy)]
+pub(super) struct Axis {
+    /// A place on it: the middle of what is framed.
+    pub(super) center: DVec3,
+    /// Its direction, of length one.
+    pub(super) up: DVec3,
+}
+
+impl Axis {
+    /// The axis along `up` through the middle of points.
+    pub(super) fn of(points: &[(DVec3, f64)], up: DVec3) -> Self {
+        let middle = |axis: DVec3| axis * spread_along(points, axis).middle();
+        let across = up.any_orthonormal_vector();
+        Self { center: middle(up) + middle(across) + middle(up.cross(across)), up }
+    }
+}
+
+/// The frame of the first camera of a turntable, from which all of them see all points: as [`frame`], but points count
+/// wherever they come to lie while the camera turns about `axis`.
+pub(super) fn turning_frame(
+    points: &[(DVec3, f64)],
+    axis: Axis,
+    direction: DVec3,
+    up: DVec3,
+    tangent: Option<f64>,
+    aspect: f64,
+) -> Frame {
+    /// Turns of the camera that are looked at.
+    const TURNS: usize = 48;
+    let right = direction.cross(up);
+    let across = axis.up.any_orthonormal_vector();
+    let sides = [across, axis.up.cross(across), axis.up];
+    let spreads = sides.map(|side| spread_along(points, side));
+    // All that matters of a point is how far from the axis it is, and how far along it: once round it is everywhere.
+    let is_framed = |p: DVec3| sides.iter().zip(spreads).all(|(side, spread)| spread.has(p.dot(*side)));
+    let framed = points.iter().filter(|(p, _)| is_framed(*p)).map(|&(p, r)| {
+        let offset = p - axis.center;
+        let along = offset.dot(axis.up);
+        ((offset - axis.up * along).length(), along, SEEN * r)
+    });
+    let framed: Vec<(f64, f64, f64)> = framed.collect();
+    let turns: Vec<DVec3> = (0..TURNS)
+        .map(|k| (k as f64 / TURNS as f64 * std::f64::consts::TAU).sin_cos())
+        .map(|(sine, cosine)| sides[0] * cosine + sides[1] * sine)
+        .collect();
+    let half = framed.iter().fold(1e-300_f64, |half, (off, along, r)| half.max(off.hypot(*along) + r));
+    // What is seen by a camera at a place, across and upward, from the lowest to the highest; `scale` is what lengths in
+    // a depth are divided by.
+    let seen = |position: DVec3, scale: &dyn Fn(f64) -> f64| {
+        let (mut widest, mut low, mut high) = (0.0_f64, f64::INFINITY, f64::NEG_INFINITY);
+        for &(off, along, r) in &framed {
+            for turn in &turns {
+                let offset = axis.center + *turn * off + axis.up * along - position;
+                let scale = scale(offset.dot(direction) - r);
+                let (x, y, r) = (offset.dot(right) / scale, offset.dot(up) / scale, r / scale);
+                (widest, low, high) = (widest.max(x.abs() + r), low.min(y - r), high.max(y + r));
+            }
+        }
+        if framed.is_empty() { (0.0, Spread { low: 0.0, high: 0.0 }) } else { (widest, Spread { low, high }) }
+    };
+    let Some(tangent) = tangent else {
+        let (widest, upward) = seen(axis.center, &|_| 1.0);
+        let half_height = upward.half().max(widest / aspect).max(1e-300) / FILLED;
+        let position = axis.center + up * upward.middle() - direction * 3.0 * half;
+        return Frame { position, half_height };
+    };
+    let mut position = axis.center - direction * (half + half / tangent);
+    for _ in 0..ROUNDS {
+        let (widest, upward) = seen(position, &|depth: f64| depth.max(1e-2 * half));
+        let filled = (upward.half() / tangent).max(widest / (tangent * aspect)) / FILLED;
+        let distance = (axis.center - position).dot(direction).max(1e-6 * half);
+        position += up * upward.middle() * distance;
         position -= direction * (distance * (filled.clamp(0.5, 2.0) - 1.0) * 0.7);
     }
     Frame { position, half_height: tangent }
@@ -113,6 +191,15 @@ impl Spread {
     fn half(self) -> f64 {
         0.5 * (self.high - self.low)
     }
+
+    fn has(self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
+}
+
+/// The spread of points, each with its radius, along an axis.
+fn spread_along(points: &[(DVec3, f64)], axis: DVec3) -> Spread {
+    spread(points.iter().map(|&(p, r)| (p.dot(axis), SEEN * r)))
 }
 
 /// The spread of intervals, each a middle and half a length.

@@ -11,6 +11,7 @@ mod grid;
 mod options;
 mod palettes;
 mod ranges;
+mod shape;
 mod statistics;
 mod turntable;
 mod upright;
@@ -19,5 +20,5 @@ mod voxels;
 
 pub use self::choose::{Chosen, Looks, of_cloud, of_grid};
 pub use self::options::LookArgs;
-pub use self::turntable::turned;
+pub use self::turntable::{Turntable, standing_back, turned};
 pub use self::view::CameraArgs;

@@ -18,7 +18,8 @@ pub struct LookArgs {
     /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight
     #[arg(long)]
     pub(super) kernel: Option<Kernel>,
-    /// Kernels integrate to one (smoothed-particle hydrodynamics)
+    /// Kernels integrate to one (smoothed-particle hydrodynamics); left out where weights are densities already, as those of
+    /// snapshots are
     #[arg(long)]
     pub(super) normalised: bool,
     /// Radii of the points, as a factor of those in the file, 0.001 to 1000

@@ -110,19 +110,29 @@ impl Statistics {
         classes
     }
 
-    /// The largest channel of the brightest points' colours, 0 to 1, as displayed: all but one in a hundred are darker.
-    /// `None` if the cloud has no colours, or all are black.
-    pub(super) fn brightest_color(&self, header: &Header) -> Option<f64> {
+    /// The number of different values of a column in the sample.
+    pub(super) fn different(&self, name: &str) -> usize {
+        self.sorted(name).chunk_by(|a, b| a == b).count()
+    }
+
+    /// The largest channels of the points' colours, 0 to 1, as displayed, ascending; without black ones, which are mostly points
+    /// without a colour.
+    pub(super) fn brightnesses(&self, header: &Header) -> Vec<f64> {
         if !header.has_color {
-            return None;
+            return Vec::new();
         }
         let channels = ["red", "green", "blue"].map(|name| self.values(name));
         let mut largest: Vec<f64> = (0..self.sample.batch.len())
             .map(|i| channels.iter().map(|channel| channel[i]).fold(0.0, f64::max) / 255.0)
+            .filter(|&largest| largest > 0.0)
             .collect();
         largest.sort_by(f64::total_cmp);
-        let any = largest.last().is_some_and(|&v| v > 0.0);
-        any.then(|| percentile(&largest, 0.99).max(1.0 / 255.0))
+        largest
+    }
+
+    /// Whether the cloud has colours, and not all are black.
+    pub(super) fn has_colors(&self, header: &Header) -> bool {
+        !self.brightnesses(header).is_empty()
     }
 }
 

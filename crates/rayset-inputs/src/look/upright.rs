@@ -4,6 +4,7 @@ use rayset::Cloud;
 use rayset::file::Header;
 use rayset::geometry::DVec3;
 
+use super::shape::{is_seen_from_behind, relief, stance};
 use super::statistics::{Statistics, range};
 use super::view::Orientation;
 
@@ -19,6 +20,10 @@ const ROOM: std::ops::Range<f64> = 2.0..6.0;
 const PERSON: std::ops::Range<f64> = 1.2..2.4;
 /// Coordinates from here on are those of a map.
 const MAP: f64 = 1e4;
+/// Distances of places near the surface of the Earth from its middle, in metres: at poles, under the sea, on mountains.
+const EARTH: std::ops::Range<f64> = 6.33e6..6.40e6;
+/// Of what is larger than this, in metres, the surface of the Earth is bent too much for one direction to be up.
+const BENT: f64 = 2e5;
 
 /// Whether points are where a depth camera sees them from the origin, which has x to the right, y down and z ahead: all within
 /// its field of view. Of files that may be anything, `is_of_sensor` false, the view is filled to both sides.
@@ -63,6 +68,13 @@ impl Extents {
     /// Whether the side along an axis is less than a part of each of the others.
     fn is_thin(&self, axis: usize, part: f64) -> bool {
         self.sides[axis] < part * self.others(axis).fold(f64::INFINITY, f64::min)
+    }
+
+    /// What is up of Earth-centred coordinates: the direction from the middle of the Earth; `None` of others.
+    fn away_from_earth(&self) -> Option<DVec3> {
+        let middle = DVec3::from_array(self.middle);
+        let is_near = EARTH.contains(&middle.length()) && self.sides[self.long] < BENT;
+        is_near.then(|| middle.normalize())
     }
 
     /// Whether points stand along an axis.
@@ -146,16 +158,66 @@ fn axis(axis: usize) -> DVec3 {
 pub(super) fn orientation(cloud: &Cloud, statistics: &Statistics, given: Option<DVec3>) -> Orientation {
     let header = cloud.header();
     let extents = Extents::of(statistics);
+    let of_earth = extents.away_from_earth();
     let mut chosen = if let Some(up) = given {
         Orientation::with_up(up, "as asked for")
+    } else if let Some(up) = of_earth {
+        // North is ahead.
+        Orientation::with_up(up, "Earth-centred coordinates").toward_front(Some(DVec3::Z))
     } else if let Some(up) = header.up {
         Orientation::with_up(up, "by the kind of file")
     } else {
         found(header, statistics, &extents)
     };
-    let up = (0..3).max_by(|&a, &b| chosen.up[a].abs().total_cmp(&chosen.up[b].abs())).unwrap_or(2);
-    chosen.lies = extents.is_thin(up, 0.5);
+    chosen.lies = match of_earth {
+        Some(up) => is_thin_along(statistics, up),
+        None => {
+            let up = (0..3).max_by(|&a, &b| chosen.up[a].abs().total_cmp(&chosen.up[b].abs())).unwrap_or(2);
+            extents.is_thin(up, 0.5)
+        }
+    };
     chosen
+}
+
+/// Whether points are thin along a direction that is no axis.
+fn is_thin_along(statistics: &Statistics, up: DVec3) -> bool {
+    let across = up.any_orthonormal_vector();
+    let [thickness, width, length] = [up, across, up.cross(across)].map(|side| {
+        let mut along: Vec<f64> =
+            statistics.positions().map(|p| p.dot(side)).filter(|v| v.is_finite()).collect();
+        along.sort_by(f64::total_cmp);
+        let (low, high) = range(&along, 0.005);
+        high - low
+    });
+    thickness < 0.5 * width.min(length)
+}
+
+/// What is up of a face or another relief that is thin along an axis, and where its front is.
+fn of_relief(statistics: &Statistics, extents: &Extents, of_things: bool) -> Option<Orientation> {
+    let thin = extents.thin;
+    let toward_eye = extents.is_thin(thin, 0.6).then(|| relief(statistics, axis(thin))).flatten()?;
+    let up = match thin {
+        2 => DVec3::Y,
+        1 => DVec3::Z,
+        _ if of_things => DVec3::Y,
+        _ => DVec3::Z,
+    };
+    Some(Orientation::with_up(up, "a relief that faces the reader").toward_front(Some(-toward_eye)))
+}
+
+/// A thing of which neither extents nor columns say what is up: the custom of such files, unless it would fall over so and
+/// stand well with z up.
+fn of_thing(statistics: &Statistics, reason: &'static str) -> Orientation {
+    /// What stands well touches the ground with this part of its footprint, at least …
+    const WELL: f64 = 0.2;
+    /// … and with so many times as much as it would the other way.
+    const BETTER: f64 = 3.0;
+    let (of_y, of_z) = (stance(statistics, DVec3::Y), stance(statistics, DVec3::Z));
+    if of_z > WELL && of_z > BETTER * of_y {
+        Orientation::with_up(DVec3::Z, "it stands on its feet")
+    } else {
+        Orientation::with_up(DVec3::Y, reason)
+    }
 }
 
 fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orientation {
@@ -168,6 +230,32 @@ fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orienta
     // PCD are seen by sensors, and STL lie on the beds of printers.
     let is_flat = extents.is_thin(thin, if said("PCD") || is_printed { 0.5 } else { 0.25 });
     let is_site = (of_things || said("PCD")) && is_site(header, extents);
+    let is_thing = of_things && !is_site && !extents.is_on_map();
+    let chosen =
+        up_of(header, statistics, extents, Kinds { is_printed, scanned, of_things, is_flat, is_site });
+    let is_camera = chosen.reason == CAMERA;
+    if is_thing && !is_camera && header.crs.is_empty() && is_seen_from_behind(statistics, chosen.facing) {
+        return chosen.toward_front(Some(-chosen.facing));
+    }
+    chosen
+}
+
+/// The reason of those seen by a camera.
+const CAMERA: &str = "a camera's own axes";
+
+/// What kind of thing points are.
+struct Kinds {
+    is_printed: bool,
+    scanned: bool,
+    of_things: bool,
+    is_flat: bool,
+    is_site: bool,
+}
+
+fn up_of(header: &Header, statistics: &Statistics, extents: &Extents, kinds: Kinds) -> Orientation {
+    let Extents { sides, thin, long, .. } = *extents;
+    let Kinds { is_printed, scanned, of_things, is_flat, is_site } = kinds;
+    let said = |word: &str| header.sources.iter().any(|source| source.contains(word));
     if !header.crs.is_empty() {
         Orientation::with_up(DVec3::Z, "the coordinate reference system")
     } else if scanned {
@@ -175,7 +263,9 @@ fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orienta
     } else if extents.is_on_map() {
         Orientation::with_up(DVec3::Z, "coordinates of a map")
     } else if !is_printed && is_camera_frame(statistics, said("PCD")) {
-        Orientation::with_up(DVec3::NEG_Y, "a camera's own axes").toward_front(Some(DVec3::Z))
+        Orientation::with_up(DVec3::NEG_Y, CAMERA).toward_front(Some(DVec3::Z))
+    } else if let Some(relief) = of_relief(statistics, extents, of_things).filter(|_| !is_site) {
+        relief
     } else if let Some(up) = against_the_fall(statistics) {
         Orientation::with_up(up, "particles that fall")
     } else if said("COLMAP") && !(is_flat && thin == 2) {
@@ -193,9 +283,9 @@ fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orienta
     } else if is_printed {
         Orientation::with_up(DVec3::Z, "the bed of a printer")
     } else if extents.is_object() {
-        Orientation::with_up(DVec3::Y, "the size of an object, not of a site")
+        of_thing(statistics, "the size of an object, not of a site")
     } else if of_things || said("PCD") {
-        Orientation::with_up(DVec3::Y, "the custom of such files")
+        of_thing(statistics, "the custom of such files")
     } else {
         Orientation::with_up(DVec3::Z, "the custom of such files")
     }

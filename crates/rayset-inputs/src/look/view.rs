@@ -5,7 +5,7 @@ use clap::{Args, ValueEnum};
 use rayset::geometry::DVec3;
 use serde_json::json;
 
-use super::framing;
+use super::framing::{self, Axis};
 use crate::values;
 
 /// From where a cloud or grid is seen; a scene says this itself.
@@ -36,6 +36,9 @@ pub struct CameraArgs {
     /// Height of an orthographic picture, in units of the input
     #[arg(long, value_parser = values::length, requires = "orthographic")]
     pub height: Option<f64>,
+    /// Whether the camera is the first of a turntable, whose others are to see everything, too.
+    #[arg(skip)]
+    pub turns: bool,
 }
 
 /// A side to look from.
@@ -152,6 +155,11 @@ impl CameraArgs {
         self.up.map(DVec3::from_array)
     }
 
+    /// What a turntable turns about; `None` of one picture, and of an eye whose place was given.
+    pub(super) fn axis(&self, orientation: &Orientation, points: &[(DVec3, f64)]) -> Option<Axis> {
+        (self.turns && self.position.is_none()).then(|| Axis::of(points, orientation.up))
+    }
+
     /// The camera of a scene file that sees `points`, each with its radius, in a picture of this aspect ratio.
     pub(super) fn scene(
         &self,
@@ -166,7 +174,10 @@ impl CameraArgs {
             (None, side) => orientation.toward(side.unwrap_or(Side::Iso)),
         };
         let framed_up = orientation.up_in_picture(direction);
-        let frame = framing::frame(points, direction, framed_up, tangent, aspect);
+        let frame = match self.axis(orientation, points) {
+            Some(axis) => framing::turning_frame(points, axis, direction, framed_up, tangent, aspect),
+            None => framing::frame(points, direction, framed_up, tangent, aspect),
+        };
         let (mut position, mut direction) = (frame.position, direction);
         if let Some(eye) = self.position {
             position = DVec3::from_array(eye);

@@ -19,6 +19,102 @@ fn is_geographic(crs: &str) -> bool {
         && !has(&["PROJCS[", "PROJCRS[", "GEOCCS[", "CARTESIAN"])
 }
 
+/// Half the long axis of the ellipsoid of WGS 84 in metres, and its flattening.
+const EQUATOR: f64 = 6_378_137.0;
+const FLATTENING: f64 = 1.0 / 298.257_223_563;
+
+/// A projection onto a plane, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Projection {
+    Zone(Zone),
+    Pole(Pole),
+}
+
+impl Projection {
+    /// The one for a place in degrees; `None` if it is none on the globe.
+    fn of(longitude: f64, latitude: f64) -> Option<Self> {
+        Pole::of(longitude, latitude)
+            .map(Self::Pole)
+            .or_else(|| Zone::of(longitude, latitude).map(Self::Zone))
+    }
+
+    fn epsg(self) -> u32 {
+        match self {
+            Self::Zone(zone) => zone.epsg(),
+            Self::Pole(pole) => pole.epsg(),
+        }
+    }
+
+    /// Whether a place is near enough to the projection's middle to be projected by it.
+    fn reaches(self, longitude: f64, latitude: f64) -> bool {
+        match self {
+            // What is no number stays none, and is skipped.
+            Self::Zone(zone) => {
+                !((longitude - zone.middle()).abs() > FARTHEST_DEGREES || latitude.abs() > 90.0)
+            }
+            Self::Pole(pole) => {
+                let north = if pole.is_south { -latitude } else { latitude };
+                !(north < 90.0 - FARTHEST_DEGREES || north > 90.0 || longitude.abs() > 360.0)
+            }
+        }
+    }
+
+    fn project(self, longitude: f64, latitude: f64) -> [f64; 2] {
+        match self {
+            Self::Zone(zone) => zone.project(longitude, latitude),
+            Self::Pole(pole) => pole.project(longitude, latitude),
+        }
+    }
+}
+
+impl std::fmt::Display for Projection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Zone(zone) => {
+                write!(f, "UTM zone {}{}", zone.number, if zone.is_south { "S" } else { "N" })
+            }
+            Self::Pole(pole) => {
+                let name = if pole.is_south { "south" } else { "north" };
+                write!(f, "the polar stereographic projection of the {name} (UPS)")
+            }
+        }
+    }
+}
+
+/// The Universal Polar Stereographic projection, where there are no zones.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Pole {
+    is_south: bool,
+}
+
+impl Pole {
+    /// The pole that a place in degrees is near.
+    fn of(longitude: f64, latitude: f64) -> Option<Self> {
+        let is_place = longitude.abs() <= 360.0 && latitude.abs() <= 90.0;
+        (is_place && latitude.abs() > 84.0).then_some(Self { is_south: latitude < 0.0 })
+    }
+
+    fn epsg(self) -> u32 {
+        if self.is_south { 5042 } else { 5041 }
+    }
+
+    /// Easting and northing in metres on the ellipsoid of WGS 84 (Snyder 1987, equations 15-9, 21-30 to 21-33).
+    fn project(self, longitude: f64, latitude: f64) -> [f64; 2] {
+        const SCALE: f64 = 0.994;
+        const MIDDLE: f64 = 2e6;
+        let e = (FLATTENING * (2.0 - FLATTENING)).sqrt();
+        let north = if self.is_south { -latitude } else { latitude }.to_radians();
+        let sine = e * north.sin();
+        let t =
+            (0.25 * std::f64::consts::PI - 0.5 * north).tan() * ((1.0 + sine) / (1.0 - sine)).powf(0.5 * e);
+        let circle = ((1.0 + e).powf(1.0 + e) * (1.0 - e).powf(1.0 - e)).sqrt();
+        let distance = 2.0 * EQUATOR * SCALE * t / circle;
+        let (across, along) = longitude.to_radians().sin_cos();
+        let along = if self.is_south { along } else { -along };
+        [MIDDLE + distance * across, MIDDLE + distance * along]
+    }
+}
+
 /// A zone of the Universal Transverse Mercator projection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Zone {
@@ -46,8 +142,6 @@ impl Zone {
     /// Easting and northing in metres on the ellipsoid of WGS 84, by Krüger's series to the third order: exact to a
     /// millimetre within the zone.
     fn project(self, longitude: f64, latitude: f64) -> [f64; 2] {
-        const EQUATOR: f64 = 6_378_137.0;
-        const FLATTENING: f64 = 1.0 / 298.257_223_563;
         const SCALE: f64 = 0.9996;
         let n = FLATTENING / (2.0 - FLATTENING);
         let circle = EQUATOR / (1.0 + n) * (1.0 + n * n / 4.0 + n.powi(4) / 64.0);
@@ -73,7 +167,7 @@ impl Zone {
 /// Points whose positions are longitude, latitude and height, in metres.
 struct InMetres {
     degrees: Box<dyn PointSource>,
-    zone: Zone,
+    projection: Projection,
     schema: Schema,
 }
 
@@ -91,17 +185,16 @@ pub(super) fn in_metres(
     let mut first = open()?;
     first.select(&[]);
     first.fill(&mut batch, 1)?;
-    let Some(zone) = batch.position.first().and_then(|p| Zone::of(p[0], p[1])) else { return Ok(source) };
+    let projection = batch.position.first().and_then(|p| Projection::of(p[0], p[1]));
+    let Some(projection) = projection else { return Ok(source) };
     let mut schema = source.schema().clone();
-    schema.crs = format!("EPSG:{}", zone.epsg());
+    schema.crs = format!("EPSG:{}", projection.epsg());
     schema.up = schema.up.or(Some([0.0, 0.0, 1.0]));
-    let side = if zone.is_south { "S" } else { "N" };
     schema.warnings.push(format!(
-        "degrees of longitude and latitude are made metres, of UTM zone {}{side} (EPSG:{})",
-        zone.number,
-        zone.epsg()
+        "degrees of longitude and latitude are made metres, of {projection} (EPSG:{})",
+        projection.epsg()
     ));
-    Ok(Box::new(InMetres { degrees: source, zone, schema }))
+    Ok(Box::new(InMetres { degrees: source, projection, schema }))
 }
 
 impl PointSource for InMetres {
@@ -145,18 +238,16 @@ impl PointSource for InMetres {
         self.degrees.fill(batch, limit)?;
         for position in &mut batch.position {
             let [longitude, latitude, _] = *position;
-            let off = longitude - self.zone.middle();
-            if off.abs() > FARTHEST_DEGREES || latitude.abs() > 90.0 {
+            if !self.projection.reaches(longitude, latitude) {
                 let what = format!(
                     "longitude {longitude}, latitude {latitude}: points in degrees are read if they lie within \
-                     {FARTHEST_DEGREES} degrees of each other, which others on the globe do not; `--columns x,y,z` takes the \
+                     {FARTHEST_DEGREES} degrees of each other, or of a pole, which others on the globe do not; `--columns x,y,z` takes the \
                      columns of a text as they are, and `pdal translate` with filters.reprojection makes metres of LAS"
                 );
                 let path = self.degrees.path().unwrap_or(Path::new("")).to_owned();
                 return Err(ReadError::malformed(&path, Place::Byte(0), what));
             }
-            // What is no number stays none, and is skipped.
-            let [east, north] = self.zone.project(longitude, latitude);
+            let [east, north] = self.projection.project(longitude, latitude);
             (position[0], position[1]) = (east, north);
         }
         Ok(())
@@ -182,6 +273,26 @@ mod tests {
         }
         assert_eq!(Zone::of(500_000.0, 48.0), None);
         assert_eq!(Zone::of(f64::NAN, 48.0), None);
+    }
+
+    #[test]
+    fn near_a_pole_metres_are_those_of_the_polar_projection() {
+        let project = |longitude, latitude| {
+            let projection = Projection::of(longitude, latitude).expect("a place");
+            (projection.epsg(), projection.project(longitude, latitude))
+        };
+        // Where the zones end, by the tables of the projection.
+        let (epsg, [x, y]) = project(0.0, 84.000_000_001);
+        assert!(epsg == 5041 && (x - 2e6).abs() < 1e-6 && (y - 1_333_272.927).abs() < 0.01, "{x} {y}");
+        let (epsg, [x, y]) = project(90.0, -90.0);
+        assert!(epsg == 5042 && (x - 2e6).abs() < 1e-6 && (y - 2e6).abs() < 1e-6, "{x} {y}");
+        // A metre on the ground is a metre: a hundredth of a degree along a meridian, at the scale of the pole.
+        let ([_, a], [_, b]) = (project(180.0, 89.0).1, project(180.0, 88.99).1);
+        assert!((b - a - 0.994 * 1116.94).abs() < 0.5, "{}", b - a);
+        let ([x, _], [_, y]) = (project(90.0, 89.0).1, project(0.0, -89.0).1);
+        assert!((x - y).abs() < 1e-6, "{x} {y}");
+        assert!(matches!(Projection::of(11.5, 48.1), Some(Projection::Zone(_))));
+        assert_eq!(Projection::of(0.0, 91.0), None);
     }
 
     #[test]
