@@ -74,6 +74,19 @@ impl CacheArgs {
         Self { columns, ..self }
     }
 
+    /// The options as one would type them: those that decide what is built, and where it is kept.
+    #[must_use]
+    pub fn words(&self) -> Vec<String> {
+        let folder = self.cache.as_ref().map(|folder| {
+            // A command may be run from elsewhere.
+            let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.clone());
+            format!("--cache={}", folder.display())
+        });
+        let columns = self.columns.as_ref().map(|columns| format!("--columns={}", columns.join(",")));
+        let without = self.no_cache.then(|| "--no-cache".to_owned());
+        folder.into_iter().chain(without).chain(columns).collect()
+    }
+
     /// Names of columns, if any were given.
     pub(super) fn columns(&self) -> Option<&[String]> {
         self.columns.as_deref()

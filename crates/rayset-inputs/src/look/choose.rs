@@ -10,11 +10,11 @@ use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
-use super::framing::one_place;
+use super::framing::{one_place, reach};
 use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
 use super::statistics::{Statistics, percentile};
-use super::view::CameraArgs;
+use super::view::{CameraArgs, Orientation};
 
 /// A scene chosen for an input.
 pub struct Chosen {
@@ -28,8 +28,21 @@ pub struct Chosen {
     pub look: &'static str,
     /// What is up, and why.
     pub up: String,
+    /// How the input stands, whichever side it is seen from.
+    pub stance: Stance,
     /// What opacity is over at some places, estimated.
     pub densities: Densities,
+}
+
+/// How an input stands in its coordinates.
+#[derive(Clone, Copy, Debug)]
+pub struct Stance {
+    /// What is up; length one.
+    pub up: DVec3,
+    /// The direction in which one looks at the front; length one, at a right angle to `up`.
+    pub facing: DVec3,
+    /// The least and the largest coordinates of what is framed.
+    pub framed: [DVec3; 2],
 }
 
 /// Estimates that cost a while, made when they are asked for.
@@ -175,6 +188,7 @@ fn of_sampled_cloud(
         middle: (!points.is_empty()).then_some(middle),
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
+        stance: stance(&chosen.orientation, &points),
         densities: Box::new(move || chosen.opacity_densities()),
     })
 }
@@ -244,11 +258,16 @@ fn of_sampled_grid(
         middle: None,
         look: LookName::Volume.name(),
         up: chosen.orientation.reason_and_up(),
+        stance: stance(&chosen.orientation, &chosen.points),
         densities: {
             let shown = chosen.shown.clone();
             Box::new(move || shown)
         },
     })
+}
+
+fn stance(orientation: &Orientation, points: &[(DVec3, f64)]) -> Stance {
+    Stance { up: orientation.up, facing: orientation.facing, framed: reach(points) }
 }
 
 /// A scene of one object, without camera and lights.
