@@ -112,7 +112,7 @@ const placeOf = (pick) => /** @type {import("./camera.js").Vector} */ (pick.poin
 
 /** Writes numbers that are known up to an error with the digits that this leaves. @param {number} error @returns {(value: number) => string} */
 function digits(error) {
-  const decimals = error > 0 ? Math.ceil(-Math.log10(2 * error) - 1e-9) : 9;
+  const decimals = error > 0 ? Math.floor(-Math.log10(2 * error) + 1e-9) : 9;
   return (value) => {
     const size = Math.abs(value);
     if (size >= 1e9 || (size > 0 && size < 1e-6)) {
