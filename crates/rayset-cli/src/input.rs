@@ -24,8 +24,18 @@ pub(crate) struct Resources<'a> {
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
 pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+    open_hearing(inputs, cache, resources, None)
+}
+
+/// The same; `heard` is told what is remarked, too.
+pub(crate) fn open_hearing(
+    inputs: &[PathBuf],
+    cache: &CacheArgs,
+    resources: Resources<'_>,
+    heard: Option<&(dyn Fn(&str) + Sync)>,
+) -> Result<Opened> {
     let Resources { memory, threads, told } = resources;
-    let program = Program { meter: Meter::new("", false).telling(told) };
+    let program = Program { meter: Meter::new("", false).telling(told), heard };
     let budget = Budget::of(memory, inputs);
     let resources = rayset_inputs::Resources { memory: budget.left(), threads, host: &program };
     let opened = rayset_inputs::open(inputs, cache, resources);
@@ -45,18 +55,22 @@ fn name_smallest_budget(error: anyhow::Error, budget: Budget) -> anyhow::Error {
 /// The program as the host of inputs.
 pub(crate) struct Program<'a> {
     meter: Meter<'a>,
+    heard: Option<&'a (dyn Fn(&str) + Sync)>,
 }
 
 impl Program<'_> {
     /// One that shows no progress.
     pub(crate) fn quiet() -> Self {
-        Self { meter: Meter::new("", true) }
+        Self { meter: Meter::new("", true), heard: None }
     }
 }
 
 impl Host for Program<'_> {
     fn remark(&self, text: &str) {
         report::remark(text);
+        if let Some(heard) = self.heard {
+            heard(text);
+        }
     }
 
     fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64) {

@@ -17,6 +17,7 @@ pub(crate) enum Ask {
     Pick { question: u32, at: [f64; 2], show: Box<Show> },
     Engine { with_map: bool },
     Save(Box<Show>),
+    Command { question: u32, show: Box<Show> },
 }
 
 /// The scene that a page sees, for those who ask about it.
@@ -55,6 +56,7 @@ pub(crate) fn answer(
                 ToPage::Picked(Box::new(picked(question, at, &show, current)))
             }
             Ask::Save(show) => saved(&show, opened),
+            Ask::Command { question, show } => ToPage::Command { question, command: opened.command(&show) },
             Ask::Engine { with_map } => {
                 // A cloud that cannot be read has no map; what is wrong with it is said where it is rendered.
                 let map = map.get_or_insert_with(|| Map::new(opened).unwrap_or_default());

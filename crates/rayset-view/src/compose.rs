@@ -11,7 +11,7 @@ use rayset::storage::{address_of, beside};
 use serde_json::{Value, json};
 
 use crate::cuts;
-use crate::looks::{Looks, Style, Styled};
+use crate::looks::{Command, Looks, Stance, Style, Styled};
 use crate::protocol::{Changes, Legend, Pose, Show, Sun};
 
 /// What was opened.
@@ -24,6 +24,20 @@ pub struct Subject {
     pub scene: Value,
     /// Other looks of it; `None` if it is a scene that says itself what it looks like.
     pub looks: Option<Box<dyn Looks>>,
+    /// How it stands; `None` of a scene.
+    pub stance: Option<Stance>,
+    /// The unit of its lengths; `None` if it is not known.
+    pub unit: Option<&'static str>,
+    /// What was remarked when it was opened.
+    pub remarks: Vec<String>,
+}
+
+impl Subject {
+    /// A scene that says itself what it looks like.
+    #[must_use]
+    pub fn scene(title: String, path: PathBuf, scene: Value) -> Self {
+        Self { title, path, scene, looks: None, stance: None, unit: None, remarks: Vec::new() }
+    }
 }
 
 /// What was opened, and what is known of it.
@@ -62,8 +76,7 @@ impl Opened {
             Some(styled) => styled.scene.clone(),
             None => self.subject.scene.clone(),
         };
-        let Pose { position, direction, up, fovy } = show.camera;
-        scene["camera"] = json!({"position": position, "direction": direction, "up": up, "fovy": fovy});
+        scene["camera"] = camera_value(&show.camera);
         scene["image"]["size"] = json!(show.size);
         self.apply(&mut scene, &show.changes, with_caps);
         Ok(scene)
@@ -95,17 +108,33 @@ impl Opened {
         let (look, line, densities) = styled.as_ref().map_or_else(Default::default, |styled| {
             (styled.look.clone(), styled.line.clone(), styled.densities.clone())
         });
-        let is_said_by_options =
-            changes.sun.is_none() && changes.section.is_none() && changes.cutters.is_empty();
-        let command = styled.as_ref().filter(|_| is_said_by_options).map(|styled| {
-            let exposure = changes.exposure.map(|stops| format!("--exposure={stops}"));
-            let words = styled.command.iter().cloned().chain(exposure);
-            words.map(|word| quoted(&word)).collect::<Vec<_>>().join(" ")
-        });
         let transfer_function = scene["root"]["transferFunction"].clone();
         let (is_lit, remarks) = (scene["lights"] != "none", remarks.to_vec());
         let exposure = scene["image"]["exposure"].as_f64().unwrap_or(0.0);
-        Ok(Legend { look, line, is_lit, exposure, transfer_function, densities, remarks, command })
+        Ok(Legend { look, line, is_lit, exposure, transfer_function, densities, remarks })
+    }
+
+    /// The command that renders what a page sees, as a shell reads it; `None` if no options say it. The scene of the command is made, and
+    /// compared with that of the page: a command that is given means the same bytes.
+    pub(crate) fn command(&self, show: &Show) -> Option<String> {
+        let looks = self.subject.looks.as_ref()?;
+        let changes = &show.changes;
+        let style = changes.style.as_ref().unwrap_or(&self.first_style);
+        let Command { mut words, mut scene } = looks.command(style, &camera_words(&show.camera)).ok()?;
+        scene["image"]["size"] = json!(show.size);
+        if let Some(stops) = changes.exposure {
+            scene["image"]["exposure"] = json!(stops);
+            words.push(format!("--exposure={stops}"));
+        }
+        let mut seen = self.composed(show, true).ok()?;
+        without_comments(&mut scene);
+        without_comments(&mut seen);
+        if scene != seen {
+            return None;
+        }
+        let [width, height] = show.size;
+        words.extend([format!("--size={width}x{height}"), "-o".into(), "picture.png".into()]);
+        Some(words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "))
     }
 
     /// The scene in the style of a page; `None` if it has no other looks.
@@ -136,6 +165,39 @@ impl Opened {
         let cap = changes.cap.as_deref().filter(|_| with_caps);
         let root = scene["root"].take();
         scene["root"] = cuts::cut(root, &self.bounds, changes.section.as_ref(), &changes.cutters, cap);
+    }
+}
+
+/// The camera of a pose, as scene files write it.
+fn camera_value(&Pose { position, direction, up, fovy, height }: &Pose) -> Value {
+    match height {
+        Some(height) => {
+            json!({"type": "orthographic", "position": position, "direction": direction, "up": up, "height": height})
+        }
+        None => json!({"position": position, "direction": direction, "up": up, "fovy": fovy}),
+    }
+}
+
+/// The camera of a pose, as options of `rayset render`.
+fn camera_words(&Pose { position, direction, up, fovy, height }: &Pose) -> Vec<String> {
+    let vector = |name: &str, [x, y, z]: [f64; 3]| format!("--{name}={x},{y},{z}");
+    let mut words = vec![vector("position", position), vector("direction", direction), vector("up", up)];
+    match height {
+        Some(height) => words.extend(["--orthographic".to_owned(), format!("--height={height}")]),
+        None => words.push(format!("--fovy={fovy}")),
+    }
+    words
+}
+
+/// Takes remarks for readers out of a scene: they change nothing of the picture.
+fn without_comments(value: &mut Value) {
+    match value {
+        Value::Object(keys) => {
+            keys.remove("comment");
+            keys.values_mut().for_each(without_comments);
+        }
+        Value::Array(values) => values.iter_mut().for_each(without_comments),
+        _ => {}
     }
 }
 
@@ -190,26 +252,27 @@ pub(crate) fn camera(pose: &Pose) -> Camera {
         position: pose.position.into(),
         direction: pose.direction.into(),
         up: pose.up.into(),
-        projection: Projection::Perspective { fovy: pose.fovy.to_radians() },
+        projection: match pose.height {
+            Some(height) => Projection::Orthographic { height },
+            None => Projection::Perspective { fovy: pose.fovy.to_radians() },
+        },
     }
 }
 
-/// The pose of a camera. An orthographic one, which pages do not have, stands back until it sees as much at the place that its rays
-/// start from.
+/// The pose of a camera. Of an orthographic one, the angle is what it has once a person wants one.
 pub(crate) fn pose(camera: &Camera) -> Pose {
     const FOVY_DEGREES: f64 = 35.0;
-    let (fovy, back) = match camera.projection {
-        Projection::Perspective { fovy } => (fovy.to_degrees(), 0.0),
-        Projection::Orthographic { height } => {
-            (FOVY_DEGREES, 0.5 * height / (0.5 * FOVY_DEGREES).to_radians().tan())
-        }
-        _ => (FOVY_DEGREES, 0.0),
+    let (fovy, height) = match camera.projection {
+        Projection::Perspective { fovy } => (fovy.to_degrees(), None),
+        Projection::Orthographic { height } => (FOVY_DEGREES, Some(height)),
+        _ => (FOVY_DEGREES, None),
     };
     Pose {
-        position: (camera.position - camera.direction.normalize_or_zero() * back).to_array(),
+        position: camera.position.to_array(),
         direction: camera.direction.to_array(),
         up: camera.up.to_array(),
         fovy,
+        height,
     }
 }
 
@@ -232,13 +295,17 @@ mod tests {
             "lights": [{"type": "ambient"}, {"type": "directional", "direction": [0, -1, 0]}],
             "root": {"type": "sphere", "radius": 1}
         });
-        let subject = Subject { title: "a ball".into(), path: "ball.json".into(), scene, looks: None };
-        Opened::new(subject).expect("a scene")
+        Opened::new(Subject::scene("a ball".into(), "ball.json".into(), scene)).expect("a scene")
     }
 
     fn show(changes: Changes) -> Show {
-        let camera =
-            Pose { position: [0.0, 0.0, 5.0], direction: [0.0, 0.0, -1.0], up: [0.0, 1.0, 0.0], fovy: 40.0 };
+        let camera = Pose {
+            position: [0.0, 0.0, 5.0],
+            direction: [0.0, 0.0, -1.0],
+            up: [0.0, 1.0, 0.0],
+            fovy: 40.0,
+            height: None,
+        };
         Show { generation: 1, camera, size: [64, 48], moving: false, changes }
     }
 

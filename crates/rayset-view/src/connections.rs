@@ -16,8 +16,13 @@ use tokio::time::{Instant, Sleep, sleep, sleep_until};
 
 /// Most connections at a time. A page holds one, and asks for its files with a few more.
 const MOST: usize = 128;
-/// A connection that says nothing for so long is closed. Pages answer a ping more often than that.
+/// A socket that says nothing for so long is closed. Pages answer a ping more often than that.
 const SILENCE: Duration = Duration::from_secs(30);
+/// A request must have come, whole, this long after the connection was made or the last answer was given: visitors without credentials
+/// do not hold places by bytes that trickle in.
+const REQUEST: Duration = Duration::from_secs(5);
+/// How the answer begins that makes a connection a socket.
+const SWITCHED: &[u8] = b"HTTP/1.1 101";
 
 /// Accepts connections, as many as may be open at a time; further ones are closed at once.
 pub(crate) struct Limited {
@@ -42,8 +47,8 @@ impl Listener for Limited {
                     if let Ok(place) = self.places.clone().try_acquire_owned() {
                         // Frames are small and wanted at once.
                         let _ = stream.set_nodelay(true);
-                        let silent = Box::pin(sleep(SILENCE));
-                        return (Connection { stream, silent, _place: place }, address);
+                        let end = Box::pin(sleep(REQUEST));
+                        return (Connection { stream, end, is_socket: false, _place: place }, address);
                     }
                 }
                 // The process has no more file descriptors, or the visitor has gone again.
@@ -57,12 +62,23 @@ impl Listener for Limited {
     }
 }
 
-/// A connection that ends when nothing has been heard for a while.
+/// A connection that ends when a request takes too long, or when a socket is silent.
 pub(crate) struct Connection {
     stream: TcpStream,
-    /// When it is closed if nothing is heard until then.
-    silent: Pin<Box<Sleep>>,
+    /// When it is closed if no request has been answered, or nothing been heard of a socket, until then.
+    end: Pin<Box<Sleep>>,
+    is_socket: bool,
     _place: OwnedSemaphorePermit,
+}
+
+impl Connection {
+    /// Takes note of an answer, or a part of one.
+    fn answered(&mut self, bytes: &[u8]) {
+        self.is_socket |= bytes.starts_with(SWITCHED);
+        if !self.is_socket {
+            self.end.set(sleep_until(Instant::now() + REQUEST));
+        }
+    }
 }
 
 impl AsyncRead for Connection {
@@ -74,10 +90,10 @@ impl AsyncRead for Connection {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(context, buffer);
         match read {
-            Poll::Pending => self.silent.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into())),
+            Poll::Pending => self.end.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into())),
             Poll::Ready(_) => {
-                if buffer.filled().len() > before {
-                    self.silent.set(sleep_until(Instant::now() + SILENCE));
+                if self.is_socket && buffer.filled().len() > before {
+                    self.end.set(sleep_until(Instant::now() + SILENCE));
                 }
                 read
             }
@@ -91,7 +107,11 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(context, bytes)
+        let written = Pin::new(&mut self.stream).poll_write(context, bytes);
+        if matches!(written, Poll::Ready(Ok(_))) {
+            self.answered(bytes);
+        }
+        written
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -107,7 +127,11 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write_vectored(context, bytes)
+        let written = Pin::new(&mut self.stream).poll_write_vectored(context, bytes);
+        if matches!(written, Poll::Ready(Ok(_))) {
+            self.answered(bytes.first().map(|first| &**first).unwrap_or_default());
+        }
+        written
     }
 
     fn is_write_vectored(&self) -> bool {

@@ -3,13 +3,12 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use rayset::geometry::DAffine3;
 use rayset::memory::Kind;
 use rayset::{Cloud, Session};
 use serde::Serialize;
 
 use crate::compose::Opened;
-use crate::picking::find_clouds;
+use crate::picking::clouds;
 
 /// Most regions of a map.
 const MOST_REGIONS: usize = 2048;
@@ -57,8 +56,7 @@ impl Map {
     /// # Errors
     /// Why the cloud cannot be read.
     pub(crate) fn new(opened: &Opened) -> Result<Option<Self>, String> {
-        let mut clouds = Vec::new();
-        find_clouds(&opened.file.scene.root, DAffine3::IDENTITY, &mut clouds);
+        let clouds = clouds(&opened.file.scene.root);
         let Some((object, world_from_local)) = clouds.first() else { return Ok(None) };
         let found = object.cloud.page_regions(MOST_REGIONS).map_err(|error| error.to_string())?;
         let (regions, bounds): (Vec<_>, Vec<_>) = found.into_iter().unzip();

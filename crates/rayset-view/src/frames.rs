@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rayset::geometry::DAffine3;
 use rayset::image::Band;
 use rayset::scene::{RenderSettings, Shadows, Step};
 use rayset::scene_file::SceneFile;
@@ -16,7 +15,7 @@ use crate::asks::{Current, Seen};
 use crate::compose::{self, Opened};
 use crate::pacing::Pacing;
 use crate::payload::{self, Depths, Rectangle, Shown};
-use crate::picking::find_clouds;
+use crate::picking::clouds;
 use crate::protocol::{MOST_EDGE, Show, ToPage};
 use crate::wanted::{Grade, Order, Wanted};
 
@@ -149,8 +148,7 @@ impl Frames {
                 Err(Unfinished::GivenUp) => self.wanted.given_up(),
                 Err(Unfinished::Problem(what) | Unfinished::NoMemory(what)) => {
                     self.current.set(None);
-                    // What cannot be shown quickly cannot be shown finely either.
-                    self.wanted.done(&Order { grade: Grade::Fine, ..order });
+                    self.wanted.failed(&order);
                     (self.send)(Outgoing::Text(ToPage::Problem { generation, what }));
                 }
             }
@@ -167,7 +165,7 @@ impl Frames {
             Grade::Quick => {
                 let [width, height] = self.pacing.next_size(show.size);
                 let view = scene.view_of_size(&camera, width, height)?.with_samples(1)?;
-                self.quick(order, &view, [width, height], &encode)
+                self.quick(order, &view, [width, height], scene.longest_step(), &encode)
             }
             Grade::Fine => {
                 let view = scene.view_of_size(&camera, show.size[0], show.size[1])?;
@@ -248,8 +246,7 @@ impl Frames {
     /// Keeps the coarse parts of octrees in memory, where they take little of it: a camera that jumps needs them first.
     fn pin_nodes(&self) {
         const PART: u64 = 8;
-        let mut clouds = Vec::new();
-        find_clouds(&self.opened.file.scene.root, DAffine3::IDENTITY, &mut clouds);
+        let clouds = clouds(&self.opened.file.scene.root);
         let each = self.session.page_budget_bytes() / PART / clouds.len().max(1) as u64;
         for (object, _) in clouds {
             // Pictures do without; what is wrong with a file is said where it is rendered.
@@ -263,11 +260,12 @@ impl Frames {
         order: &Order,
         view: &View,
         size: [u32; 2],
+        step: f64,
         encode: &impl Fn([f32; 4]) -> [u8; 4],
     ) -> Result<(), Unfinished> {
         let started = Instant::now();
         self.shown.resize(size);
-        self.depths.resize(size);
+        self.depths.resize(size, step);
         let (shown, depths) = (&mut self.shown, &mut self.depths);
         let mut sink = |finished: &FinishedTile<'_>| -> Result<(), SinkError> {
             put(shown, finished, encode);

@@ -24,6 +24,7 @@ mod payload;
 mod picking;
 mod protocol;
 mod rate;
+mod refusals;
 mod saving;
 mod server;
 mod visit;
@@ -37,8 +38,7 @@ mod wanted;
 pub fn hear_message(bytes: &[u8]) -> Result<(), String> {
     use self::protocol::{FromPage, MOST_EDGE, Show};
     let scene = serde_json::json!({"rayset": 1, "root": {"type": "sphere", "radius": 1}});
-    let opened =
-        compose::Opened::new(Subject { title: String::new(), path: "ball.json".into(), scene, looks: None })?;
+    let opened = compose::Opened::new(Subject::scene(String::new(), "ball.json".into(), scene))?;
     let seen = |show: &Show| {
         show.check(MOST_EDGE, u64::MAX)?;
         opened.saved(show)?;
@@ -47,12 +47,12 @@ pub fn hear_message(bytes: &[u8]) -> Result<(), String> {
     };
     match serde_json::from_slice::<FromPage>(bytes).map_err(|error| error.to_string())? {
         FromPage::Show(show) | FromPage::Save(show) | FromPage::Picture(show) => seen(&show),
-        FromPage::Pick { show, .. } => seen(&show),
+        FromPage::Pick { show, .. } | FromPage::Command { show, .. } => seen(&show),
         FromPage::Ack { .. } | FromPage::Invite {} | FromPage::Engine { .. } | FromPage::Cancel {} => Ok(()),
     }
 }
 
 pub use self::access::{SECRET_BYTES, secret};
 pub use self::compose::Subject;
-pub use self::looks::{Attribute, Choices, Histogram, Looks, Style, Styled};
+pub use self::looks::{Attribute, Choices, Command, Histogram, Looks, Stance, Style, Styled};
 pub use self::server::{Opener, Options, ServeError, Server};

@@ -13,6 +13,12 @@ pub trait Looks: Send + Sync {
     /// # Errors
     /// What is wrong with the style, for the person who chose it.
     fn styled(&self, style: &Style) -> Result<Styled, String>;
+
+    /// The command that renders it in a style, with options of the camera, and the scene that this command renders.
+    ///
+    /// # Errors
+    /// What is wrong with the options.
+    fn command(&self, style: &Style, camera: &[String]) -> Result<Command, String>;
 }
 
 /// What a page can choose among.
@@ -118,6 +124,24 @@ pub struct Styled {
     pub line: String,
     /// How what opacity is over is spread, estimated.
     pub densities: Option<Histogram>,
-    /// The command that renders it, word by word, without camera, size and output.
-    pub command: Vec<String>,
+}
+
+/// A command and what it means.
+#[derive(Clone, Debug)]
+pub struct Command {
+    /// Word by word, without size and output.
+    pub words: Vec<String>,
+    /// The scene that it renders, as a scene file has it; of its size nothing is meant.
+    pub scene: Value,
+}
+
+/// How a cloud or grid stands in its coordinates.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Stance {
+    /// What is up; length one.
+    pub up: [f64; 3],
+    /// The direction in which one looks at the front; length one, at a right angle to `up`.
+    pub facing: [f64; 3],
+    /// The least and the largest coordinates of what fills a picture of the whole.
+    pub framed: [[f64; 3]; 2],
 }

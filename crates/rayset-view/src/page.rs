@@ -16,7 +16,7 @@ macro_rules! files {
     };
 }
 
-const FILES: [PageFile; 20] = files!(
+const FILES: [PageFile; 23] = files!(
     "index.html",
     "icon.svg",
     "style.css",
@@ -26,6 +26,9 @@ const FILES: [PageFile; 20] = files!(
     "frames.js",
     "gestures.js",
     "warp.js",
+    "motion.js",
+    "history.js",
+    "colors.js",
     "panels.js",
     "widgets.js",
     "overlay.js",

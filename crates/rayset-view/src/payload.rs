@@ -48,12 +48,14 @@ pub(crate) type Rectangle = [u16; 4];
 pub(crate) struct Depths {
     width: u32,
     distances: Vec<f32>,
+    /// How far behind where a surface begins its distance may be: the length of a step.
+    step: f32,
 }
 
 impl Depths {
     /// Forgets all distances of a picture of another size.
-    pub(crate) fn resize(&mut self, [width, height]: [u32; 2]) {
-        self.width = width;
+    pub(crate) fn resize(&mut self, [width, height]: [u32; 2], step: f64) {
+        (self.width, self.step) = (width, step as f32);
         self.distances.clear();
         self.distances.resize(width as usize * height as usize, f32::INFINITY);
     }
@@ -65,7 +67,7 @@ impl Depths {
     }
 
     /// Every so many-th distance of every so many-th row, such that rows have at most [`MOST_DEPTHS`]: their number in a row,
-    /// in a column, the least distance, and for each the quotient of the least by it, in 65535ths; 0 is infinite.
+    /// in a column, the least distance, how far behind the surface they may be, and for each the quotient of the least by it, in 65535ths; 0 is infinite.
     fn encode(&self, into: &mut Vec<u8>) {
         let stride = self.width.div_ceil(MOST_DEPTHS).max(1) as usize;
         let rows: Vec<&[f32]> = self.distances.chunks(self.width.max(1) as usize).step_by(stride).collect();
@@ -76,6 +78,7 @@ impl Depths {
         into.extend_from_slice(&(columns as u16).to_le_bytes());
         into.extend_from_slice(&(rows.len() as u16).to_le_bytes());
         into.extend_from_slice(&nearest.to_le_bytes());
+        into.extend_from_slice(&self.step.to_le_bytes());
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
         for &distance in picked() {
             // An infinite distance gives 0, one that is not a number too.
@@ -112,7 +115,8 @@ pub(crate) fn whole(
     };
     let rgb: Vec<u8> = shown.rgba.chunks_exact(4).flat_map(over).collect();
     let mut encoder = Encoder::new(&mut message, QUALITY);
-    encoder.set_sampling_factor(SamplingFactor::F_2_2);
+    // Colours of one side of an edge do not reach over it: the page moves both sides apart.
+    encoder.set_sampling_factor(SamplingFactor::F_1_1);
     // Writing to memory does not fail, and the size has been checked; a message without a picture is left out by the page.
     let _ = encoder.encode(&rgb, size[0], size[1], ColorType::Rgb);
     message
@@ -168,7 +172,7 @@ mod tests {
     #[test]
     fn distances_come_back_within_a_65535th_of_the_nearest_and_nothing_stays_nothing() {
         let mut depths = Depths::default();
-        depths.resize([700, 3]);
+        depths.resize([700, 3], 0.5);
         depths.set_row(0, 0, (0..700).map(|x| if x % 7 == 0 { f32::INFINITY } else { 2.0 + x as f32 }));
         let mut message = Vec::new();
         depths.encode(&mut message);
@@ -177,8 +181,9 @@ mod tests {
         assert_eq!([number(0), number(2)], [350, 2]);
         let nearest = f32::from_le_bytes([message[4], message[5], message[6], message[7]]);
         assert_eq!(nearest, 4.0);
+        assert_eq!(message[8..12], 0.5_f32.to_le_bytes());
         let mut parts = Vec::new();
-        flate2::read::ZlibDecoder::new(&message[12..]).read_to_end(&mut parts).expect("it is whole");
+        flate2::read::ZlibDecoder::new(&message[16..]).read_to_end(&mut parts).expect("it is whole");
         for (at, part) in parts.as_chunks::<2>().0.iter().enumerate() {
             let part = f32::from(u16::from_le_bytes(*part));
             let x = 2 * (at % 350);

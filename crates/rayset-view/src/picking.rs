@@ -22,6 +22,10 @@ pub(crate) struct Picked {
     pub(crate) position: Option<[f64; 3]>,
     /// The point next to it, if there is one.
     pub(crate) point: Option<Point>,
+    /// The value of the voxel there, if a grid is seen.
+    pub(crate) value: Option<f64>,
+    /// How exactly places are known, in world space: of a point as its file stores it, of other things as they are seen.
+    pub(crate) error: f64,
 }
 
 /// A point of a cloud.
@@ -55,10 +59,15 @@ pub(crate) fn pick(
     }
     let place = camera.position + camera.direction.normalize() * f64::from(seen.depth);
     picked.position = Some(place.to_array());
-    let mut clouds = Vec::new();
-    find_clouds(root, DAffine3::IDENTITY, &mut clouds);
+    let distance = f64::from(seen.depth);
+    // A pixel is as wide as this there. What is no point is seen at most a step behind where it begins.
+    let wide = show.camera.height.unwrap_or(2.0 * (0.5 * show.camera.fovy.to_radians()).tan() * distance);
+    let pixel = wide / f64::from(show.size[1].max(1));
+    picked.error = pixel.max(scene.longest_step()).max(distance * f64::from(f32::EPSILON));
+    let objects = objects(root);
     let mut nearest = f64::INFINITY;
-    for (object, world_from_local) in clouds {
+    for (shape, world_from_local) in &objects {
+        let Shape::Cloud(object) = shape else { continue };
         let (cloud, local) = (&object.cloud, world_from_local.inverse().transform_point3(place));
         let within = RADII * f64::from(cloud.header().radius.max());
         let found = cloud.nearest(local, within).map_err(|error| error.to_string())?;
@@ -66,8 +75,22 @@ pub(crate) fn pick(
         let position = world_from_local.transform_point3(stored.into());
         if position.distance(place) < nearest {
             nearest = position.distance(place);
+            // Nor more than double precision has.
+            picked.error = cloud.header().position_error.max(position.abs().max_element() * f64::EPSILON);
             picked.point =
                 Some(Point { position: position.to_array(), stored, values: values(cloud, &found) });
+        }
+    }
+    if picked.point.is_none() {
+        let values = objects.iter().filter_map(|(shape, world_from_local)| match shape {
+            Shape::Grid(object) => Some((&object.grid, world_from_local.inverse().transform_point3(place))),
+            _ => None,
+        });
+        for (grid, local) in values {
+            if let Some(value) = grid.value_at(local).map_err(|error| error.to_string())? {
+                picked.value = Some(value);
+                break;
+            }
         }
     }
     Ok(picked)
@@ -78,10 +101,16 @@ fn through(pose: &Pose, [across, down]: [f64; 2], [width, height]: [u32; 2]) -> 
     let ahead = DVec3::from_array(pose.direction).normalize_or(DVec3::NEG_Z);
     let right = ahead.cross(pose.up.into()).normalize_or(ahead.any_orthonormal_vector());
     let above = right.cross(ahead);
-    let half = (0.5 * pose.fovy.to_radians()).tan();
     let aspect = f64::from(width) / f64::from(height.max(1));
-    let direction =
-        ahead + right * ((2.0 * across - 1.0) * half * aspect) + above * ((1.0 - 2.0 * down) * half);
+    let place =
+        |half: f64| right * ((2.0 * across - 1.0) * half * aspect) + above * ((1.0 - 2.0 * down) * half);
+    if let Some(whole) = pose.height {
+        let position = DVec3::from_array(pose.position) + place(0.5 * whole);
+        let height_of_pixel = whole / f64::from(height.max(1));
+        return Pose { position: position.to_array(), height: Some(height_of_pixel), ..*pose };
+    }
+    let half = (0.5 * pose.fovy.to_radians()).tan();
+    let direction = ahead + place(half);
     // As high as a pixel is where the picture is not slanted.
     let fovy = (2.0 * (half / f64::from(height.max(1))).atan()).to_degrees().max(1e-3);
     Pose { direction: direction.normalize().to_array(), up: above.to_array(), fovy, ..*pose }
@@ -100,18 +129,33 @@ fn look(scene: &PreparedScene, camera: &rayset::scene::Camera) -> Result<LayerPi
 }
 
 /// The clouds of a graph, each with where it is.
-pub(crate) fn find_clouds<'a>(
-    node: &'a Node,
-    world_from_parent: DAffine3,
-    found: &mut Vec<(&'a CloudObject, DAffine3)>,
-) {
+pub(crate) fn clouds(root: &Node) -> Vec<(&CloudObject, DAffine3)> {
+    let mut found = Vec::new();
+    for (shape, world_from_local) in objects(root) {
+        if let Shape::Cloud(object) = shape {
+            found.push((object, world_from_local));
+        }
+    }
+    found
+}
+
+/// The clouds and grids of a graph, each with where it is.
+fn objects(root: &Node) -> Vec<(&Shape, DAffine3)> {
+    let mut found = Vec::new();
+    find_objects(root, DAffine3::IDENTITY, &mut found);
+    found
+}
+
+fn find_objects<'a>(node: &'a Node, world_from_parent: DAffine3, found: &mut Vec<(&'a Shape, DAffine3)>) {
     /// More are not asked.
     const MOST: usize = 64;
     let world_from_local = world_from_parent * node.parent_from_local;
     match &node.shape {
-        Shape::Cloud(object) if found.len() < MOST => found.push((object, world_from_local)),
+        shape @ (Shape::Cloud(_) | Shape::Grid(_)) if found.len() < MOST => {
+            found.push((shape, world_from_local));
+        }
         Shape::Operator(_, children) if found.len() < MOST => {
-            children.iter().for_each(|child| find_clouds(child, world_from_local, found));
+            children.iter().for_each(|child| find_objects(child, world_from_local, found));
         }
         _ => {}
     }

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::cuts::{Cutter, MOST_CUTTERS, Section};
 use crate::engine::Report;
-use crate::looks::{Choices, Histogram, Style};
+use crate::looks::{Choices, Histogram, Stance, Style};
 use crate::picking::Picked;
 
 /// Longest message of a page, in bytes.
@@ -39,6 +39,12 @@ pub(crate) enum FromPage {
     Engine {
         #[serde(default)]
         with_map: bool,
+    },
+    /// The command that renders what is seen is wanted.
+    Command {
+        /// Answers say which question they are for.
+        question: u32,
+        show: Box<Show>,
     },
     /// A picture of what is seen is wanted as a file, of the size in `show`.
     Picture(Box<Show>),
@@ -75,6 +81,9 @@ pub(crate) struct Pose {
     pub(crate) up: [f64; 3],
     /// Vertical angle in degrees.
     pub(crate) fovy: f64,
+    /// Height of the picture of an orthographic camera, in the units of the data; `None` of one with an angle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) height: Option<f64>,
 }
 
 /// How what is seen differs from the scene that was opened. What is missing stays as it is there.
@@ -129,8 +138,16 @@ pub(crate) struct Legend {
     pub(crate) densities: Option<Histogram>,
     /// What a person should know of the scene.
     pub(crate) remarks: Vec<String>,
-    /// The command that renders it, without camera and size, as a shell reads it; `None` if it takes a scene file.
-    pub(crate) command: Option<String>,
+}
+
+/// What memory gives pictures.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct PictureMemory {
+    /// Bytes of the whole process for each pixel of a page.
+    pub(crate) bytes_per_pixel: u64,
+    /// The most pixels that any memory gives.
+    pub(crate) most_pixels: u64,
 }
 
 /// A message to the page.
@@ -147,10 +164,18 @@ pub(crate) enum ToPage {
         camera: Pose,
         /// The least and the largest coordinates of the scene; world space.
         bounds: [[f64; 3]; 2],
+        /// How it stands; `None` of a scene, which does not say.
+        stance: Option<Stance>,
+        /// The unit of its lengths.
+        unit: Option<&'static str>,
+        /// What was remarked when it was opened.
+        remarks: Vec<String>,
         /// The scene as it was opened.
         scene: Box<Value>,
         /// The most pixels that a picture on the page may have.
         most_pixels: u64,
+        /// What would give it more.
+        memory: PictureMemory,
         /// Looks to choose among; `None` for a scene, which says itself what it looks like.
         choices: Option<Box<Choices>>,
     },
@@ -166,6 +191,10 @@ pub(crate) enum ToPage {
     Pictured { what: Option<String> },
     /// The picture of a generation is complete: what `rayset render` makes of the same scene.
     Converged { generation: u32, seconds: f64 },
+    /// The command that renders what is seen, as a shell reads it; `None` if it takes a scene file.
+    Command { question: u32, command: Option<String> },
+    /// This page is not served.
+    Refused { what: String },
     /// The scene file that was asked for, as text.
     Saved { scene: String },
     /// A token that opens another page, once.

@@ -21,7 +21,8 @@ use crate::access::{Access, LEAST_PASSWORD, Refusal, SECRET_BYTES};
 use crate::compose::{Opened, Subject};
 use crate::connections::Limited;
 use crate::page;
-use crate::protocol::{MOST_MESSAGE_BYTES, ToPage};
+use crate::protocol::{MOST_MESSAGE_BYTES, PictureMemory, ToPage};
+use crate::refusals::{Refusals, Said};
 use crate::visit::{self, Places};
 
 /// Most pages that are connected at a time.
@@ -47,6 +48,11 @@ pub struct Options {
     pub allowed_hosts: Vec<String>,
     /// Bytes for the pictures of all pages together.
     pub picture_bytes: u64,
+    /// The most that they get of any memory, and the part of the process's memory that they get of less, as one by this number: pages are
+    /// told which memory would give them more pixels.
+    pub most_picture_bytes: u64,
+    /// See `most_picture_bytes`.
+    pub picture_share: u64,
     /// What cookies are signed with. Kept from one run to the next, it lets pages connect again.
     pub key: [u8; SECRET_BYTES],
 }
@@ -56,7 +62,16 @@ impl Options {
     #[must_use]
     pub fn new(key: [u8; SECRET_BYTES], port: u16) -> Self {
         let address = IpAddr::V4(Ipv4Addr::LOCALHOST);
-        Self { address, port, password: None, allowed_hosts: Vec::new(), picture_bytes: 64 << 20, key }
+        Self {
+            address,
+            port,
+            password: None,
+            allowed_hosts: Vec::new(),
+            picture_bytes: 64 << 20,
+            most_picture_bytes: 64 << 20,
+            picture_share: 1,
+            key,
+        }
     }
 }
 
@@ -104,9 +119,12 @@ pub(crate) struct Shared {
     pub(crate) most_pixels: u64,
     /// Memory for the pictures of a page.
     pub(crate) page_bytes: u64,
+    /// What would give them more pixels.
+    memory: PictureMemory,
     /// Places for pages that are taken.
     pub(crate) pages: AtomicUsize,
     pub(crate) log: Box<dyn Fn(&str) + Send + Sync>,
+    refusals: Refusals,
 }
 
 /// How far opening what is to be seen has come.
@@ -147,8 +165,12 @@ impl Opener {
             title: opened.subject.title.clone(),
             camera: opened.camera,
             bounds: [opened.bounds.min.to_array(), opened.bounds.max.to_array()],
+            stance: opened.subject.stance,
+            unit: opened.subject.unit,
+            remarks: opened.subject.remarks.clone(),
             scene: Box::new(opened.subject.scene.clone()),
             most_pixels: self.0.most_pixels,
+            memory: self.0.memory,
             choices: opened.subject.looks.as_ref().map(|looks| Box::new(looks.choices())),
         };
         self.0.stage.send_replace(Stage::Ready(Arc::new(Ready { session, opened, hello })));
@@ -182,8 +204,13 @@ impl Server {
             stage: watch::Sender::new(Stage::Opening { what: "opening".into(), part: 0.0 }),
             most_pixels: page_bytes / PIXEL_BYTES,
             page_bytes,
+            memory: PictureMemory {
+                bytes_per_pixel: PIXEL_BYTES * MOST_PAGES as u64 * options.picture_share,
+                most_pixels: options.most_picture_bytes / MOST_PAGES as u64 / PIXEL_BYTES,
+            },
             pages: AtomicUsize::new(0),
             log: Box::new(log),
+            refusals: Refusals::default(),
         };
         Ok(Self { runtime, listener, shared: Arc::new(shared), address })
     }
@@ -236,11 +263,20 @@ impl Server {
 }
 
 impl Shared {
+    /// Logs that somebody was refused. Whoever is refused again and again does not fill the log.
+    fn log_refusal(&self, line: &str) {
+        match self.refusals.count() {
+            Said::Line => (self.log)(line),
+            Said::LineAfter(unsaid) => (self.log)(&format!("{line} ({unsaid} more were refused before)")),
+            Said::Nothing => {}
+        }
+    }
+
     /// The answer to somebody who may not look.
     fn refuse(&self, refusal: Refusal, path: &str) -> Response {
         // A path may hold anything; a line holds what a terminal shows.
         let path: String = path.chars().take(60).map(|c| if c.is_control() { '?' } else { c }).collect();
-        (self.log)(&format!("refused a request for {path}: {refusal}"));
+        self.log_refusal(&format!("refused a request for {path}: {refusal}"));
         let what =
             "Not for you, or no longer: open an address that `rayset view` has printed, each works once.\n";
         (StatusCode::FORBIDDEN, what).into_response()
@@ -373,16 +409,16 @@ async fn socket(
         Ok(upgrade) => upgrade,
         Err(rejection) => return rejection.into_response(),
     };
-    let Some(place) = Places::one(&shared) else {
-        (shared.log)(&format!(
-            "refused a page: {MOST_PAGES} are open, or a picture is being saved with the memory of those that are not"
-        ));
-        return (
-            StatusCode::SERVICE_UNAVAILABLE,
-            "no place is free: too many pages are open, or a picture is being saved\n",
-        )
-            .into_response();
-    };
     let upgrade = upgrade.max_message_size(MOST_MESSAGE_BYTES).max_frame_size(MOST_MESSAGE_BYTES);
-    upgrade.on_upgrade(move |socket| visit::serve(place, socket))
+    match Places::one(&shared) {
+        Some(place) => upgrade.on_upgrade(move |socket| visit::serve(place, socket)),
+        None => {
+            let what = format!(
+                "{MOST_PAGES} pages are open already, or a picture is being saved with the memory of those that are not"
+            );
+            shared.log_refusal(&format!("refused a page: {what}"));
+            // Scripts cannot read why a socket was not opened: it is opened to say so.
+            upgrade.on_upgrade(move |socket| visit::refuse(what, socket))
+        }
+    }
 }

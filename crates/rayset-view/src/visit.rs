@@ -92,6 +92,13 @@ pub(crate) async fn serve(place: Places, mut socket: WebSocket) {
     }
 }
 
+/// Tells a page why it is not served, and ends the connection.
+pub(crate) async fn refuse(what: String, mut socket: WebSocket) {
+    // A page that does not listen is not told.
+    let _ = give(&mut socket, Outgoing::Text(ToPage::Refused { what })).await;
+    let _ = deliver(&mut socket, Message::Close(None)).await;
+}
+
 /// Waits until there is something to see, and tells the page meanwhile how far it is; `None` if the page does not wait.
 async fn opened(shared: &Shared, socket: &mut WebSocket) -> Option<Arc<Ready>> {
     let mut stage = shared.stage.subscribe();
@@ -207,6 +214,7 @@ impl Page {
                 return Ok(Some(ToPage::Invited { token }));
             }
             FromPage::Save(show) => self.ask(Ask::Save(show)),
+            FromPage::Command { question, show } => self.ask(Ask::Command { question, show }),
             FromPage::Pick { question, at, show } => self.ask(Ask::Pick { question, at, show }),
             FromPage::Engine { with_map } => self.ask(Ask::Engine { with_map }),
             FromPage::Picture(show) => {

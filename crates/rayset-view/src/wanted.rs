@@ -32,10 +32,11 @@ struct State {
     closed: bool,
 }
 
-#[derive(Clone, Copy, PartialEq)]
 struct Done {
-    generation: u32,
+    show: Arc<Show>,
     grade: Grade,
+    /// Whether it has been shown; otherwise it cannot be.
+    is_shown: bool,
 }
 
 /// How good a picture is.
@@ -123,11 +124,18 @@ impl Wanted {
         }
     }
 
-    /// Takes note that an order has been fulfilled, or that it cannot be.
+    /// Takes note that an order has been fulfilled.
     pub(crate) fn done(&self, order: &Order) {
         let mut state = self.lock();
         state.working = None;
-        state.done = Some(Done { generation: order.show.generation, grade: order.grade });
+        state.done = Some(Done { show: order.show.clone(), grade: order.grade, is_shown: true });
+    }
+
+    /// Takes note that an order cannot be fulfilled. What cannot be shown quickly cannot be shown finely either.
+    pub(crate) fn failed(&self, order: &Order) {
+        let mut state = self.lock();
+        state.working = None;
+        state.done = Some(Done { show: order.show.clone(), grade: Grade::Fine, is_shown: false });
     }
 
     /// Takes note that an order was given up.
@@ -156,11 +164,18 @@ impl Wanted {
     }
 }
 
+/// Whether two wishes are for the same picture.
+fn is_same_picture(a: &Show, b: &Show) -> bool {
+    (a.camera, a.size) == (b.camera, b.size) && a.changes == b.changes
+}
+
 impl State {
     fn to_do(&self) -> Option<(Arc<Show>, Grade)> {
         let show = self.show.as_ref()?;
-        let reached = self.done.filter(|done| done.generation == show.generation).map(|done| done.grade);
-        match reached {
+        let reached = self.done.as_ref().filter(|done| done.show.generation == show.generation);
+        // A picture that has come to rest has been shown quickly while it moved: again would be no better.
+        let before = self.done.as_ref().filter(|done| done.is_shown && is_same_picture(&done.show, show));
+        match reached.map(|done| done.grade).or(before.map(|_| Grade::Quick)) {
             None => Some((show.clone(), Grade::Quick)),
             Some(Grade::Quick) if !show.moving => Some((show.clone(), Grade::Fine)),
             Some(_) => None,
@@ -183,8 +198,13 @@ mod tests {
     use crate::protocol::{Changes, Pose};
 
     fn show(generation: u32, moving: bool) -> Show {
-        let camera =
-            Pose { position: [0.0; 3], direction: [0.0, 0.0, -1.0], up: [0.0, 1.0, 0.0], fovy: 40.0 };
+        let camera = Pose {
+            position: [f64::from(generation), 0.0, 0.0],
+            direction: [0.0, 0.0, -1.0],
+            up: [0.0, 1.0, 0.0],
+            fovy: 40.0,
+            height: None,
+        };
         Show { generation, camera, size: [64, 48], moving, changes: Changes::default() }
     }
 
@@ -203,6 +223,24 @@ mod tests {
         }
         wanted.close();
         assert!(wanted.next().is_none());
+    }
+
+    #[test]
+    fn a_picture_that_comes_to_rest_is_not_made_quickly_twice() {
+        let wanted = Wanted::default();
+        wanted.show(show(1, true));
+        let order = wanted.next().expect("an order");
+        wanted.done(&order);
+        wanted.show(Show { generation: 2, moving: false, ..show(1, false) });
+        let order = wanted.next().expect("an order");
+        assert_eq!((order.show.generation, order.grade), (2, Grade::Fine));
+        wanted.done(&order);
+        // One that cannot be made is tried, and said, again.
+        wanted.show(show(3, true));
+        wanted.failed(&wanted.next().expect("an order"));
+        wanted.show(Show { generation: 4, moving: false, ..show(3, false) });
+        let order = wanted.next().expect("an order");
+        assert_eq!((order.show.generation, order.grade), (4, Grade::Quick));
     }
 
     #[test]

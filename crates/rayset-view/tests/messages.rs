@@ -14,7 +14,7 @@ fn messages() -> Vec<(String, Vec<u8>)> {
 #[test]
 fn every_kind_of_message_is_heard() {
     let all = messages();
-    assert_eq!(all.len(), 9);
+    assert_eq!(all.len(), 10);
     for (name, bytes) in all {
         if let Err(what) = rayset_view::hear_message(&bytes) {
             panic!("{name}: {what}");

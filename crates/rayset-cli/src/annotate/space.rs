@@ -18,7 +18,7 @@ impl Space {
     const UNKNOWN: Self = Self { unit: None, y_is_north: false };
 
     /// What all clouds and grids of a scene agree on; unknown if any of them is moved.
-    pub(super) fn of(scene: &Scene) -> Self {
+    pub(crate) fn of(scene: &Scene) -> Self {
         let (mut found, mut moved) = (Vec::new(), false);
         scene.root.for_each(&mut |node| {
             moved |= node.parent_from_local != DAffine3::IDENTITY;

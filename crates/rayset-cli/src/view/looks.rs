@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Parser;
 use rayset::scene::Colormap;
-use rayset_view::{Attribute, Choices, Histogram, Looks as ForPages, Style, Styled};
-use serde_json::Value;
+use rayset::storage::address_of;
+use rayset_view::{Attribute, Choices, Command, Histogram, Looks as ForPages, Style, Styled};
 
 use crate::histogram;
-use rayset_inputs::look::{CameraArgs, LookArgs, Looks};
+use rayset_inputs::look::{CameraArgs, Chosen, LookArgs, Looks};
 use rayset_inputs::units;
 
 /// Colours of a map that a page is told.
@@ -25,9 +25,9 @@ pub(super) struct LooksOfFile {
     /// What was said when the program was started.
     look: LookArgs,
     camera: CameraArgs,
+    /// Options that decide what is built of the inputs.
+    building: Vec<String>,
     inputs: Vec<PathBuf>,
-    /// How inputs were built, as options.
-    built_with: Vec<String>,
 }
 
 /// The options of a style, read as the command line's are.
@@ -38,22 +38,38 @@ struct Words {
     look: LookArgs,
 }
 
+/// The options of a camera, likewise.
+#[derive(Parser)]
+#[command(no_binary_name = true)]
+struct CameraWords {
+    #[command(flatten)]
+    camera: CameraArgs,
+}
+
 impl LooksOfFile {
     pub(super) fn new(
         looks: Looks,
         look: LookArgs,
         camera: CameraArgs,
+        building: Vec<String>,
         inputs: &[PathBuf],
-        built_with: Vec<String>,
     ) -> Self {
-        let whole = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
-        Self { looks, look, camera, inputs: inputs.iter().map(whole).collect(), built_with }
+        let whole = |path: &PathBuf| match address_of(path) {
+            Some(_) => path.clone(),
+            None => std::path::absolute(path).unwrap_or_else(|_| path.clone()),
+        };
+        Self { looks, look, camera, building, inputs: inputs.iter().map(whole).collect() }
     }
 
     /// The scene as it was asked for on the command line, and what was chosen.
-    pub(super) fn first(&self) -> Result<(Value, String)> {
-        let chosen = self.looks.chosen(&self.look, &self.camera, SIZE)?;
-        Ok((chosen.scene, chosen.line))
+    pub(super) fn first(&self) -> Result<Chosen> {
+        self.looks.chosen(&self.look, &self.camera, SIZE)
+    }
+
+    /// The options of a style.
+    fn look_of(&self, style: &Style) -> Result<LookArgs, String> {
+        let words = self.other_words(style).into_iter().chain(style.words());
+        Ok(Words::try_parse_from(words).map_err(|error| first_line(&error.to_string()))?.look)
     }
 
     /// What was said when the program was started, as far as pages can say it.
@@ -125,23 +141,26 @@ impl ForPages for LooksOfFile {
     }
 
     fn styled(&self, style: &Style) -> Result<Styled, String> {
-        let words = self.other_words(style).into_iter().chain(style.words());
-        let look = Words::try_parse_from(words).map_err(|error| first_line(&error.to_string()))?.look;
+        let look = self.look_of(style)?;
         let chosen = self.looks.chosen(&look, &self.camera, SIZE).map_err(|error| format!("{error:#}"))?;
-        let mut command = vec!["rayset".to_owned(), "render".to_owned()];
-        command.extend(self.inputs.iter().map(|path: &PathBuf| text(path)));
-        command.extend(self.built_with.iter().cloned());
-        command.extend(look.words());
-        if let Some([x, y, z]) = self.camera.up {
-            command.push(format!("--up={x},{y},{z}"));
-        }
         Ok(Styled {
             scene: chosen.scene,
             look: chosen.look.to_owned(),
             line: chosen.line,
             densities: spread((chosen.densities)().into_iter()),
-            command,
         })
+    }
+
+    fn command(&self, style: &Style, camera: &[String]) -> Result<Command, String> {
+        let look = self.look_of(style)?;
+        let read = CameraWords::try_parse_from(camera).map_err(|error| first_line(&error.to_string()))?;
+        let chosen = self.looks.chosen(&look, &read.camera, SIZE).map_err(|error| format!("{error:#}"))?;
+        let mut words = vec!["rayset".to_owned(), "render".to_owned()];
+        words.extend(self.inputs.iter().map(|path: &PathBuf| text(path)));
+        words.extend(self.building.iter().cloned());
+        words.extend(look.words());
+        words.extend(camera.iter().cloned());
+        Ok(Command { words, scene: chosen.scene })
     }
 }
 

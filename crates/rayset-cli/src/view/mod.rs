@@ -6,26 +6,29 @@ mod state;
 use std::io::{IsTerminal, Read};
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
-use std::sync::Once;
+use std::sync::{Mutex, Once, PoisonError};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use rayset::Session;
+use rayset::geometry::DVec3;
 use rayset::points::Workload;
+use rayset::scene_file::SceneFile;
 use rayset::storage::InputFile;
-use rayset_view::{Options, Server, Subject};
+use rayset_view::{Options, Server, Stance, Subject};
 use serde_json::Value;
 
 use self::looks::LooksOfFile;
 
 use rayset_inputs::{CacheArgs, Input};
 
+use crate::annotate::Space;
 use crate::demo;
 use crate::input::{self, Resources};
 use crate::interrupts::TemporaryFolder;
 use crate::memory::PROCESS_BYTES;
 use crate::report::{bytes, name_of, remark, say_invitation};
-use rayset_inputs::look::{CameraArgs, LookArgs, Looks};
+use rayset_inputs::look::{CameraArgs, Chosen, LookArgs, Looks};
 use rayset_inputs::values;
 
 /// Memory for the whole process if nothing else is said.
@@ -34,6 +37,8 @@ const DEFAULT_MEMORY: u64 = 256 << 20;
 const SERVER_BYTES: u64 = 8 << 20;
 /// The least and the most for pictures of pages, which may otherwise take a quarter of the memory.
 const PICTURE_BYTES: std::ops::RangeInclusive<u64> = 16 << 20..=256 << 20;
+/// The part of the memory that they take, as one by this number.
+const PICTURE_SHARE: u64 = 4;
 /// The least that a session is of use with.
 const LEAST_SESSION_BYTES: u64 = 8 << 20;
 
@@ -83,12 +88,13 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
         bytes(args.memory),
         bytes(least)
     );
-    let picture_bytes = (args.memory / 4).clamp(*PICTURE_BYTES.start(), *PICTURE_BYTES.end());
+    let picture_bytes = (args.memory / PICTURE_SHARE).clamp(*PICTURE_BYTES.start(), *PICTURE_BYTES.end());
     let mut options = Options::new(state::key(), args.port);
     options.address = args.listen;
     options.password = args.password_file.as_deref().map(password).transpose()?;
     options.allowed_hosts.clone_from(&args.allow_host);
     options.picture_bytes = picture_bytes;
+    (options.most_picture_bytes, options.picture_share) = (*PICTURE_BYTES.end(), PICTURE_SHARE);
     let server = Server::start(options, |line| remark(line))?;
     let door = Door::new(&server, args)?;
     answer_the_terminal(server.inviter());
@@ -104,12 +110,16 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let inputs = made.as_ref().map_or_else(|| args.inputs.clone(), |(_, cloud)| vec![cloud.clone()]);
     let resources =
         Resources { memory: args.memory - SERVER_BYTES, threads: args.threads, told: Some(&told) };
-    let opened = input::open(&inputs, &args.cache, resources)?;
+    let remarks = Mutex::new(Vec::new());
+    let heard = |text: &str| remarks.lock().unwrap_or_else(PoisonError::into_inner).push(text.to_owned());
+    let opened = input::open_hearing(&inputs, &args.cache, resources, Some(&heard))?;
     let mut session = Session::builder().memory(args.memory - PROCESS_BYTES - SERVER_BYTES - picture_bytes);
     if let Some(threads) = args.threads {
         session = session.threads(threads);
     }
-    opener.open(subject(args, &inputs, opened.input)?, session.build()?)?;
+    let remarks = remarks.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let subject = Subject { remarks, ..subject(args, &inputs, opened.input)? };
+    opener.open(subject, session.build()?)?;
     door.open();
     match serving.join() {
         Ok(ended) => Ok(ended?),
@@ -180,22 +190,32 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
                     path.display()
                 );
             }
-            let scene = scene_of_file(&path)?;
-            return Ok(Subject { title, path, scene, looks: None });
+            let unit = Space::of(&SceneFile::load(&path)?.scene).unit;
+            let scene = json_of_file(&path)?;
+            return Ok(Subject { unit, ..Subject::scene(title, path, scene) });
         }
         Input::Cloud(cloud) => (cloud.path().to_owned(), Looks::of_cloud(cloud)?),
         Input::Grid(grid) => (grid.path().to_owned(), Looks::of_grid(grid, &args.camera)?),
     };
-    let looks =
-        LooksOfFile::new(looks, args.look.clone(), args.camera.clone(), inputs, args.cache.build_words());
-    let (scene, line) = looks.first()?;
+    let (look, camera, building) = (args.look.clone(), args.camera.clone(), args.cache.words());
+    let looks = LooksOfFile::new(looks, look, camera, building, inputs);
+    let Chosen { scene, line, stance, .. } = looks.first()?;
     remark(&line);
-    Ok(Subject { title, path, scene, looks: Some(Box::new(looks)) })
+    let file = SceneFile::parse(&path, &scene.to_string()).map_err(|error| anyhow::anyhow!(error.what))?;
+    let unit = Space::of(&file.scene).unit;
+    let vector = |v: DVec3| v.to_array();
+    let stance =
+        Stance { up: vector(stance.up), facing: vector(stance.facing), framed: stance.framed.map(vector) };
+    Ok(Subject {
+        looks: Some(Box::new(looks)),
+        stance: Some(stance),
+        unit,
+        ..Subject::scene(title, path, scene)
+    })
 }
 
-/// The text of a scene file, once the strict reader has found it good.
-fn scene_of_file(path: &Path) -> Result<Value> {
-    rayset::scene_file::SceneFile::load(path)?;
+/// The text of a scene file, which the strict reader has found good.
+fn json_of_file(path: &Path) -> Result<Value> {
     let reading = || format!("cannot read {}", path.display());
     let mut text = Vec::new();
     InputFile::open(path).with_context(reading)?.read_to_end(&mut text).with_context(reading)?;

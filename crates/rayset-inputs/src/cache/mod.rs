@@ -82,9 +82,17 @@ impl CacheArgs {
         Self { choices: BuildChoices::of_columns(columns), ..self }
     }
 
-    /// The options that say how inputs are built, as one would type them.
-    pub fn build_words(&self) -> Vec<String> {
-        self.choices.words()
+    /// The options as one would type them: those that decide what is built, and where it is kept.
+    #[must_use]
+    pub fn words(&self) -> Vec<String> {
+        let folder = self.cache.as_ref().map(|folder| {
+            // A command may be run from elsewhere.
+            let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.clone());
+            format!("--cache={}", folder.display())
+        });
+        let flags = [("--no-cache", self.no_cache), ("--strict", self.strict)];
+        let flags = flags.into_iter().filter(|(_, given)| *given).map(|(name, _)| name.to_owned());
+        folder.into_iter().chain(flags).chain(self.choices.words()).collect()
     }
 
     /// Whether one damaged file of a folder is an error.

@@ -11,12 +11,12 @@ use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
-use super::framing::{Axis, one_place};
+use super::framing::{Axis, one_place, reach};
 use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
 use super::statistics::{Statistics, percentile};
 use super::turntable::Turntable;
-use super::view::CameraArgs;
+use super::view::{CameraArgs, Orientation};
 
 /// A scene chosen for an input.
 pub struct Chosen {
@@ -32,8 +32,21 @@ pub struct Chosen {
     pub up: String,
     /// What the cameras of a turntable turn about; `None` of one picture, and of an eye whose place was given.
     pub turntable: Option<Turntable>,
+    /// How the input stands, whichever side it is seen from.
+    pub stance: Stance,
     /// What opacity is over at some places, estimated.
     pub densities: Densities,
+}
+
+/// How an input stands in its coordinates.
+#[derive(Clone, Copy, Debug)]
+pub struct Stance {
+    /// What is up; length one.
+    pub up: DVec3,
+    /// The direction in which one looks at the front; length one, at a right angle to `up`.
+    pub facing: DVec3,
+    /// The least and the largest coordinates of what is framed.
+    pub framed: [DVec3; 2],
 }
 
 /// Estimates that cost a while, made when they are asked for.
@@ -195,6 +208,7 @@ fn of_sampled_cloud(
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
         turntable: camera.axis(&chosen.orientation, &points).map(turntable),
+        stance: stance(&chosen.orientation, &points),
         densities: Box::new(move || chosen.opacity_densities()),
     })
 }
@@ -273,11 +287,16 @@ fn of_sampled_grid(
         look: LookName::Volume.name(),
         up: chosen.orientation.reason_and_up(),
         turntable: camera.axis(&chosen.orientation, &chosen.points).map(turntable),
+        stance: stance(&chosen.orientation, &chosen.points),
         densities: {
             let shown = chosen.shown.clone();
             Box::new(move || shown)
         },
     })
+}
+
+fn stance(orientation: &Orientation, points: &[(DVec3, f64)]) -> Stance {
+    Stance { up: orientation.up, facing: orientation.facing, framed: reach(points) }
 }
 
 /// A scene of one object, without camera and lights.

@@ -176,6 +176,13 @@ pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Op
     (points, away)
 }
 
+/// The least and the largest coordinates of what is framed, whichever side it is seen from. Each point is given with its radius.
+pub(super) fn reach(points: &[(DVec3, f64)]) -> [DVec3; 2] {
+    let along = |axis: usize| spread(points.iter().map(|&(p, r)| (p[axis], SEEN * r)));
+    let spreads = [0, 1, 2].map(along);
+    [spreads.map(|s| s.low).into(), spreads.map(|s| s.high).into()]
+}
+
 /// Where most of some intervals lie on an axis.
 #[derive(Clone, Copy)]
 struct Spread {

@@ -18,7 +18,7 @@ mod upright;
 mod view;
 mod voxels;
 
-pub use self::choose::{Chosen, Looks, of_cloud, of_grid};
+pub use self::choose::{Chosen, Looks, Stance, of_cloud, of_grid};
 pub use self::options::LookArgs;
 pub use self::turntable::{Turntable, standing_back, turned};
 pub use self::view::CameraArgs;

@@ -2,13 +2,17 @@
 /** The page: one view, its panels, and what it remembers. */
 
 import { listen } from "./gestures.js";
+import { History } from "./history.js";
 import { Overlay } from "./overlay.js";
 import { build } from "./panels.js";
 import { RaysetView } from "./view.js";
+import { element } from "./widgets.js";
 
-/** Most changes that can be taken back. */
-const MOST_UNDO = 200;
 const KEPT = "rayset-view";
+/** What a page hands to one that it opens. */
+const HANDED = "rayset-handed";
+/** Milliseconds after which nobody takes it. */
+const HANDING = 60_000;
 
 /** @template {HTMLElement} T @param {string} id @returns {T} */
 const by = (id) => /** @type {T} */ (document.getElementById(id));
@@ -16,14 +20,8 @@ const by = (id) => /** @type {T} */ (document.getElementById(id));
 const view = new RaysetView(/** @type {HTMLCanvasElement} */ (by("picture")), { socket: "socket" });
 const status = by("status");
 
-/** @type {string[]} states before changes, the latest last */
-const undo = [];
-const begin = () => {
-  const state = JSON.stringify(view.state);
-  // What changed nothing is not worth taking back.
-  if (undo.at(-1) !== state) undo.push(state);
-  if (undo.length > MOST_UNDO) undo.shift();
-};
+const history = new History(view, "rayset-history");
+const begin = () => history.begin();
 /** Enough of a text to know it again (FNV-1a). @param {string} text */
 const hash = (text) => {
   let sum = 0x811c9dc5;
@@ -33,6 +31,27 @@ const hash = (text) => {
 const restore = (/** @type {string | null | undefined} */ text) => {
   if (!text) return;
   view.state = JSON.parse(text);
+};
+
+/** Takes what another page has handed to this one, if it is of the same scene. @param {string} scene @returns {string | null} */
+const handed = (scene) => {
+  try {
+    const text = localStorage.getItem(HANDED);
+    const { opened, at } = JSON.parse(text ?? "{}");
+    if (opened !== scene || !(Date.now() - at < HANDING)) return null;
+    localStorage.removeItem(HANDED);
+    return text;
+  } catch {
+    return null;
+  }
+};
+/** Hands what is seen to a page that is about to be opened. */
+const hand = () => {
+  try {
+    localStorage.setItem(HANDED, JSON.stringify({ opened, at: Date.now(), ...view.state }));
+  } catch {
+    // The browser keeps nothing: the page begins anew.
+  }
 };
 
 const overlay = new Overlay(view, /** @type {any} */ (by("overlay")), begin);
@@ -49,7 +68,9 @@ view.addEventListener("hello", () => {
   // A page that is loaded again goes on where it was, if it is the same scene.
   const kept = sessionStorage.getItem(KEPT);
   if (kept && JSON.parse(kept).opened === scene) restore(kept);
-  build(by("panels"), view, begin, overlay, scene);
+  else restore(handed(scene));
+  history.open(scene);
+  build(by("panels"), view, begin, overlay, scene, history, hand);
 });
 view.addEventListener("opening", (event) => {
   const { what, part } = /** @type {CustomEvent} */ (event).detail;
@@ -57,35 +78,47 @@ view.addEventListener("opening", (event) => {
 });
 /** Remembers what is seen, once it rests, or when the page goes. */
 let keeping = 0;
-const keep = () => opened && sessionStorage.setItem(KEPT, JSON.stringify({ opened, ...view.state }));
+const keep = () => {
+  if (!opened) return;
+  sessionStorage.setItem(KEPT, JSON.stringify({ opened, ...view.state }));
+  history.keep(opened);
+};
 window.addEventListener("pagehide", keep);
+/** Whether the program hears what this page wants. */
+let isConnected = false;
 view.addEventListener("change", () => {
-  if (status.textContent !== "tracing") status.textContent = "tracing";
+  if (isConnected && status.textContent !== "tracing") status.textContent = "tracing";
   clearTimeout(keeping);
   keeping = window.setTimeout(keep, 200);
 });
 view.addEventListener("converged", (event) => {
   const seconds = /** @type {CustomEvent} */ (event).detail.seconds;
-  const remarks = (view.legend?.remarks ?? []).map((remark) => `; ${remark}`).join("");
-  status.textContent = `complete, ${seconds.toFixed(1)} s${remarks}`;
+  const { picture, screen, wanted } = view.sharpness;
+  const memory = wanted && `--memory ${Math.ceil(wanted / 2 ** 20 / 16) * 16}MiB`;
+  const blur = memory ? `; ${picture.join("×")} pixels, stretched over ${screen.join("×")}: ${memory} gives more` : "";
+  status.textContent = `complete, ${seconds.toFixed(1)} s${blur}`;
+  const remarks = [...view.remarks, ...(view.legend?.remarks ?? [])];
+  by("remarks").replaceChildren(...remarks.map((remark) => element("li", {}, [remark])));
 });
 view.addEventListener("problem", (event) => {
   status.textContent = /** @type {CustomEvent} */ (event).detail.what;
 });
 view.addEventListener("connection", (event) => {
-  if (!(/** @type {CustomEvent} */ (event).detail.open)) status.textContent = "not connected; trying again";
+  const { open, what } = /** @type {CustomEvent} */ (event).detail;
+  isConnected = open;
+  if (!open) status.textContent = `not connected${what ? `: ${what}` : ""}; trying again`;
 });
 
 listen(view, begin);
 document.addEventListener("keydown", (event) => {
   // In a field where one types, it is the typing that is taken back.
   const types = event.target instanceof HTMLTextAreaElement || (event.target instanceof HTMLInputElement && /^(text|number)$/.test(event.target.type));
-  if ((event.ctrlKey || event.metaKey) && !event.shiftKey && !types && event.key.toLowerCase() === "z") {
-    event.preventDefault();
-    const now = JSON.stringify(view.state);
-    while (undo.at(-1) === now) undo.pop();
-    restore(undo.pop());
-  }
+  if (!(event.ctrlKey || event.metaKey) || types) return;
+  const key = event.key.toLowerCase();
+  if (key !== "z" && key !== "y") return;
+  event.preventDefault();
+  if (key === "y" || event.shiftKey) history.redo();
+  else history.undo();
 });
 const fold = by("fold");
 fold.addEventListener("click", () => {

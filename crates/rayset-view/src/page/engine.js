@@ -81,7 +81,7 @@ function numbers(table, report) {
 function draw(canvas, boxes, resident, view) {
   const context = canvas.getContext("2d");
   if (!context || boxes.length === 0) return;
-  const up = view.home?.up ?? [0, 0, 1];
+  const up = view.vertical;
   const above = [0, 1, 2].reduce((best, k) => (Math.abs(up[k]) > Math.abs(up[best]) ? k : best), 0);
   // Two axes as on a map: to the right, and away from the reader.
   const [east, north] = above === 1 ? [0, 2] : [(above + 1) % 3, (above + 2) % 3];

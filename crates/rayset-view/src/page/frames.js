@@ -3,6 +3,8 @@
 
 const HEAD_BYTES = 16;
 const WHOLE = 1;
+/** Of a picture, without loss. */
+export const PARTS = 2;
 /** Of a picture that is saved. */
 export const PIECE = 3;
 
@@ -23,6 +25,7 @@ export const PIECE = 3;
  * @property {number} rows
  * @property {number} nearest
  * @property {number} farthest
+ * @property {number} [step] how far behind where a surface begins its distance may be
  * @property {Uint16Array<ArrayBuffer>} parts `nearest` by the distance, in 65535ths; 0 is nothing
  */
 
@@ -57,14 +60,14 @@ async function inflate(bytes) {
 /** The distances of a whole frame, and its picture. @param {Uint8Array<ArrayBuffer>} body */
 async function whole(body) {
   const head = new DataView(body.buffer, body.byteOffset);
-  const length = head.getUint32(8, true);
-  const parts = new Uint16Array((await inflate(body.subarray(12, 12 + length))).buffer);
-  const nearest = head.getFloat32(4, true);
+  const length = head.getUint32(12, true);
+  const parts = new Uint16Array((await inflate(body.subarray(16, 16 + length))).buffer);
+  const [nearest, step] = [head.getFloat32(4, true), head.getFloat32(8, true)];
   let least = 65535;
   for (const part of parts) if (part > 0 && part < least) least = part;
   const [columns, rows] = [head.getUint16(0, true), head.getUint16(2, true)];
-  const depths = { columns, rows, nearest, farthest: (nearest * 65535) / least, parts };
-  const picture = await createImageBitmap(new Blob([body.subarray(12 + length)], { type: "image/jpeg" }));
+  const depths = { columns, rows, nearest, farthest: (nearest * 65535) / least, parts, step };
+  const picture = await createImageBitmap(new Blob([body.subarray(16 + length)], { type: "image/jpeg" }));
   return { depths, picture };
 }
 

@@ -1,14 +1,17 @@
 // @ts-check
 /** Mouse, touch and keys on the picture, as movements of a camera. */
 
-import { fly, lookAlong, orbit, pan, zoom } from "./camera.js";
+import { beforeAll, framing, orbit, withRays } from "./camera.js";
+import { aheadAt, approach, flyBy, shift } from "./motion.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 
 /** Radians for a drag across the whole height. */
 const TURN = Math.PI;
-/** What a key moves in a second: radians, factors, distances to the pivot. */
+/** What a key moves in a second: radians, factors, parts of the way to what is seen. */
 const SPEED = { turn: 1.2, zoom: 2.5, fly: 0.8 };
+/** What a pixel of a wheel, and of a pinch on a pad, comes nearer by, as a logarithm. */
+const [WHEEL, PINCH] = [0.0015, 0.01];
 /** @type {Record<string, [number, number, number, number, number, number]>} across, over, nearer, ahead, sideways, upward */
 const KEYS = {
   ArrowLeft: [1, 0, 0, 0, 0, 0],
@@ -35,6 +38,8 @@ export function listen(view, begin) {
   /** @type {Map<number, {x: number, y: number}>} pointers that are down */
   const down = new Map();
   let wheeling = 0;
+  /** How far ahead is what the pointer, or the middle of two, took hold of. */
+  let held = 1;
 
   /** A place of the picture, -1 to 1. @param {{x: number, y: number}} at @returns {[number, number, number]} and the aspect */
   const place = ({ x, y }) => {
@@ -43,10 +48,19 @@ export function listen(view, begin) {
     return [across, 1 - ((y - box.top) / box.height) * 2, box.width / box.height];
   };
 
+  const hold = () => {
+    const all = [...down.values()];
+    if (all.length === 0) return;
+    const middle = { x: all.reduce((sum, { x }) => sum + x, 0) / all.length, y: all.reduce((sum, { y }) => sum + y, 0) / all.length };
+    const [x, y] = place(middle);
+    held = aheadAt(view, x, y);
+  };
+
   canvas.addEventListener("pointerdown", (event) => {
     if (down.size === 0) begin();
     canvas.setPointerCapture(event.pointerId);
     down.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    hold();
     canvas.focus();
   });
 
@@ -60,18 +74,22 @@ export function listen(view, begin) {
     if (other) {
       const apart = (/** @type {{x: number, y: number}} */ at) => Math.hypot(at.x - other.x, at.y - other.y);
       const middle = { x: (now.x + other.x) / 2, y: (now.y + other.y) / 2 };
-      const factor = apart(before) / Math.max(apart(now), 1);
-      view.camera = pan(zoom(view.camera, factor, ...place(middle)), x / 2, y / 2);
+      const [px, py] = place(middle);
+      approach(view, apart(before) / Math.max(apart(now), 1), px, py);
+      shift(view, x / 2, y / 2, aheadAt(view, px, py));
     } else if (event.buttons & 6 || event.shiftKey) {
-      view.camera = pan(view.camera, x, y);
+      shift(view, x, y, held);
     } else {
-      view.camera = orbit(view.camera, -x * TURN, -y * TURN);
+      view.camera = beforeAll(orbit(view.camera, -x * TURN, -y * TURN), view.bounds);
     }
     down.set(event.pointerId, now);
   });
 
   for (const name of /** @type {const} */ (["pointerup", "pointercancel"])) {
-    canvas.addEventListener(name, (event) => down.delete(event.pointerId));
+    canvas.addEventListener(name, (event) => {
+      down.delete(event.pointerId);
+      hold();
+    });
   }
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
 
@@ -81,11 +99,28 @@ export function listen(view, begin) {
     const now = performance.now();
     if (now - wheeling > 400) begin();
     wheeling = now;
-    // Lines and pages, where a browser counts in those.
-    const pixels = event.deltaY * [1, 16, 400][event.deltaMode];
-    const factor = Math.exp(Math.min(Math.max(pixels, -400), 400) * 0.0015);
-    view.camera = zoom(view.camera, factor, ...place({ x: event.clientX, y: event.clientY }));
+    // With Shift, browsers turn a wheel sideways. Lines and pages, where they count in those.
+    const turned = event.shiftKey && !event.deltaY ? event.deltaX : event.deltaY;
+    const pixels = turned * [1, 16, 400][event.deltaMode];
+    // Two fingers that pinch on a pad are told as a wheel with Ctrl, in hundredths of a factor.
+    const rate = event.ctrlKey ? PINCH : WHEEL;
+    const factor = Math.exp(Math.min(Math.max(pixels * rate, -0.6), 0.6));
+    const [x, y] = place({ x: event.clientX, y: event.clientY });
+    approach(view, factor, x, y, event.shiftKey);
   }, { passive: false });
+
+  // Safari tells of a pinch by events of its own.
+  let pinched = 1;
+  for (const name of ["gesturestart", "gesturechange"]) {
+    canvas.addEventListener(name, (event) => {
+      event.preventDefault();
+      const { scale, clientX, clientY } = /** @type {any} */ (event);
+      const [x, y] = place({ x: clientX, y: clientY });
+      if (name === "gesturestart") begin();
+      else approach(view, pinched / scale, x, y);
+      pinched = scale;
+    });
+  }
 
   keys(view, begin);
 }
@@ -95,6 +130,8 @@ function keys(view, begin) {
   /** @type {Map<string, string>} places on the keyboard, and what they meant when they were pressed */
   const held = new Map();
   let last = 0;
+  /** With Shift, surfaces are no obstacle. */
+  let isThrough = false;
 
   const step = (/** @type {number} */ now) => {
     if (held.size === 0 || !view.camera) return;
@@ -103,13 +140,11 @@ function keys(view, begin) {
     const sum = [0, 0, 0, 0, 0, 0];
     for (const key of held.values()) KEYS[key].forEach((part, k) => (sum[k] += part * seconds));
     const [across, over, nearer, ahead, sideways, upward] = sum;
-    let camera = view.camera;
-    if (across || over) camera = orbit(camera, across * SPEED.turn, over * SPEED.turn);
-    if (nearer) camera = zoom(camera, SPEED.zoom ** nearer, 0, 0, 1);
+    if (across || over) view.camera = beforeAll(orbit(view.camera, across * SPEED.turn, over * SPEED.turn), view.bounds);
+    if (nearer) approach(view, SPEED.zoom ** nearer, 0, 0, isThrough);
     if (ahead || sideways || upward) {
-      camera = fly(camera, ahead * SPEED.fly, sideways * SPEED.fly, upward * SPEED.fly);
+      flyBy(view, [ahead * SPEED.fly, sideways * SPEED.fly, upward * SPEED.fly], isThrough);
     }
-    view.camera = camera;
     requestAnimationFrame(step);
   };
 
@@ -120,6 +155,7 @@ function keys(view, begin) {
       begin();
       view.camera = view.home;
     }
+    isThrough = event.shiftKey;
     if (!(key in KEYS)) return;
     event.preventDefault();
     if (held.has(event.code)) return;
@@ -133,6 +169,7 @@ function keys(view, begin) {
   view.canvas.addEventListener("keyup", (event) => {
     // With a command key, some systems say no more of the others.
     if (event.key === "Meta") held.clear();
+    isThrough = event.shiftKey;
     held.delete(event.code);
   });
   view.canvas.addEventListener("blur", () => held.clear());
@@ -148,7 +185,17 @@ export const STANDARD = [
   ["−z", [0, 0, 1]],
 ];
 
-/** @param {RaysetView} view @param {import("./camera.js").Vector} direction */
+/** Sees the whole exactly along a direction; from above with north up. @param {RaysetView} view @param {import("./camera.js").Vector} direction */
 export function lookFrom(view, direction) {
-  if (view.home) view.camera = lookAlong({ ...view.home }, direction);
+  if (!view.home || !view.camera) return;
+  const { height } = view.camera;
+  const { height: _, ...home } = view.home;
+  const aspect = view.canvas.width / view.canvas.height;
+  const seen = framing({ ...home, ...(height ? { height } : {}) }, direction, view.upAlong(direction), view.framed, aspect);
+  view.camera = beforeAll({ ...seen, vertical: view.vertical }, view.bounds);
+}
+
+/** Sees the same by parallel rays, or by those of an eye. @param {RaysetView} view @param {boolean} isOrthographic */
+export function setOrthographic(view, isOrthographic) {
+  if (view.camera) view.camera = withRays(view.camera, isOrthographic, view.bounds);
 }

@@ -9,7 +9,7 @@ import { checkbox, element, following, panel, shape, slider } from "./widgets.js
 /** @param {RaysetView} view @param {() => void} begin */
 export function lightPanel(view, begin) {
   const own = view.scene?.lights?.find?.((/** @type {any} */ each) => each.type === "directional");
-  const up = view.home?.up ?? [0, 1, 0];
+  const up = view.vertical;
   // The sun is told by its place in the sky, against what is up.
   const axis = [0, 1, 2].reduce((best, k) => (Math.abs(up[k]) > Math.abs(up[best]) ? k : best), 0);
   const sign = Math.sign(up[axis]) || 1;

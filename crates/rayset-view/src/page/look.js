@@ -1,6 +1,7 @@
 // @ts-check
 /** What a cloud or grid looks like: the looks of `rayset render`, its colours, and their bar. */
 
+import { drawBar, isLogarithmic, isMap, nameOf } from "./colors.js";
 import { editor } from "./transfer.js";
 import { checkbox, color, element, following, number, panel, select, short, slider } from "./widgets.js";
 
@@ -11,6 +12,8 @@ import { checkbox, color, element, following, number, panel, select, short, slid
 const OWN = "as the look has it";
 const ONE = "one colour";
 const AS = "look:";
+/** Colours that no map of the list has: those of classes, of a scan's Hounsfield units. */
+const OTHER = "";
 
 /** @param {RaysetView} view @param {() => void} begin */
 export function lookPanel(view, begin) {
@@ -45,8 +48,8 @@ export function lookPanel(view, begin) {
         valueRange: low < high ? [low, high] : [low, low + 1] });
     });
   const one = color("Colour", "#dbccb2", (value) => restyle({ color: value }));
-  const map = select("Map", palettes.flatMap(([name]) => /** @type {[string, string][]} */ ([[name, name], [`${name}_r`, `${name}, reversed`]])),
-    (name) => act({ colormap: name, color: undefined }));
+  const map = select("Map", [[OTHER, "colours of the look"], ...palettes.flatMap(([name]) => /** @type {[string, string][]} */ ([[name, name], [`${name}_r`, `${name}, reversed`]]))],
+    (name) => act({ colormap: name || undefined, color: undefined }));
   const end = (/** @type {0 | 1} */ which) => number(which ? "largest value of the map" : "least value of the map", (value) => {
     const range = shownRange(view.legend);
     /** @type {[number, number]} */
@@ -55,34 +58,42 @@ export function lookPanel(view, begin) {
     act({ valueRange: changed });
   });
   const [low, high] = [end(0), end(1)];
-  const range = element("div", { class: "row" }, [element("span", {}, ["Range"]), low.input, high.input]);
+  const range = element("div", { class: "row wide" }, [element("span", {}, ["Range"]), low.input, high.input]);
   const log = checkbox("Logarithm", false, (on) => act({ log: on || undefined }));
   // By powers of two, from a sixteenth to sixteen times.
   const radius = slider("Point radius", [-4, 4, 0.25], 0, (power) => restyle({ radiusScale: power ? 2 ** power : undefined }),
     (power) => `${short(2 ** power)}×`);
-  const bar = element("canvas", { class: "bar", width: "256", height: "44", role: "img" });
+  const bar = element("canvas", { class: "bar", width: "256", height: "58", role: "img" });
   const caption = element("p", { class: "caption" });
   const said = element("p", { class: "caption" });
 
+  /** The style that the legend tells of. */
+  let told = "";
   const follow = () => {
     const style = shown();
+    const isTold = told === JSON.stringify(style);
     look.input.value = style.look ?? "";
     by.input.value = style.color ? AS : style.colorBy ?? "";
     if (style.color) one.input.value = style.color;
     radius.set(Math.log2(style.radiusScale ?? 1));
     one.row.hidden = !style.color;
-    if (style.colormap) map.input.value = style.colormap;
-    log.input.checked = Boolean(style.log);
     const transfer = view.legend?.transferFunction ?? {};
     const hasMap = isMap(transfer.color, palettes);
+    const isLog = isTold && hasMap && isLogarithmic(transfer.color, shownRange(view.legend));
+    log.input.checked = Boolean(style.log) || isLog;
+    // The logarithm belongs to the look then.
+    log.input.disabled = isLog && !style.log;
     map.row.hidden = range.hidden = log.row.hidden = Boolean(style.color) || (!hasMap && !style.colormap);
-    if (hasMap && !style.colormap && typeof transfer.color === "string") map.input.value = transfer.color;
+    const name = style.colormap ?? (hasMap ? nameOf(transfer.color, shownRange(view.legend), palettes) : null);
+    map.input.value = name ?? OTHER;
     [low, high].forEach((each, k) => each.set(transfer.valueRange?.[k]));
     bar.hidden = caption.hidden = !hasMap;
-    // Of what the program says of its choice, the look and its reason; colours are told by the bar.
-    said.textContent = view.legend?.line?.match(/^[^(]*\([^)]*\)/)?.[0] ?? "";
+    said.textContent = view.legend?.line ?? "";
     if (hasMap) drawBar(/** @type {HTMLCanvasElement} */ (bar), caption, view);
   };
+  // Before the others hear of it.
+  view.addEventListener("legend", () => (told = JSON.stringify(shown())));
+  if (view.legend) told = JSON.stringify(shown());
   following(view, follow);
   return [
     panel("Look", [look.row, by.row, one.row, map.row, range, log.row, bar, caption, ...(attributes.length ? [radius.row] : []), said], true),
@@ -92,57 +103,3 @@ export function lookPanel(view, begin) {
 
 /** @param {Legend | null} legend @returns {[number, number]} */
 const shownRange = (legend) => legend?.transferFunction?.valueRange ?? [0, 1];
-
-/** @param {unknown} given @param {[string, string[]][]} palettes */
-function isMap(given, palettes) {
-  if (Array.isArray(given)) return Array.isArray(given[0]);
-  return typeof given === "string" && palettes.some(([name]) => given === name || given === `${name}_r`);
-}
-
-/**
- * The colours of a map at places from 0 to 1.
- * @param {any} given as a scene file has it @param {[string, string[]][]} palettes @returns {[number, string][]}
- */
-function stops(given, palettes) {
-  if (Array.isArray(given)) return given.map(([at, shown]) => [at, shown]);
-  const isReversed = given.endsWith("_r");
-  const colors = palettes.find(([name]) => name === given.replace(/_r$/, ""))?.[1] ?? [];
-  const ordered = isReversed ? [...colors].reverse() : colors;
-  return ordered.map((shown, k) => [k / (ordered.length - 1), shown]);
-}
-
-/** @param {HTMLCanvasElement} canvas @param {HTMLElement} caption @param {RaysetView} view */
-function drawBar(canvas, caption, view) {
-  const context = canvas.getContext("2d");
-  const shown = view.legend?.transferFunction;
-  if (!context || !shown || !view.choices) return;
-  const { width, height } = canvas;
-  const [low, high] = shownRange(view.legend);
-  const input = shown.input ?? (view.choices.attributes.length ? "density" : "value");
-  const attribute = view.choices.attributes.find(({ name }) => name === input);
-  context.clearRect(0, 0, width, height);
-  const gradient = context.createLinearGradient(0, 0, width, 0);
-  for (const [at, shownColor] of stops(shown.color, view.choices.palettes)) {
-    gradient.addColorStop(Math.min(Math.max(at, 0), 1), shownColor);
-  }
-  context.fillStyle = gradient;
-  context.fillRect(0, height - 14, width, 14);
-  // How the values are spread over the bar.
-  const spread = attribute?.histogram ?? (attribute ? null : view.legend?.densities);
-  if (spread) {
-    const most = Math.max(...spread.counts, 1);
-    const at = (/** @type {number} */ k) => {
-      const t = k / spread.counts.length;
-      const value = spread.logarithmic ? spread.low * (spread.high / spread.low) ** t : spread.low + t * (spread.high - spread.low);
-      return ((value - low) / (high - low || 1)) * width;
-    };
-    spread.counts.forEach((count, k) => {
-      const [left, end] = [at(k), at(k + 1)];
-      const tall = (count / most) * (height - 18);
-      context.fillRect(left, height - 16 - tall, Math.max(end - left - 0.5, 0.5), tall);
-    });
-  }
-  const unit = attribute?.unit ? ` ${attribute.unit}` : "";
-  caption.textContent = `${short(low)} to ${short(high)}${unit}: ${input}`;
-  canvas.setAttribute("aria-label", `Colours of ${input} from ${short(low)} to ${short(high)}${unit}`);
-}

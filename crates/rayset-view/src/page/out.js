@@ -5,14 +5,17 @@ import { button, buttons, download, element, number, panel } from "./widgets.js"
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 
-/** @param {RaysetView} view */
-export function outPanel(view) {
+/** @param {RaysetView} view @param {() => void} hand hands what is seen to a page that is about to be opened */
+export function outPanel(view, hand) {
   const status = element("p", { class: "caption", role: "status" });
   const guarded = (/** @type {() => Promise<void>} */ act) => () => act().catch((error) => (status.textContent = error.message));
   const save = button("Save scene", guarded(async () => download(new Blob([await view.sceneFile()], { type: "application/json" }), "scene.json")));
-  const another = button("New window", guarded(async () => void window.open(await view.invitation(), "_blank", "noopener")));
-  const hint = element("p", { class: "caption" }, ["A saved scene is rendered by: rayset render scene.json -o picture.png"]);
-  return panel("Out again", [buttons([save, another]), hint, ...picture(view, status), status, ...command(view)]);
+  const another = button("New window", guarded(async () => {
+    const address = await view.invitation();
+    hand();
+    window.open(address, "_blank", "noopener");
+  }));
+  return panel("Export", [buttons([save, another]), ...picture(view, status), status, ...command(view)]);
 }
 
 /** A picture of any size. @param {RaysetView} view @param {HTMLElement} status */
@@ -58,8 +61,21 @@ function command(view) {
     if (navigator.clipboard) navigator.clipboard.writeText(text.value).catch(() => document.execCommand("copy"));
     else document.execCommand("copy");
   });
-  const follow = () => (text.value = view.command ?? "rayset render scene.json -o picture.png");
-  for (const rest of ["converged", "legend"]) view.addEventListener(rest, follow);
-  follow();
-  return [text, buttons([copy])];
+  const hint = element("p", { class: "caption" });
+  const follow = async () => {
+    /** @type {string | null} */
+    let said;
+    try {
+      said = await view.command();
+    } catch {
+      // Not connected, or asked again: another answer follows.
+      return;
+    }
+    text.value = said ?? "rayset render scene.json -o picture.png";
+    hint.textContent = said ? "Renders the same bytes as the page shows." : "No options say this: save the scene first, and the command renders the same bytes.";
+  };
+  // Only at rest: nobody reads it while the picture moves.
+  view.addEventListener("converged", follow);
+  if (view.isConverged) follow();
+  return [text, hint, buttons([copy])];
 }

@@ -4,7 +4,7 @@
  * arrow keys.
  */
 
-import { add, cross, dot, project, right, scale, subtract } from "./camera.js";
+import { add, axes, dot, halfHeight, project, scale, subtract } from "./camera.js";
 import { shape } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
@@ -177,9 +177,9 @@ export class Overlay {
       return;
     }
     const depth = dot(subtract(handle.at, camera.position), camera.direction);
-    const unit = (2 * Math.tan((camera.fovy * Math.PI) / 360) * depth) / canvas.clientHeight;
-    const across = right(camera);
-    handle.moved(add(scale(across, x * unit), scale(cross(across, camera.direction), -y * unit)));
+    const unit = (2 * halfHeight(camera, depth)) / canvas.clientHeight;
+    const [sideways, above] = axes(camera);
+    handle.moved(add(scale(sideways, x * unit), scale(above, -y * unit)));
   }
 
   /** Along an axis towards the eye, a pixel would be any length: at least a fiftieth of what is across. @param {number} distance */

@@ -19,15 +19,16 @@ const TOGETHER = 1000;
  * Fills the panels of a view.
  * @param {HTMLElement} into @param {RaysetView} view @param {() => void} begin called before a change that may be taken back
  * @param {Overlay} overlay @param {string} scene by which the scene is known again
+ * @param {import("./history.js").History} history @param {() => void} hand hands what is seen to a page that is about to be opened
  */
-export function build(into, view, begin, overlay, scene) {
+export function build(into, view, begin, overlay, scene, history, hand) {
   into.replaceChildren(
-    viewsPanel(view, begin, scene),
+    viewsPanel(view, begin, scene, history),
     ...lookPanel(view, begin),
     lightPanel(view, begin),
     cutsPanel(view, begin, overlay),
     picksPanel(view, begin, overlay),
-    outPanel(view),
+    outPanel(view, hand),
     enginePanel(view),
   );
   const slides = (/** @type {Event} */ { target }) => target instanceof HTMLInputElement && /^(range|color)$/.test(target.type);

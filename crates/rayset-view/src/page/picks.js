@@ -21,15 +21,19 @@ export function picksPanel(view, begin, overlay) {
   const told = element("div", { "aria-live": "polite" });
   const hint = "Click on the picture, or press Enter for its middle: what is there is told here; double-click, or F, to turn about it.";
   const clear = button("Clear", () => ((picks = []), show()));
-  const made = panel("Points", [told, buttons([clear])]);
+  const note = element("p", { class: "caption", role: "status" });
+  const made = panel("Points", [told, note, buttons([clear])]);
 
   const show = () => {
     clear.hidden = picks.length === 0;
-    told.replaceChildren(...(picks.length ? picks.map((pick, k) => table(pick, picks.length > 1 ? `Point ${k + 1}` : "Point")) : [element("p", {}, [hint])]));
+    note.textContent = "";
+    told.replaceChildren(...(picks.length ? picks.map((pick, k) => table(pick, view.unit, picks.length > 1 ? `Point ${k + 1}` : "Point")) : [element("p", {}, [hint])]));
     const [a, b] = picks.map(placeOf);
     if (a && b) {
       const apart = subtract(b, a);
-      told.append(element("p", { class: "distance" }, [`Distance ${exact(Math.hypot(...apart))}  (${apart.map(exact).join(", ")})`]));
+      const exact = digits(Math.max(...picks.map(({ error }) => error)));
+      const unit = view.unit ? ` ${view.unit}` : "";
+      told.append(element("p", { class: "distance" }, [`Distance ${exact(Math.hypot(...apart))}${unit}  (${apart.map(exact).join(", ")})`]));
     }
     overlay.redraw();
   };
@@ -50,7 +54,10 @@ export function picksPanel(view, begin, overlay) {
       return;
     }
     if (pick.position) then(pick);
-    else told.replaceChildren(element("p", {}, ["There is nothing."]));
+    else {
+      made.open = true;
+      note.textContent = "Nothing is seen there.";
+    }
   };
   const keep = (/** @type {Picked} */ pick) => {
     picks = [...picks.slice(-1), pick];
@@ -63,7 +70,7 @@ export function picksPanel(view, begin, overlay) {
     view.camera = focus(view.camera, pick.position, NEARER);
   };
 
-  /** @type {[number, number] | null} */
+  /** Where the pointer went down; none once it has moved away from there. @type {[number, number] | null} */
   let pressed = null;
   /** @type {number} */
   let waiting = 0;
@@ -71,9 +78,17 @@ export function picksPanel(view, begin, overlay) {
     const box = canvas.getBoundingClientRect();
     return /** @type {[number, number]} */ ([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]);
   };
-  canvas.addEventListener("pointerdown", (event) => (pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null));
+  canvas.addEventListener("pointerdown", (event) => {
+    const clicks = event.isPrimary && event.button === 0 && !event.shiftKey;
+    pressed = clicks ? [event.clientX, event.clientY] : null;
+  });
+  // A drag that comes back to where it began is no click.
+  canvas.addEventListener("pointermove", (event) => {
+    if (pressed && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > STILL) pressed = null;
+  });
   canvas.addEventListener("pointerup", (event) => {
-    if (!pressed || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > STILL) return;
+    if (!pressed || !event.isPrimary) return;
+    pressed = null;
     const at = place(event);
     // The first half of a double click is not told of.
     clearTimeout(waiting);
@@ -95,16 +110,31 @@ export function picksPanel(view, begin, overlay) {
 /** @param {Picked} pick @returns {import("./camera.js").Vector} */
 const placeOf = (pick) => /** @type {import("./camera.js").Vector} */ (pick.point?.position ?? pick.position);
 
-/** A number with all digits that matter to a surveyor. @param {number} value */
-const exact = (value) => (Math.abs(value) >= 1e9 || (value !== 0 && Math.abs(value) < 1e-6) ? value.toExponential(9) : String(Number(value.toFixed(6))));
+/** Writes numbers that are known up to an error with the digits that this leaves. @param {number} error @returns {(value: number) => string} */
+function digits(error) {
+  const decimals = error > 0 ? Math.floor(-Math.log10(2 * error) + 1e-9) : 9;
+  return (value) => {
+    const size = Math.abs(value);
+    if (size >= 1e9 || (size > 0 && size < 1e-6)) {
+      return value.toExponential(Math.min(Math.max(decimals + Math.floor(Math.log10(size)), 0), 15));
+    }
+    if (decimals > 0) return value.toFixed(Math.min(decimals, 9)).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
+    const unit = 10 ** -decimals;
+    return String(Math.round(value / unit) * unit);
+  };
+}
 
-/** @param {Picked} pick @param {string} title */
-function table(pick, title) {
+/** @param {Picked} pick @param {string | null} unit of lengths @param {string} title */
+function table(pick, unit, title) {
   const { point } = pick;
+  const exact = digits(pick.error);
+  const lengths = unit ? ` ${unit}` : "";
+  const place = (/** @type {number[]} */ at) => `${at.map(exact).join(", ")}${lengths}`;
   /** @type {[string, string][]} */
-  const rows = [["place", (point ? point.stored : /** @type {number[]} */ (pick.position)).map(exact).join(", ")]];
+  const rows = [["place", place(point ? point.stored : /** @type {number[]} */ (pick.position))]];
+  if (pick.value !== null) rows.push(["value", short(pick.value)]);
   const isMoved = point && point.stored.some((v, k) => v !== point.position[k]);
-  if (isMoved) rows.push(["in the scene", point.position.map(exact).join(", ")]);
+  if (isMoved) rows.push(["in the scene", place(point.position)]);
   const values = new Map(point?.values.map(([name, value]) => [name, value]));
   const isColored = ["red", "green", "blue"].every((name) => values.has(name));
   if (isColored) rows.push(["colour", ["red", "green", "blue"].map((name) => values.get(name)).join(", ")]);

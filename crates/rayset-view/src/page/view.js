@@ -8,11 +8,11 @@
  * Events: `opening` (`detail.what`, `detail.part`: there is nothing to see yet), `hello` (a scene has been opened; `view.scene`,
  * `view.bounds`, `view.choices` and `view.camera` are known), `change` (the camera or the changes are others), `legend` (`view.legend`
  * is another), `frame` (`detail.width`, `detail.height`, `detail.milliseconds` since it was asked for), `reprojected` (the last picture was drawn as the camera sees it now), `converged` (`detail.seconds`: the picture
- * is complete), `problem` (`detail.what`), `connection` (`detail.open`).
+ * is complete), `problem` (`detail.what`), `connection` (`detail.open`, and `detail.what`, why not, if the program said so).
  */
 
-import { cameraOf, zoom } from "./camera.js";
-import { Painter, parse, PIECE } from "./frames.js";
+import { cameraOf, cross, dot, project, scale, subtract, unit, zoom } from "./camera.js";
+import { Painter, parse, PARTS, PIECE } from "./frames.js";
 import { Warp } from "./warp.js";
 
 /**
@@ -29,11 +29,12 @@ import { Warp } from "./warp.js";
  * @typedef {{low: number, high: number, logarithmic: boolean, counts: number[]}} Histogram
  * @typedef {{name: string, unit: string, range: [number, number], histogram: Histogram | null}} Attribute
  * @typedef {{looks: string[], attributes: Attribute[], palettes: [string, string[]][], style: Style}} Choices
- * @typedef {{look: string, line: string, isLit: boolean, exposure: number, transferFunction: any, densities: Histogram | null, remarks: string[], command: string | null}} Legend
- * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, values: [string, number, string][]} | null}} Picked
+ * @typedef {{look: string, line: string, isLit: boolean, exposure: number, transferFunction: any, densities: Histogram | null, remarks: string[]}} Legend
+ * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, values: [string, number, string][]} | null, value: number | null, error: number}} Picked
+ *   `value` of a grid; `error`: how exactly places are known
  * @typedef {{name: string, bytes: number, hits: number, misses: number, reads: number, bytesRead: number, bytesUnique: number, evictions: number, waitedSeconds: number}} KindReport
  * @typedef {{budget: number, kinds: KindReport[], regions: [Vector, Vector][] | null, resident: number[]}} Report
- * @typedef {{size?: [number, number], scene?: any}} Scene
+ * @typedef {{up: Vector, facing: Vector, framed: [Vector, Vector]}} Stance what is up, in which direction one looks at the front, and what fills a picture of the whole
  */
 
 /** A picture moves as long as changes follow each other faster than this, in milliseconds. */
@@ -44,6 +45,10 @@ const RECENT = 80;
 const BETWEEN_WARPS = 25;
 /** Width over height of the picture that the program chooses a camera for. */
 const CHOSEN_ASPECT = 16 / 9;
+/** Pixels of the screen for one of the page, at most: eyes see no more. */
+const MOST_RATIO = 2;
+/** The part of the pixels that memory allows that edges are chosen for: they are rounded. */
+const ROOM = 0.99;
 /** Largest edge of a picture. */
 const MOST_EDGE = 4096;
 /** Largest edge of a picture that is saved. */
@@ -56,7 +61,17 @@ export class RaysetView extends EventTarget {
   scene = null;
   /** @type {[Vector, Vector]} its least and largest coordinates */
   bounds = [[0, 0, 0], [0, 0, 0]];
+  /** @type {[Vector, Vector]} what fills a picture of the whole: the bounds without strays */
+  framed = [[0, 0, 0], [0, 0, 0]];
+  /** @type {Vector} what is up */
+  vertical = [0, 0, 1];
+  /** @type {Vector} the direction in which one looks at the front; seen from above, what is up in the picture */
+  facing = [0, 1, 0];
   title = "";
+  /** @type {string | null} of lengths */
+  unit = null;
+  /** @type {string[]} what the program remarked when it opened this */
+  remarks = [];
   /** @type {Choices | null} looks to choose among; `null` for a scene that says itself what it looks like */
   choices = null;
   /** @type {Legend | null} what the picture shows in which colours */
@@ -75,10 +90,11 @@ export class RaysetView extends EventTarget {
   #pending = 0;
   #failures = 0;
   #mostPixels = Infinity;
+  #memory = { bytesPerPixel: 0, mostPixels: Infinity };
   #closed = false;
   /** @type {WebSocket | null} */
   #socket = null;
-  /** @type {Map<number, {camera: Camera, asked: number}>} generations whose pictures may still come, and when they were asked for */
+  /** @type {Map<number, {camera: Camera, changes: Changes, asked: number}>} generations whose pictures may still come, and when they were asked for */
   #asked = new Map();
   /** The last whole frame, for as long as nothing better has come. */
   #warp = new Warp();
@@ -86,6 +102,10 @@ export class RaysetView extends EventTarget {
   #warpAsked = 0;
   /** When it was last drawn for another camera. */
   #warped = 0;
+  /** What is on the canvas, and how many columns of rays it has. @type {{camera: Camera | null, changes: Changes | null, columns: number}} */
+  #drawn = { camera: null, changes: null, columns: 0 };
+  /** Why the program serves this page not. @type {string | null} */
+  #refusal = null;
   /** Answers that are waited for: by what they answer. @type {Map<string, {resolve: (answer: any) => void, reject: (error: Error) => void}>} */
   #waiting = new Map();
   #questions = 0;
@@ -118,7 +138,7 @@ export class RaysetView extends EventTarget {
 
   set camera(camera) {
     // What has flown out of the numbers stays where it was.
-    if (!camera || ![...camera.position, ...camera.direction, camera.distance].every(Number.isFinite)) return;
+    if (!camera || ![...camera.position, ...camera.direction, camera.distance, camera.height ?? 1].every(Number.isFinite)) return;
     this.#camera = camera;
     this.#changed();
   }
@@ -156,21 +176,40 @@ export class RaysetView extends EventTarget {
     else this.#changed();
   }
 
-  /** The command that renders what is seen, if options say it; else a scene has to be saved first. */
-  get command() {
-    const command = this.legend?.command;
-    if (!command || !this.#camera) return null;
-    const { position, direction, fovy } = this.#camera;
-    const three = (/** @type {Vector} */ v) => v.join(",");
-    return `${command} --position=${three(position)} --direction=${three(direction)} --fovy=${fovy} ` +
-      `--size=${this.canvas.width}x${this.canvas.height} -o picture.png`;
+  /** Asks for the command that renders the bytes that are seen; `null` if no options say it: then a scene has to be saved first. @returns {Promise<string | null>} */
+  async command() {
+    const question = ++this.#questions;
+    return (await this.#ask(`command ${question}`, { type: "command", question, show: this.#now })).command;
+  }
+
+  /**
+   * Pixels of the picture, and those of the screen that it covers, which are more if memory allows no more; then also the bytes of memory
+   * that would do, or, if none would, give the most.
+   */
+  get sharpness() {
+    const { width, height, clientWidth, clientHeight } = this.canvas;
+    const ratio = Math.min(window.devicePixelRatio || 1, MOST_RATIO);
+    const screen = [clientWidth, clientHeight].map((length) => Math.min(Math.round(length * ratio), MOST_EDGE));
+    if (width >= screen[0] - 1 && height >= screen[1] - 1) return { picture: [width, height], screen, wanted: null };
+    const wanted = Math.min((screen[0] * screen[1]) / ROOM, this.#memory.mostPixels) * this.#memory.bytesPerPixel;
+    return { picture: [width, height], screen, wanted };
+  }
+
+  /**
+   * What is nearest within a window of the picture, by the last picture that came with distances.
+   * @param {[number, number]} middle of the window, -1 to 1 @param {number} [half] its half height; a few pixels by default
+   * @returns {{ahead: number, free: number, vouched: number} | null} how far ahead it is, on which part of the way there is surely
+   *   nothing, and on which there was when it was seen
+   */
+  nearest(middle, half) {
+    return this.#camera && this.#warp.nearest(this.#camera, this.#aspect, middle, half);
   }
 
   /** Everything that decides the picture, as the program is told. */
   get shown() {
-    const { position, direction, up, fovy } = /** @type {Camera} */ (this.#camera);
+    const { position, direction, up, fovy, height } = /** @type {Camera} */ (this.#camera);
     const size = [this.canvas.width, this.canvas.height];
-    return { camera: { position, direction, up, fovy }, size, changes: this.#changes };
+    return { camera: { position, direction, up, fovy, ...(height ? { height } : {}) }, size, changes: this.#changes };
   }
 
   /** Asks for the scene file of what is seen. @returns {Promise<string>} */
@@ -267,7 +306,8 @@ export class RaysetView extends EventTarget {
     socket.onclose = () => {
       for (const { reject } of this.#waiting.values()) reject(new Error("the connection is gone"));
       this.#waiting.clear();
-      this.#tell("connection", { open: false });
+      this.#tell("connection", { open: false, what: this.#refusal });
+      this.#refusal = null;
       if (this.#closed) return;
       const wait = RETRIES[Math.min(this.#failures++, RETRIES.length - 1)];
       setTimeout(() => this.#connect(), wait);
@@ -286,10 +326,12 @@ export class RaysetView extends EventTarget {
         }
         this.scene = message.scene;
         this.bounds = message.bounds;
+        [this.unit, this.remarks] = [message.unit, message.remarks];
+        this.#stand(message.stance, message.camera);
         this.choices = message.choices;
-        this.#mostPixels = message.mostPixels;
+        [this.#mostPixels, this.#memory] = [message.mostPixels, message.memory];
         this.#resized();
-        this.home = this.#fitted(cameraOf(message.camera, message.bounds));
+        this.home = this.#fitted(cameraOf(message.camera, this.framed, this.vertical));
         this.#camera ??= this.home;
         this.#tell("connection", { open: true });
         this.#tell("hello", {});
@@ -329,6 +371,12 @@ export class RaysetView extends EventTarget {
         }
         this.#answered(`picked ${message.question}`, message);
         break;
+      case "command":
+        this.#answered(`command ${message.question}`, message);
+        break;
+      case "refused":
+        this.#refusal = message.what;
+        break;
       case "invited":
       case "saved":
       case "engine":
@@ -337,13 +385,44 @@ export class RaysetView extends EventTarget {
     }
   }
 
+  /** Takes note of how the scene stands. @param {Stance | null} stance @param {{direction: Vector, up: Vector}} camera */
+  #stand(stance, { direction, up }) {
+    this.framed = stance?.framed ?? this.bounds;
+    // Of a scene, the camera says what is upright.
+    const vertical = stance?.up ?? cameraOf({ position: [0, 0, 0], direction, up, fovy: 35 }, this.bounds).vertical ?? up;
+    /** @type {Vector} maps have north along y; what has y up faces the reader */
+    const front = Math.abs(vertical[1]) < 0.9 ? [0, 1, 0] : [0, 0, -1];
+    this.vertical = vertical;
+    this.facing = stance?.facing ?? unit(subtract(front, scale(vertical, dot(front, vertical))));
+  }
+
+  /** What is up in a picture along a direction: north, from straight above. @param {Vector} direction @returns {Vector} */
+  upAlong(direction) {
+    const steep = dot(direction, this.vertical);
+    if (Math.abs(steep) > 1 - 1e-9) return scale(this.facing, steep > 0 ? -1 : 1);
+    const sideways = unit(cross(direction, this.vertical));
+    const up = cross(sideways, direction);
+    // The vertical itself, if it is that: its numbers are round.
+    return dot(up, this.vertical) > 1 - 1e-12 ? this.vertical : up;
+  }
+
   /**
-   * A camera that was chosen for a picture of 16 to 9, as far back as a narrower one needs.
+   * A camera that was chosen for a picture of 16 to 9, as far back as a narrower one needs to show the whole.
    * @param {Camera} camera @returns {Camera}
    */
   #fitted(camera) {
-    const aspect = this.canvas.width / this.canvas.height;
-    return zoom(camera, Math.max(CHOSEN_ASPECT / aspect, 1), 0, 0, aspect);
+    const aspect = this.#aspect;
+    const most = Math.max(CHOSEN_ASPECT / aspect, 1);
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => /** @type {Vector} */ ([0, 1, 2].map((axis) => this.framed[(k >> axis) & 1][axis])));
+    const isInside = (/** @type {Camera} */ each) => corners.every((corner) => {
+      const at = project(each, corner, aspect);
+      return at !== null && Math.max(Math.abs(at[0]), Math.abs(at[1])) < 0.98;
+    });
+    for (let factor = 1; factor < most; factor *= 1.02) {
+      const nearer = zoom(camera, factor, 0, 0, aspect);
+      if (isInside(nearer)) return nearer;
+    }
+    return zoom(camera, most, 0, 0, aspect);
   }
 
   /** @param {ArrayBuffer} message */
@@ -359,6 +438,9 @@ export class RaysetView extends EventTarget {
     const isWanted = (/** @type {import("./frames.js").Frame} */ { kind, generation }) =>
       kind === 1 ? !this.#converged : generation === this.#generation;
     await this.#painter.draw(frame, isWanted);
+    if (frame.kind === PARTS && frame.generation === this.#generation) {
+      this.#drawn = { camera: this.#camera, changes: this.#changes, columns: Infinity };
+    }
     if (socket === this.#socket) this.#send({ type: "ack", frame: frame.frame });
     const milliseconds = asked === undefined ? null : performance.now() - asked;
     this.#tell("frame", { generation: frame.generation, width: frame.width, height: frame.height, milliseconds });
@@ -366,12 +448,13 @@ export class RaysetView extends EventTarget {
 
   #resized() {
     const { clientWidth, clientHeight } = this.canvas;
-    const room = Math.sqrt((0.99 * this.#mostPixels) / Math.max(clientWidth * clientHeight, 1));
-    const ratio = Math.min(window.devicePixelRatio || 1, 2, room);
+    const room = Math.sqrt((ROOM * this.#mostPixels) / Math.max(clientWidth * clientHeight, 1));
+    const ratio = Math.min(window.devicePixelRatio || 1, MOST_RATIO, room);
     const edge = (/** @type {number} */ length) => Math.min(Math.max(Math.round(length * ratio), 1), MOST_EDGE);
     const [width, height] = [edge(clientWidth), edge(clientHeight)];
     if (width === this.canvas.width && height === this.canvas.height && this.#generation > 0) return;
     this.#painter.resize(width, height);
+    this.#drawn = { camera: null, changes: null, columns: 0 };
     this.#changed();
   }
 
@@ -387,17 +470,28 @@ export class RaysetView extends EventTarget {
     this.#warp.take(known.camera, depths, picture, this.#aspect);
     this.#warpAsked = known.asked;
     this.#warped = 0;
-    return frame.generation !== this.#generation && this.#reproject();
+    const drawn = this.#drawn;
+    const isSame = known.camera === this.#camera && known.changes === this.#changes;
+    // Nothing coarse takes the place of the same in more rays.
+    if (isSame && drawn.camera === known.camera && drawn.changes === known.changes && frame.width <= drawn.columns) return true;
+    // Nor does what is seen from elsewhere, once what is wanted is shown.
+    if (!isSame && drawn.camera === this.#camera && drawn.changes === this.#changes && drawn.columns > 0) return true;
+    if (!isSame && this.#reproject(drawn.camera === this.#camera)) return true;
+    this.#drawn = { camera: known.camera, changes: known.changes, columns: frame.width };
+    return false;
   }
 
-  /** Draws the last picture as the camera sees it now, unless it is nearly of now. Returns whether it has. */
-  #reproject() {
+  /** Draws the last picture as the camera sees it now, unless it is nearly of now, or is to be. Returns whether it has. @param {boolean} [isNew] */
+  #reproject(isNew = false) {
     const now = performance.now();
-    if (!this.#camera || now - this.#warpAsked < RECENT || now - this.#warped < BETWEEN_WARPS) return false;
+    if (!this.#camera || now - this.#warped < BETWEEN_WARPS) return false;
+    // What is seen from here already would only be blurred.
+    if (!isNew && (now - this.#warpAsked < RECENT || this.#drawn.camera === this.#camera)) return false;
     this.#warped = now;
     const drawn = this.#warp.draw(this.#camera, this.#aspect);
     if (!drawn) return false;
     this.#painter.context.drawImage(drawn, 0, 0, this.canvas.width, this.canvas.height);
+    this.#drawn = { camera: this.#camera, changes: null, columns: 0 };
     this.#tell("reprojected", {});
     return true;
   }
@@ -432,7 +526,7 @@ export class RaysetView extends EventTarget {
     if (!this.#camera) return;
     this.#generation += 1;
     if (!this.#isOpen) this.#asked.clear();
-    this.#asked.set(this.#generation, { camera: this.#camera, asked: performance.now() });
+    this.#asked.set(this.#generation, { camera: this.#camera, changes: this.#changes, asked: performance.now() });
     this.#send({ type: "show", generation: this.#generation, moving, ...this.shown });
   }
 

@@ -1,19 +1,30 @@
 // @ts-check
 /** Standard views, and those that a person keeps. */
 
-import { lookFrom, STANDARD } from "./gestures.js";
-import { button, buttons, element, panel } from "./widgets.js";
+import { lookFrom, setOrthographic, STANDARD } from "./gestures.js";
+import { button, buttons, checkbox, element, panel } from "./widgets.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
 
 const MOST_KEPT = 50;
 
-/** @param {RaysetView} view @param {() => void} begin @param {string} scene by which kept views are known again */
-export function viewsPanel(view, begin, scene) {
+/**
+ * @param {RaysetView} view @param {() => void} begin @param {string} scene by which kept views are known again
+ * @param {import("./history.js").History} history
+ */
+export function viewsPanel(view, begin, scene, history) {
   const act = (/** @type {() => void} */ change) => () => (begin(), change());
   const home = button("Whole", act(() => (view.camera = view.home)));
   home.title = "See the scene whole (H)";
   const along = STANDARD.map(([name, direction]) => button(name, act(() => lookFrom(view, direction)), `Look from ${name}`));
+
+  const [undo, redo] = [button("Undo", () => history.undo()), button("Redo", () => history.redo())];
+  [undo.title, redo.title] = ["Take the last change back (Ctrl+Z)", "Do it again (Ctrl+Shift+Z)"];
+  const parallel = checkbox("Orthographic", false, (on) => (begin(), setOrthographic(view, on)));
+  parallel.row.title = "Parallel rays: what is far away is as large as what is near";
+  const follow = () => (parallel.input.checked = Boolean(view.camera?.height));
+  view.addEventListener("change", follow);
+  follow();
 
   const key = `rayset-views-${scene}`;
   const list = element("div");
@@ -37,12 +48,12 @@ export function viewsPanel(view, begin, scene) {
     button(name, act(() => (view.state = state)), `Go to ${name}`),
     button("×", () => set(kept().filter((_, i) => i !== k)), `Forget ${name}`),
   ])));
-  const name = /** @type {HTMLInputElement} */ (element("input", { type: "text", maxlength: "60", placeholder: "its name", "aria-label": "Name of the view to keep" }));
+  const name = /** @type {HTMLInputElement} */ (element("input", { type: "text", maxlength: "60", placeholder: "Name of the view", "aria-label": "Name of the view to keep" }));
   const keep = button("Keep this view", () => {
     const views = kept();
     set([...views.slice(-(MOST_KEPT - 1)), { name: name.value.trim() || `View ${views.length + 1}`, state: view.state }]);
     name.value = "";
   });
   show();
-  return panel("View", [buttons([home, ...along]), element("div", { class: "row" }, [name, keep]), list], true);
+  return panel("View", [buttons([home, ...along]), parallel.row, buttons([undo, redo]), element("div", { class: "row" }, [name, keep]), list], true);
 }

@@ -170,6 +170,37 @@ impl Grid {
         Ok(batch)
     }
 
+    /// The value of the voxel nearest to a place in the space of the file, scaled as the header says; `None` outside of the grid.
+    ///
+    /// # Errors
+    /// [`ScanError`] if its page cannot be read or is damaged.
+    #[doc(hidden)]
+    pub fn value_at(&self, place: DVec3) -> Result<Option<f64>, ScanError> {
+        let header = &self.header;
+        let voxel = header.space_from_voxel.inverse().transform_point3(place).round();
+        let is_within = voxel.cmpge(DVec3::ZERO).all() && voxel.cmple(header.last_voxel()).all();
+        if !is_within {
+            return Ok(None);
+        }
+        let voxel = voxel.to_array().map(|at| at as u64);
+        let bricks = header.bricks();
+        let corner: [u64; 3] =
+            std::array::from_fn(|axis| (voxel[axis] / header.kind.brick_cells()).min(bricks[axis] - 1));
+        let brick = (corner[2] * bricks[1] + corner[1]) * bricks[0] + corner[0];
+        let mut found = None;
+        self.reopened()?.each_of(SectionKind::VOXELS, &[brick as u32], |page, offset, bytes| {
+            let damaged = |source| ScanError::Damaged { path: self.path.clone(), page, offset, source };
+            self.check_page(page, bytes).map_err(damaged)?;
+            self.for_each_own_voxel(brick, bytes, |at, stored| {
+                if at == voxel {
+                    found = Some(header.value(stored));
+                }
+            });
+            Ok::<(), ScanError>(())
+        })?;
+        Ok(found)
+    }
+
     /// Passes the voxels of a brick that no other brick has as its own to `take`: their places and stored values.
     fn for_each_own_voxel(&self, brick: u64, page: &[u8], mut take: impl FnMut([u64; 3], f64)) {
         let header = &self.header;

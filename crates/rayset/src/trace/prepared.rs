@@ -47,4 +47,11 @@ impl PreparedScene {
     pub fn remarks(&self) -> &[String] {
         &self.0.remarks
     }
+
+    /// The longest distance between two samples of a ray, in world space: a surface is seen at most so far behind where it begins.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn longest_step(&self) -> f64 {
+        self.0.world.steps.coarsest_world()
+    }
 }

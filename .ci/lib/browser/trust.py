@@ -1,0 +1,233 @@
+"""That the page says what is so: legends, picks, its own state; and that nothing is lost."""
+import math
+import re
+import time
+
+from browser.inputs import field_height, voxel
+from browser.people import Person, Server, drag, test
+
+BAR = """(() => {
+    const bar = document.querySelector("canvas.bar");
+    const data = bar.getContext("2d").getImageData(0, bar.height - 22, bar.width, 1).data;
+    return [...Array(bar.width).keys()].map((i) => [...data.subarray(4 * i, 4 * i + 3)]);
+})()"""
+
+
+def shades(person):
+    """How many colours the bar has that differ by more than a little."""
+    found = []
+    for color in person.evaluate(BAR):
+        if not found or max(abs(a - b) for a, b in zip(color, found[-1])) > 8:
+            found.append(color)
+    return len(found)
+
+
+@test("sheet.ply")
+def the_bar_shows_the_colours_of_a_logarithmic_map(browser, server, _folder):
+    person = Person(browser, server)
+    person.page.get_by_label("Look", exact=True).select_option("gas")
+    person.wait("rayset.view.legend?.look === 'gas'")
+    person.converged()
+    assert shades(person) > 20, f"{shades(person)} colours"
+    assert person.page.get_by_label("Logarithm").is_checked()
+    assert person.page.get_by_label("Map", exact=True).input_value() == "inferno"
+    assert "log scale" in person.page.locator("canvas.bar").get_attribute("aria-label")
+    # Small numbers are read whole.
+    person.evaluate("""(rayset.view.changes = { ...rayset.view.changes, style: { look: "gas", colormap: "magma", log: true,
+        valueRange: [4.60009e-10, 2.71828e-7] } })""")
+    person.converged()
+    for end in ("least", "largest"):
+        wide = person.evaluate(f"(({{ scrollWidth, clientWidth, value }}) => [scrollWidth, clientWidth, value])"
+                               f"(document.querySelector('[aria-label=\"{end} value of the map\"]'))")
+        assert wide[0] <= wide[1], wide
+    assert person.page.get_by_label("least value of the map").input_value() == "4.60009e-10"
+    assert shades(person) > 20
+    person.page.locator("canvas.bar").scroll_into_view_if_needed()
+    person.shot("bar")
+    person.well()
+
+
+@test("field.las")
+def colours_that_no_map_has_are_not_called_by_the_name_of_one(browser, server, _folder):
+    person = Person(browser, server)
+    for look, name in (("classes", None), ("intensity", None), ("height", "viridis")):
+        person.page.get_by_label("Look", exact=True).select_option(look)
+        person.wait(f"rayset.view.legend?.look === {look!r}")
+        person.converged()
+        chosen = person.page.get_by_label("Map", exact=True)
+        if chosen.is_visible():
+            assert chosen.input_value() == (name or ""), (look, chosen.input_value())
+    person.well()
+
+
+@test("field.las")
+def a_pick_has_the_unit_and_the_digits_of_its_file(browser, server, _folder):
+    person = Person(browser, server)
+    person.converged()
+    for at in ((0.5, 0.5), (0.4, 0.4)):
+        person.page.mouse.click(*person.at(*at))
+        time.sleep(0.4)
+    person.wait("document.querySelectorAll('#panels caption').length === 2")
+    place = person.page.locator("#panels td").first.text_content()
+    found = re.fullmatch(r"(4\d{5}(?:\.\d{1,2})?), (57\d{5}(?:\.\d{1,2})?), (\d+(?:\.\d{1,2})?) m", place)
+    assert found, place
+    x, y, z = map(float, found.groups())
+    assert abs(z - field_height(x - 400_000, y - 5_700_000)) < 0.02, place
+    apart = person.page.locator(".distance").text_content()
+    assert re.match(r"Distance \d+(\.\d{1,4})? m ", apart), apart
+    person.shot("picked-metres")
+    person.well()
+
+
+@test("slope.nrrd")
+def a_pick_of_a_grid_tells_its_value_and_one_of_the_sky_keeps_what_was_told(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    person.page.mouse.click(*person.at(0.5, 0.5))
+    person.wait("document.querySelectorAll('#panels caption').length === 1")
+    pick = person.evaluate("rayset.view.pick(0.5, 0.5)")
+    near = {voxel(*(round(v) + d for v, d in zip(pick["position"], by)))
+            for by in ((0, 0, 0),) + tuple(tuple(s * (k == axis) for k in range(3)) for axis in range(3) for s in (-1, 1))}
+    assert pick["value"] in near, (pick, near)
+    told = person.evaluate("document.querySelector('#panels caption').parentElement.textContent")
+    assert "value" in told, told
+    person.page.mouse.click(*person.at(0.02, 0.02))
+    person.page.get_by_text("Nothing is seen there.").wait_for()
+    assert person.evaluate("document.querySelectorAll('#panels caption').length") == 1, "what was told stays"
+    person.well()
+
+
+@test("sheet.ply")
+def a_drag_that_comes_back_to_its_start_picks_nothing(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    x, y = person.at(0.5, 0.5)
+    person.page.mouse.move(x, y)
+    person.page.mouse.down()
+    person.page.mouse.move(x + 60, y + 20, steps=6)
+    person.page.mouse.move(x + 1, y, steps=6)
+    person.page.mouse.up()
+    person.converged()
+    # A click is told after a quarter of a second.
+    time.sleep(0.6)
+    person.page.mouse.click(*person.at(0.45, 0.55))
+    time.sleep(0.6)
+    person.wait("document.querySelectorAll('#panels caption').length > 0")
+    assert person.evaluate("document.querySelectorAll('#panels caption').length") == 1
+    person.well()
+
+
+@test("sheet.ply")
+def what_was_taken_back_is_done_again_and_a_reload_forgets_neither(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    states = [person.camera()]
+    for by in ((60, 0), (0, 40), (-30, 20)):
+        drag(person.page, by)
+        states.append(person.camera())
+    person.page.keyboard.press("Control+z")
+    assert person.camera() == states[2]
+    person.converged()
+    person.page.reload()
+    person.opened()
+    assert person.camera() == states[2]
+    person.page.keyboard.press("Control+Shift+z")
+    assert person.camera() == states[3]
+    for k in (2, 1, 0):
+        person.page.get_by_role("button", name="Undo").click()
+        assert person.camera() == states[k], k
+    person.page.keyboard.press("Control+y")
+    assert person.camera() == states[1]
+    person.page.get_by_role("button", name="Redo").click()
+    assert person.camera() == states[2]
+    person.well()
+
+
+@test("sheet.ply")
+def a_new_window_begins_with_what_this_one_shows(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    drag(person.page, (90, 20))
+    person.page.get_by_label("Exposure").fill("1")
+    person.converged()
+    state = person.evaluate("JSON.stringify(rayset.view.state)")
+    with person.context.expect_page() as opened:
+        person.page.get_by_role("button", name="New window").click()
+    page = opened.value
+    page.get_by_text("complete").wait_for(timeout=60_000)
+    debugger = person.context.new_cdp_session(page)
+    there = debugger.send("Runtime.evaluate", {"expression": "JSON.stringify(rayset.view.state)", "returnByValue": True})
+    assert there["result"]["value"] == state
+    person.well()
+
+
+@test("points.ply")
+def the_page_is_as_tall_as_its_window_and_a_telephone_sees_the_whole_large(browser, server, _folder):
+    person = Person(browser, server)
+    address = person.evaluate("rayset.view.invitation()")
+    for person, height in ((person, 600), (Person(browser, server, address, width=375, height=720), 720)):
+        person.converged()
+        tall = person.evaluate("document.documentElement.scrollHeight")
+        assert tall <= height, f"{tall} pixels of {height}"
+    person.page.get_by_role("button", name="Whole").click()
+    pixels, (wide, high) = person.pixels()
+    behind = pixels[:4]
+    columns = {i % wide for i in range(wide * high) if pixels[4 * i:4 * i + 4] != behind}
+    rows = {i // wide for i in range(wide * high) if pixels[4 * i:4 * i + 4] != behind}
+    part = max(len(columns) / wide, len(rows) / high)
+    assert part > 0.4, f"the whole takes {part:.0%} of a telephone's picture"
+    person.shot("telephone-whole")
+    person.well()
+
+
+@test()
+def a_page_that_is_not_connected_does_not_say_that_it_traces(browser, folder):
+    server = Server(folder / "sheet.ply", folder)
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    server.end()
+    person.wait("document.getElementById('status').textContent.startsWith('not connected')")
+    person.evaluate("""(() => {
+        window.said = [];
+        const status = document.getElementById("status");
+        new MutationObserver(() => window.said.push(status.textContent)).observe(status, { childList: true, characterData: true, subtree: true });
+    })()""")
+    drag(person.page, (60, 20))
+    assert person.status().startswith("not connected"), person.status()
+    said = person.evaluate("window.said")
+    assert all(text.startswith("not connected") for text in said), said
+
+
+@test("splats.ply")
+def remarks_of_the_program_are_on_the_page(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    said = person.page.get_by_label("Remarks").text_content()
+    assert "ellipsoid" in said, said
+    person.shot("remarks")
+    person.well()
+
+
+@test("points.ply")
+def a_screen_that_has_more_pixels_than_the_memory_is_told(browser, server, _folder):
+    person = Person(browser, server, width=1600, height=1000, device_scale_factor=2)
+    person.converged()
+    picture, screen = person.evaluate("[rayset.view.sharpness.picture, rayset.view.sharpness.screen]")
+    assert picture[0] < screen[0]
+    person.wait("document.getElementById('status').textContent.includes('--memory')")
+    assert "×".join(map(str, picture)) in person.status(), person.status()
+    person.well()
+
+
+@test("sheet.ply")
+def the_fifth_page_is_told_why_it_is_not_connected(browser, server, _folder):
+    pages = [Person(browser, server, width=400, height=300)]
+    for _ in range(3):
+        pages.append(Person(browser, server, pages[0].evaluate("rayset.view.invitation()"), width=400, height=300))
+    page = pages[0].context.new_page()
+    page.goto(f"http://127.0.0.1:{server.port}/")
+    page.get_by_text("4 pages are open").wait_for(timeout=60_000)
+    # It is served once there is a place.
+    pages[3].context.close()
+    page.get_by_text("complete").wait_for(timeout=60_000)
+    assert math.isfinite(pages[0].camera()["distance"])
