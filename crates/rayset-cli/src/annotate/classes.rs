@@ -107,7 +107,7 @@ impl View<'_> {
         let at = [offset.dot(right) / half_width, offset.dot(right.cross(forward)) / half_height];
         let is_seen = depth > 0.0 && at.iter().all(|v| v.abs() <= 1.0);
         let width = 2.0 * half_width.max(half_height) / cells;
-        is_seen.then(|| (at.map(|v| (0.5 * (v + 1.0) * cells) as u32), depth, width))
+        is_seen.then(|| (at.map(|v| (0.5 * (v + 1.0) * cells).min(cells - 1.0) as u32), depth, width))
     }
 }
 
@@ -161,9 +161,9 @@ mod tests {
     fn classes_outside_of_the_picture_and_behind_others_are_not_seen() {
         let plane = |z: f64, value: f64, from: f64| {
             let place = |i: u32| {
-                DVec3::new(from + f64::from(i % 100) * 0.02 - 1.0, f64::from(i / 100) * 0.02 - 1.0, z)
+                DVec3::new(from + f64::from(i % 200) * 0.01 - 1.0, f64::from(i / 200) * 0.01 - 1.0, z)
             };
-            Class { value, name: String::new(), places: (0..10_000).map(place).collect() }
+            Class { value, name: String::new(), places: (0..40_000).map(place).collect() }
         };
         let classes = [plane(0.0, 1.0, 0.0), plane(-1.0, 2.0, 0.0), plane(0.0, 3.0, 9.0)];
         let projection = Projection::Orthographic { height: 1.5 };

@@ -6,6 +6,7 @@ use rayset::Region;
 use rayset::image::DisplayTransform;
 use rayset::scene::RenderSettings;
 
+use rayset_inputs::look::ImageChoices;
 use rayset_inputs::values;
 
 #[derive(Args, Clone, Default)]
@@ -34,6 +35,11 @@ impl PictureArgs {
     pub(super) fn size(&self) -> (u32, u32) {
         let plain = RenderSettings::default();
         self.size.unwrap_or((plain.width, plain.height))
+    }
+
+    /// What a scene that is chosen says of the picture.
+    pub(super) fn choices(&self) -> ImageChoices {
+        ImageChoices { samples: self.samples, exposure: self.exposure }
     }
 
     /// Overrides the settings of a scene with those given on the command line.

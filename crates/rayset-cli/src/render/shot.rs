@@ -60,17 +60,18 @@ impl Shot {
         }
         let picture = sheet.map_or(size, |sheet| sheet.picture);
         let camera = CameraArgs { turns: args.turntable.is_some(), ..args.camera.clone() };
+        let look_args = args.look.clone().with_image(args.picture.choices());
         let (mut file, chosen, look, turntable) = match &opened.input {
             Input::Scene(path) => (scene_file(args, path)?, None, None, None),
             Input::Cloud(cloud) => {
-                let chosen = look::of_cloud(cloud, &args.look, &camera, picture)?;
+                let chosen = look::of_cloud(cloud, &look_args, &camera, picture)?;
                 let (file, text) = parsed(cloud.path(), &chosen, size)?;
                 warnings::of_small_radii(cloud.header(), chosen.middle, &file.camera, file.settings);
                 warnings::of_strays(cloud.header());
                 (file, Some(text), Some(chosen.look), chosen.turntable)
             }
             Input::Grid(grid) => {
-                let chosen = look::of_grid(grid, &args.look, &camera, picture)?;
+                let chosen = look::of_grid(grid, &look_args, &camera, picture)?;
                 let (file, text) = parsed(grid.path(), &chosen, size)?;
                 (file, Some(text), Some(chosen.look), chosen.turntable)
             }

@@ -584,3 +584,64 @@ fn a_few_returns_from_far_away_do_not_make_the_rest_of_a_scan_small() {
     let seen = pixels.iter().filter(|&&pixel| pixel != backdrop).count();
     assert!(seen > width * width / 8, "{seen} pixels");
 }
+
+/// A sheet of points in dark colours.
+fn dark_sheet(path: &Path) {
+    let mut text = "x y z r g b\n".to_owned();
+    for i in 0..3600 {
+        let shade = 8 + i % 40;
+        text += &format!("{} {} {} {shade} {} {shade}\n", i % 60, i / 60, i % 3, shade + 4);
+    }
+    fs::write(path, text).expect("a write");
+}
+
+#[test]
+fn a_written_scene_has_the_samples_and_the_exposure_of_its_picture() {
+    let folder = folder();
+    let f = folder.path();
+    dark_sheet(&f.join("dark.txt"));
+    stair(f);
+    fs::write(f.join("v.raw"), (0..4096).map(|i| (i / 16) as u8).collect::<Vec<_>>()).expect("a write");
+    let header =
+        "NDims = 3\nDimSize = 16 16 16\nElementType = MET_UCHAR\nElementDataFile = v.raw\n".to_owned();
+    fs::write(f.join("v.mhd"), header).expect("a write");
+    for input in ["dark.txt", "stair.txt", "v.mhd"] {
+        for options in
+            [&[][..], &["--samples", "3"], &["--exposure", "1.5"], &["--exposure=-2", "--samples=1"]]
+        {
+            let render = ["render", input, "-o", "a.png", "--size", "24x24", "--write-scene", "s.json"];
+            succeeds(f, &[&render[..], options].concat());
+            succeeds(f, &["render", "s.json", "-o", "b.png"]);
+            let read = |name: &str| fs::read(f.join(name)).expect("a picture");
+            assert!(read("a.png") == read("b.png"), "{input} {options:?}");
+        }
+    }
+}
+
+#[test]
+fn the_background_is_its_colour_under_any_exposure_and_dark_points_alone_are_made_brighter() {
+    let folder = folder();
+    let f = folder.path();
+    dark_sheet(&f.join("dark.txt"));
+    let render = |options: &[&str]| {
+        let plain = ["render", "dark.txt", "-o", "a.png", "--size", "32x32", "--view", "top"];
+        let said = succeeds(f, &[&plain[..], options].concat());
+        let (width, height, pixels) = picture(&f.join("a.png"));
+        (said, pixels[0], pixels[height / 2 * width + width / 2])
+    };
+    let (said, corner, middle) = render(&[]);
+    assert!(said.contains("made brighter by") && middle[1] > 60, "{said}{middle:?}");
+    let backdrop = [0x26, 0x2a, 0x31, 255];
+    assert_eq!(corner, backdrop);
+    let (said, corner, middle) = render(&["--exposure", "0"]);
+    assert!(!said.contains("made brighter by") && middle[1] < 60, "{said}{middle:?}");
+    assert_eq!(corner, backdrop);
+    assert_eq!(render(&["--exposure", "2"]).1, backdrop);
+    assert_eq!(render(&["--background", "#804020"]).1, [0x80, 0x40, 0x20, 255]);
+    // Another colour is not brighter than it is.
+    for option in ["--color=#606060", "--color-by=z"] {
+        let (said, corner, middle) = render(&[option]);
+        assert!(!said.contains("made brighter by") && middle[..3] != [255; 3], "{option}: {said}{middle:?}");
+        assert_eq!(corner, backdrop, "{option}");
+    }
+}

@@ -16,6 +16,8 @@ use serde::{Deserialize, Serialize};
 
 use super::stamp::{self, Detail};
 
+/// Ending of the name of what is built.
+pub(super) const EXTENSION: &str = "rset";
 /// Name of the note.
 const NOTE: &str = "built-from.json";
 /// The mark, and the version of the note.
@@ -211,7 +213,7 @@ impl Listed {
 /// The built file of an entry: the one file whose name ends so.
 fn data_of(folder: &Path) -> Option<PathBuf> {
     let mut files = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
-    files.find(|path| path.extension().is_some_and(|extension| extension == super::EXTENSION))
+    files.find(|path| path.extension().is_some_and(|extension| extension == EXTENSION))
 }
 
 /// Removes what an entry consists of, and what a build that was killed has left in it. A folder in which something else lies

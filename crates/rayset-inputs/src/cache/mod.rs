@@ -13,7 +13,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use rayset::storage;
 
-use self::entry::Listed;
+use self::entry::{EXTENSION, Listed};
 pub(super) use self::entry::{Entry, Found};
 use self::stamp::Detail;
 pub use self::stamp::fingerprint;
@@ -43,8 +43,6 @@ pub struct CacheArgs {
 
 /// Bytes that the cache keeps if nothing else is said.
 const DEFAULT_LIMIT: u64 = 20 << 30;
-/// Endings of the names of its entries.
-const EXTENSION: &str = "rset";
 
 /// Where something is built.
 pub(super) enum Place {

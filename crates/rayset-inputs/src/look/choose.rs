@@ -155,7 +155,11 @@ fn of_sampled_cloud(
         Some(scale) => (&scaled(cloud, scale)?, statistics.with_radius_scale(scale)),
         None => (cloud, statistics),
     };
-    let chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
+    let mut chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
+    if look.recolors() || look.image.exposure.is_some() {
+        // It was for the colours of the points, and is what was asked for.
+        chosen.exposure = 0.0;
+    }
     let mut scene = around(
         chosen.root(cloud, &name_in_scene(cloud.address(), cloud.storage().is_some())?),
         &chosen.orientation.reason_and_up(),
@@ -183,6 +187,7 @@ fn of_sampled_cloud(
         look.color_by = Some(chosen.vertical().to_owned());
     }
     look.apply(&mut scene, &input)?;
+    look.apply_image(&mut scene, chosen.exposure);
     let enlarged = enlarged.map_or_else(String::new, |scale| {
         format!("; few points far apart: --radius-scale {scale}, so that they are seen")
     });
@@ -280,6 +285,7 @@ fn of_sampled_grid(
         logarithmic: false,
     };
     look.apply(&mut scene, &input)?;
+    look.apply_image(&mut scene, 0.0);
     Ok(Chosen {
         scene,
         line: chosen.line(),

@@ -16,8 +16,6 @@ use super::view::Orientation;
 const PLAIN: &str = "#dbccb2";
 /// Behind surfaces.
 const BACKDROP: &str = "#262a31";
-/// The same in linear light.
-const BACKDROP_LINEAR: [f64; 3] = [0.0194, 0.0232, 0.0307];
 /// Behind what glows.
 const NIGHT: &str = "#000000";
 /// Colours whose brightest reach less than this, as displayed, are made brighter.
@@ -60,7 +58,7 @@ pub(super) struct CloudLook {
     /// Whether the kernels of gas are normalised: the density is that of numbers.
     is_normalised: bool,
     /// Stops by which dark colours are made brighter.
-    exposure: f64,
+    pub(super) exposure: f64,
     /// What made it so.
     reason: String,
 }
@@ -285,12 +283,8 @@ impl CloudLook {
             }
         }
         if self.exposure > 0.0 {
-            // The backdrop stays as it is, and highlights, which would be made brighter too, are left out.
-            scene["image"]["exposure"] = json!(self.exposure);
+            // Highlights, which would be made brighter too, are left out.
             scene["root"]["material"] = json!({"specular": 0});
-            if scene["background"] == json!(BACKDROP) {
-                scene["background"] = json!(BACKDROP_LINEAR.map(|v| v / self.exposure.exp2()));
-            }
         }
     }
 

@@ -68,6 +68,18 @@ pub struct LookArgs {
     /// Rays end where less than this is seen through, 0 to 0.999; 0.01 by default
     #[arg(long, value_parser = stop)]
     pub(super) stop: Option<f64>,
+    /// What else is said of the picture, which is part of the scene that is written.
+    #[arg(skip)]
+    pub(super) image: ImageChoices,
+}
+
+/// Settings of a picture that a scene has, too.
+#[derive(Clone, Copy, Default)]
+pub struct ImageChoices {
+    /// Rays along each side of a pixel.
+    pub samples: Option<u32>,
+    /// Exposure in stops.
+    pub exposure: Option<f64>,
 }
 
 /// A look.
@@ -226,6 +238,33 @@ impl LookArgs {
         with_values.chain(flags).collect()
     }
 
+    /// The same, with settings of the picture.
+    #[must_use]
+    pub fn with_image(self, image: ImageChoices) -> Self {
+        Self { image, ..self }
+    }
+
+    /// Whether the colours that a look would show give way to others.
+    pub(super) fn recolors(&self) -> bool {
+        self.color.is_some() || self.colormap.is_some() || self.color_by.is_some()
+    }
+
+    /// Sets the samples and the exposure of a scene to which everything else has been applied. `automatic` is the exposure if none is
+    /// asked for. The background is a colour of the display: it looks the same under any exposure.
+    pub(super) fn apply_image(&self, scene: &mut Value, automatic: f64) {
+        if let Some(samples) = self.image.samples {
+            scene["image"]["samples"] = json!(samples);
+        }
+        let exposure = self.image.exposure.unwrap_or(automatic);
+        if exposure == 0.0 {
+            return;
+        }
+        scene["image"]["exposure"] = json!(exposure);
+        if let Some(Ok(color)) = scene["background"].as_str().map(values::color) {
+            scene["background"] = json!(color.map(|v| linear(v) / exposure.exp2()));
+        }
+    }
+
     /// Puts the options that were given in the place of what a scene of one cloud or grid says.
     pub(super) fn apply(&self, scene: &mut Value, input: &Input<'_>) -> Result<()> {
         let transfer = &mut scene["root"]["transferFunction"];
@@ -347,4 +386,9 @@ fn opacity_value(text: &str) -> Result<Value> {
         OpacityRule::Curve(points) => points.iter().map(|&(d, o)| json!([d, o])).collect::<Vec<_>>().into(),
         _ => json!("clamp"),
     })
+}
+
+/// The light that a display makes of a value of sRGB (IEC 61966-2-1).
+fn linear(display: f64) -> f64 {
+    if display <= 0.04045 { display / 12.92 } else { ((display + 0.055) / 1.055).powf(2.4) }
 }

@@ -281,9 +281,14 @@ mod tests {
             let projection = Projection::of(longitude, latitude).expect("a place");
             (projection.epsg(), projection.project(longitude, latitude))
         };
-        // Where the zones end, by the tables of the projection.
+        // By PROJ: where the zones end, and a place away from the axes.
         let (epsg, [x, y]) = project(0.0, 84.000_000_001);
-        assert!(epsg == 5041 && (x - 2e6).abs() < 1e-6 && (y - 1_333_272.927).abs() < 0.01, "{x} {y}");
+        assert!(epsg == 5041 && (x - 2e6).abs() < 1e-6 && (y - 1_333_272.296).abs() < 0.01, "{x} {y}");
+        let (epsg, [x, y]) = project(30.0, -85.5);
+        assert!(
+            epsg == 5042 && (x - 2_249_926.882).abs() < 0.01 && (y - 2_432_886.057).abs() < 0.01,
+            "{x} {y}"
+        );
         let (epsg, [x, y]) = project(90.0, -90.0);
         assert!(epsg == 5042 && (x - 2e6).abs() < 1e-6 && (y - 2e6).abs() < 1e-6, "{x} {y}");
         // A metre on the ground is a metre: a hundredth of a degree along a meridian, at the scale of the pole.

@@ -99,10 +99,10 @@ mod tests {
 
     #[test]
     fn every_cell_has_the_votes_that_were_counted() {
-        let bounds = Aabb::new(DVec3::ZERO, DVec3::new(40.0, 19.0, 21.0));
-        let votes = Votes::new(Lattice::over(&bounds, 40).expect("a box has a lattice"));
-        for (y, z) in (0..19).flat_map(|y| (3..21).map(move |z| (y, z))) {
-            votes.add_line(0, [0, y, z], &[2.0 + y as f64 / 3.0, 31.5], &mut Vec::new());
+        let bounds = Aabb::new(DVec3::ZERO, DVec3::new(160.0, 38.0, 42.0));
+        let votes = Votes::new(Lattice::over(&bounds, 160).expect("a box has a lattice"));
+        for (y, z) in (0..38).flat_map(|y| (6..42).map(move |z| (y, z))) {
+            votes.add_line(0, [0, y, z], &[2.0 + y as f64 / 3.0, 151.5], &mut Vec::new());
         }
         let kept = Inside::of(&votes);
         let [width, height, depth] = votes.lattice.size;

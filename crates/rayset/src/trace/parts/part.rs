@@ -10,7 +10,7 @@ use super::header::{
     VERSION,
 };
 use super::share::Share;
-use crate::storage::address::without_secrets;
+use crate::storage::shown;
 use crate::storage::{InputFile, Storage, address_of};
 
 /// A part of a picture, whose head and end have been checked. Its pixels are checked as they are read.
@@ -85,7 +85,7 @@ impl Part {
     /// # Errors
     /// [`PartError`] if it cannot be read, or is no complete part of this version.
     pub fn open(path: &Path) -> Result<Self, PartError> {
-        Self::at(without_secrets(path).display().to_string(), Place::Named(path.to_owned()))
+        Self::at(shown(path), Place::Named(path.to_owned()))
     }
 
     /// Opens a part whose bytes are read from any storage; `name` is for messages.
