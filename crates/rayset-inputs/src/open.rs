@@ -121,7 +121,7 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resou
     let seconds = started.elapsed().as_secs_f64();
     match &mut place {
         Place::Kept(entry) => {
-            entry.complete(&all, pulled_in.stamps, work.said.into_inner())?;
+            entry.complete(&all, pulled_in.stamps, &work.said.into_inner())?;
             cache.prune(entry, resources.host);
             resources.host.remark(&format!(
                 "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",

@@ -161,11 +161,11 @@ pub(crate) enum ToPage {
     Hello {
         title: String,
         /// Where it is best seen from.
-        camera: Pose,
+        camera: Box<Pose>,
         /// The least and the largest coordinates of the scene; world space.
         bounds: [[f64; 3]; 2],
         /// How it stands; `None` of a scene, which does not say.
-        stance: Option<Stance>,
+        stance: Option<Box<Stance>>,
         /// The unit of its lengths.
         unit: Option<&'static str>,
         /// What was remarked when it was opened.

@@ -163,9 +163,9 @@ impl Opener {
         let opened = Arc::new(Opened::new(subject).map_err(ServeError::Scene)?);
         let hello = ToPage::Hello {
             title: opened.subject.title.clone(),
-            camera: opened.camera,
+            camera: Box::new(opened.camera),
             bounds: [opened.bounds.min.to_array(), opened.bounds.max.to_array()],
-            stance: opened.subject.stance,
+            stance: opened.subject.stance.map(Box::new),
             unit: opened.subject.unit,
             remarks: opened.subject.remarks.clone(),
             scene: Box::new(opened.subject.scene.clone()),

@@ -132,7 +132,7 @@ impl Entry {
         &mut self,
         inputs: &[PathBuf],
         stamps: Vec<(PathBuf, String)>,
-        remarks: Vec<String>,
+        remarks: &[String],
     ) -> Result<()> {
         // A note tells no secrets. What cannot be noted is not kept.
         if stamps.iter().any(|(path, _)| Path::new(&storage::shown(path)) != path) {

@@ -244,6 +244,7 @@ fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orienta
 const CAMERA: &str = "a camera's own axes";
 
 /// What kind of thing points are.
+#[derive(Clone, Copy)]
 struct Kinds {
     is_printed: bool,
     scanned: bool,

@@ -20,7 +20,7 @@ pub struct OutputFile {
     /// `None` for a stream, and once the file has its name.
     partial: Option<PathBuf>,
     /// The file that will be replaced, whose mode and owner are kept.
-    replaced: Option<Metadata>,
+    replaced: Option<Box<Metadata>>,
 }
 
 /// The state that all writers of a file share.
@@ -43,7 +43,7 @@ impl OutputFile {
         let mut replaced = None;
         let access = match &destination.target {
             Target::File(path) => {
-                replaced = std::fs::metadata(path).ok();
+                replaced = std::fs::metadata(path).ok().map(Box::new);
                 // Until it has the mode of the other, which may be as strict.
                 if replaced.is_some() { Access::Private } else { Access::Usual }
             }

@@ -54,7 +54,8 @@ impl Projection {
             }
             Self::Pole(pole) => {
                 let north = if pole.is_south { -latitude } else { latitude };
-                !(north < 90.0 - FARTHEST_DEGREES || north > 90.0 || longitude.abs() > 360.0)
+                let off = (north - 90.0).abs();
+                !(off > FARTHEST_DEGREES || north.abs() > 90.0 || longitude.abs() > 360.0)
             }
         }
     }

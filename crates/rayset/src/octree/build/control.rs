@@ -40,6 +40,7 @@ pub struct BuildControl<'a> {
     pub cancel: CancelToken,
     /// Is asked, of an input that turns out to be damaged, whether the build goes on without any of its points. It is given the
     /// index of the source and its error. If `None`, and in builds in parts, the first damaged input ends the build.
+    #[expect(clippy::type_complexity, reason = "a name of its own would be one more in the public surface")]
     pub leaves_out: Option<&'a (dyn Fn(usize, &ReadError) -> bool + Sync)>,
 }
 
