@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -190,3 +191,18 @@ def test_a_grid_in_a_temporary_file_takes_it_along() -> None:
     del grid, image
     gc.collect()
     assert not path.exists()
+
+
+def test_a_damaged_file_of_a_folder_is_left_out_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rows = "".join(f"{i} {i * i % 7} 0\n" for i in range(30))
+    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    (tmp_path / "tiles").mkdir()
+    (tmp_path / "tiles" / "a.ply").write_text(head.format(30) + rows)
+    (tmp_path / "tiles" / "torn.ply").write_text(head.format(40) + rows)
+    for cloud in (lambda: rs.build(str(tmp_path / "tiles")), lambda: rs.open(tmp_path / "tiles", cache=tmp_path / "cache")):
+        caplog.clear()
+        with caplog.at_level(logging.INFO, logger="rayset"):
+            assert len(cloud()) == 30
+        assert any("left out 1 of 2 files as damaged" in record.message and "torn.ply" in record.message for record in caplog.records)
+    with pytest.raises(rs.RaysetError, match="torn.ply"):
+        rs.build([str(tmp_path / "tiles" / "a.ply"), str(tmp_path / "tiles" / "torn.ply")])
