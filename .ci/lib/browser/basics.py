@@ -138,6 +138,8 @@ def everything_can_be_reached_with_the_keyboard_and_has_a_name(browser, server, 
     person.page.keyboard.press("h")
     person.wait(f"Math.abs(rayset.view.camera.distance - {before['distance']}) < 1e-9")
     person.page.get_by_role("button", name="Add a box").click()
+    # Handles are there once the picture has their place.
+    person.page.get_by_label("Box 1, place: arrow keys move it").wait_for()
     reached = set()
     person.page.locator("#picture").focus()
     for _ in range(120):

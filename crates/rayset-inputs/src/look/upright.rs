@@ -159,15 +159,19 @@ pub(super) fn orientation(cloud: &Cloud, statistics: &Statistics, given: Option<
     let header = cloud.header();
     let extents = Extents::of(statistics);
     let of_earth = extents.away_from_earth();
-    let mut chosen = if let Some(up) = given {
-        Orientation::with_up(up, "as asked for")
-    } else if let Some(up) = of_earth {
+    let own = if let Some(up) = of_earth {
         // North is ahead.
         Orientation::with_up(up, "Earth-centred coordinates").toward_front(Some(DVec3::Z))
     } else if let Some(up) = header.up {
         Orientation::with_up(up, "by the kind of file")
     } else {
         found(header, statistics, &extents)
+    };
+    let mut chosen = match given.map(|up| Orientation::with_up(up, "as asked for")) {
+        // Whoever says what would have been found has the same front.
+        Some(asked) if asked.up.dot(own.up) > 1.0 - 1e-12 => Orientation { reason: asked.reason, ..own },
+        Some(asked) => asked,
+        None => own,
     };
     chosen.lies = match of_earth {
         Some(up) => is_thin_along(statistics, up),
