@@ -120,10 +120,10 @@ impl Opened {
         let looks = self.subject.looks.as_ref()?;
         let changes = &show.changes;
         let style = changes.style.as_ref().unwrap_or(&self.first_style);
-        let Command { mut words, mut scene } = looks.command(style, &camera_words(&show.camera)).ok()?;
+        let camera = camera_words(&show.camera);
+        let Command { mut words, mut scene } = looks.command(style, &camera, changes.exposure).ok()?;
         scene["image"]["size"] = json!(show.size);
         if let Some(stops) = changes.exposure {
-            scene["image"]["exposure"] = json!(stops);
             words.push(format!("--exposure={stops}"));
         }
         let mut seen = self.composed(show, true).ok()?;
@@ -157,7 +157,10 @@ impl Opened {
 
     fn apply(&self, scene: &mut Value, changes: &Changes, with_caps: bool) {
         if let Some(stops) = changes.exposure {
-            scene["image"]["exposure"] = json!(stops);
+            match &self.subject.looks {
+                Some(looks) => looks.expose(scene, stops),
+                None => scene["image"]["exposure"] = json!(stops),
+            }
         }
         if let Some(sun) = &changes.sun {
             set_sun(scene, sun);

@@ -14,11 +14,15 @@ pub trait Looks: Send + Sync {
     /// What is wrong with the style, for the person who chose it.
     fn styled(&self, style: &Style) -> Result<Styled, String>;
 
-    /// The command that renders it in a style, with options of the camera, and the scene that this command renders.
+    /// Gives a scene in a style another exposure, in stops, as the command does.
+    fn expose(&self, scene: &mut Value, stops: f64);
+
+    /// The command that renders it in a style, with options of the camera, and the scene that this command renders with an exposure in
+    /// stops, if one is asked for.
     ///
     /// # Errors
     /// What is wrong with the options.
-    fn command(&self, style: &Style, camera: &[String]) -> Result<Command, String>;
+    fn command(&self, style: &Style, camera: &[String], exposure: Option<f64>) -> Result<Command, String>;
 }
 
 /// What a page can choose among.

@@ -9,8 +9,9 @@ use rayset::storage::address_of;
 use rayset_view::{Attribute, Choices, Command, Histogram, Looks as ForPages, Style, Styled};
 
 use crate::histogram;
-use rayset_inputs::look::{CameraArgs, Chosen, LookArgs, Looks};
+use rayset_inputs::look::{CameraArgs, Chosen, ImageChoices, LookArgs, Looks, expose};
 use rayset_inputs::units;
+use serde_json::Value;
 
 /// Colours of a map that a page is told.
 const PALETTE_COLORS: usize = 33;
@@ -151,8 +152,12 @@ impl ForPages for LooksOfFile {
         })
     }
 
-    fn command(&self, style: &Style, camera: &[String]) -> Result<Command, String> {
-        let look = self.look_of(style)?;
+    fn expose(&self, scene: &mut Value, stops: f64) {
+        expose(scene, stops);
+    }
+
+    fn command(&self, style: &Style, camera: &[String], exposure: Option<f64>) -> Result<Command, String> {
+        let look = self.look_of(style)?.with_image(ImageChoices { samples: None, exposure });
         let read = CameraWords::try_parse_from(camera).map_err(|error| first_line(&error.to_string()))?;
         let chosen = self.looks.chosen(&look, &read.camera, SIZE).map_err(|error| format!("{error:#}"))?;
         let mut words = vec!["rayset".to_owned(), "render".to_owned()];

@@ -19,6 +19,6 @@ mod view;
 mod voxels;
 
 pub use self::choose::{Chosen, Looks, Stance, of_cloud, of_grid};
-pub use self::options::{ImageChoices, LookArgs};
+pub use self::options::{ImageChoices, LookArgs, expose};
 pub use self::turntable::{Turntable, standing_back, turned};
 pub use self::view::CameraArgs;

@@ -255,14 +255,7 @@ impl LookArgs {
         if let Some(samples) = self.image.samples {
             scene["image"]["samples"] = json!(samples);
         }
-        let exposure = self.image.exposure.unwrap_or(automatic);
-        if exposure == 0.0 {
-            return;
-        }
-        scene["image"]["exposure"] = json!(exposure);
-        if let Some(Ok(color)) = scene["background"].as_str().map(values::color) {
-            scene["background"] = json!(color.map(|v| linear(v) / exposure.exp2()));
-        }
+        expose(scene, self.image.exposure.unwrap_or(automatic));
     }
 
     /// Puts the options that were given in the place of what a scene of one cloud or grid says.
@@ -386,6 +379,28 @@ fn opacity_value(text: &str) -> Result<Value> {
         OpacityRule::Curve(points) => points.iter().map(|&(d, o)| json!([d, o])).collect::<Vec<_>>().into(),
         _ => json!("clamp"),
     })
+}
+
+/// Gives a scene that was chosen another exposure, in stops, under which its background looks the same.
+pub fn expose(scene: &mut Value, stops: f64) {
+    let before = scene["image"]["exposure"].as_f64().unwrap_or(0.0);
+    let background = &mut scene["background"];
+    if let Some(color) = background.as_array() {
+        let light = |v: &Value| v.as_f64().unwrap_or(0.0) * (before - stops).exp2();
+        *background = color.iter().map(light).collect();
+    } else if let Some(Ok(color)) = background.as_str().map(values::color)
+        && stops != 0.0
+    {
+        *background = json!(color.map(|v| linear(v) / stops.exp2()));
+    }
+    if background.is_null() {
+        remove(scene, &["background"]);
+    }
+    if stops == 0.0 {
+        remove(&mut scene["image"], &["exposure"]);
+    } else {
+        scene["image"]["exposure"] = json!(stops);
+    }
 }
 
 /// The light that a display makes of a value of sRGB (IEC 61966-2-1).

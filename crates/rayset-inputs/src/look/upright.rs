@@ -175,12 +175,14 @@ pub(super) fn orientation(cloud: &Cloud, statistics: &Statistics, given: Option<
     };
     chosen.lies = match of_earth {
         Some(up) => is_thin_along(statistics, up),
-        None => {
-            let up = (0..3).max_by(|&a, &b| chosen.up[a].abs().total_cmp(&chosen.up[b].abs())).unwrap_or(2);
-            extents.is_thin(up, 0.5)
-        }
+        None => extents.is_thin(axis_along(chosen.up), 0.5),
     };
     chosen
+}
+
+/// The axis that a direction is nearest to.
+fn axis_along(direction: DVec3) -> usize {
+    (0..3).max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs())).unwrap_or(2)
 }
 
 /// Whether points are thin along a direction that is no axis.
@@ -238,8 +240,15 @@ fn found(header: &Header, statistics: &Statistics, extents: &Extents) -> Orienta
     let chosen =
         up_of(header, statistics, extents, Kinds { is_printed, scanned, of_things, is_flat, is_site });
     let is_camera = chosen.reason == CAMERA;
-    if is_thing && !is_camera && header.crs.is_empty() && is_seen_from_behind(statistics, chosen.facing) {
-        return chosen.toward_front(Some(-chosen.facing));
+    // What lies has no front.
+    let lies = extents.is_thin(axis_along(chosen.up), 0.5);
+    if is_thing
+        && !is_camera
+        && !lies
+        && header.crs.is_empty()
+        && is_seen_from_behind(statistics, chosen.facing)
+    {
+        return chosen.turned_around();
     }
     chosen
 }

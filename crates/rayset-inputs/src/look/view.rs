@@ -78,6 +78,8 @@ pub(super) struct Orientation {
     pub(super) up: DVec3,
     /// The direction in which one looks at the front.
     pub(super) facing: DVec3,
+    /// What is up in a picture from above: the direction in which such data customarily are looked at, or a file says that they are.
+    pub(super) ahead: DVec3,
     /// Why.
     pub(super) reason: &'static str,
     /// Whether the thing is flat, and lies: it is seen more from above.
@@ -91,13 +93,19 @@ impl Orientation {
         // Maps have their south in front; things with y up face the reader.
         let toward = if up.dot(DVec3::Y).abs() < 0.9 { DVec3::Y } else { DVec3::NEG_Z };
         let facing = (toward - up * toward.dot(up)).normalize_or(up.any_orthonormal_vector());
-        Self { up, facing, reason, lies: false }
+        Self { up, facing, ahead: facing, reason, lies: false }
+    }
+
+    /// The same, seen from the other side.
+    pub(super) fn turned_around(self) -> Self {
+        Self { facing: -self.facing, ..self }
     }
 
     /// With the front where a file says.
     pub(super) fn toward_front(self, facing: Option<DVec3>) -> Self {
         let across = facing.map(|facing| facing - self.up * facing.dot(self.up));
-        Self { facing: across.and_then(DVec3::try_normalize).unwrap_or(self.facing), ..self }
+        let facing = across.and_then(DVec3::try_normalize).unwrap_or(self.facing);
+        Self { facing, ahead: facing, ..self }
     }
 
     /// `z up (the thinnest extent)`
@@ -133,8 +141,8 @@ impl Orientation {
     fn up_in_picture(&self, direction: DVec3) -> DVec3 {
         let across = |up: DVec3| up - direction * up.dot(direction);
         let up = across(self.up);
-        // From above, what lies ahead of the front is up.
-        let up = if up.length() > 1e-6 { up } else { across(self.facing * -self.up.dot(direction).signum()) };
+        // From above, what lies ahead is up, whichever side is the front: plans have north up.
+        let up = if up.length() > 1e-6 { up } else { across(self.ahead * -self.up.dot(direction).signum()) };
         up.normalize_or(direction.any_orthonormal_vector())
     }
 }
