@@ -55,9 +55,7 @@ fn builds_and_renders_stay_within_their_budget_at_one_and_ten_times_as_many_page
     assert!(number(&built, "peak_rss_bytes") <= 24.0 * MIB, "{built}");
     let file = number(&built, "file_bytes");
     let mut pictures = Vec::new();
-    // An unoptimised program takes up to two mebibytes more by itself.
-    let least = if cfg!(debug_assertions) { 13.5 } else { 12.0 };
-    for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (least, 10.0)] {
+    for (memory, at_least) in [(64.0, 0.2), (20.0, 1.0), (13.5, 10.0)] {
         for predictor in ["packet", "none"] {
             let (budget, budget_bytes) = mebibytes(memory);
             let stats = render(
