@@ -90,7 +90,12 @@ class Scene:
         if _arguments.is_address(where):
             return cls.from_json(_native.read_text(where), where.partition("?")[0].rpartition("/")[0])
         file = Path(where)
-        return cls.from_json(file.read_text(encoding="utf-8"), file.parent)
+        try:
+            text = file.read_text(encoding="utf-8")
+        except OSError as error:
+            # What was meant to be an address may grant access.
+            raise type(error)(error.errno, error.strerror, _native.shown(where)) from None
+        return cls.from_json(text, file.parent)
 
     def to_json(self) -> dict[str, Any]:
         """The dictionary."""

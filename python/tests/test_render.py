@@ -214,6 +214,6 @@ def test_the_viewer_serves_the_scene(cloud: rs.Cloud) -> None:
     with rs.Scene(cloud, size=32).view(memory="128MiB") as viewer:
         assert viewer.address.startswith("http://127.0.0.1:")
         assert viewer.process.poll() is None
-        folder = Path(viewer._folder.name)
+        folder = Path(viewer._folder.path)
         assert folder.exists()
     assert viewer.process.poll() is not None and not folder.exists()
