@@ -38,10 +38,10 @@ def described(positions: Any, columns: Sequence[str] | None, attributes: Any, ou
     if isinstance(columns, str) or isinstance(attributes, (str, Mapping)):
         raise TypeError("files: expected columns and attributes as lists of names, as in [\"intensity\"]")
     paths = [positions] if isinstance(positions, (str, os.PathLike)) else positions
-    files, named = _native.expand([_arguments.file(one, "positions") for one in paths], output)
+    files, by_name = _native.expand([_arguments.file(one, "positions") for one in paths], output)
     return {
         "files": files,
-        "named": named,
+        "by_name": by_name,
         "columns": None if columns is None else [str(name) for name in columns],
         "attributes": None if attributes is None else [str(name) for name in attributes],
     }

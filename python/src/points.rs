@@ -26,7 +26,7 @@ pub(crate) struct Points {
     files: Vec<PathBuf>,
     /// Whether a person named each; one that a folder or a pattern named is left out if it is damaged.
     #[pyo3(item)]
-    named: Vec<bool>,
+    by_name: Vec<bool>,
     /// Names of the columns of text files and of arrays.
     #[pyo3(item)]
     columns: Option<Vec<String>>,
@@ -58,7 +58,7 @@ impl Points {
     ) -> Result<OpenPoints> {
         let host = host(progress, cancel);
         let reading = ReadOptions::default().with_text_columns(self.columns.clone());
-        let files = Files::of(self.files.clone(), self.named.clone());
+        let files = Files::of(self.files.clone(), self.by_name.clone());
         let points = rayset_inputs::open_points(&files, &reading, strict, &host)?;
         let (sources, left_out) = (points.sources, points.left_out);
         let kept = match &self.attributes {
