@@ -37,7 +37,7 @@ LOOK_OPTIONS: dict[str, str] = {
 _FLAGS = ("normalised", "log")
 _VIEWS = ("iso", "front", "back", "left", "right", "top", "bottom")
 #: What a look says of a cloud or a grid itself.
-_OF_LEAF = ("transferFunction", "material", "kernel", "normalised", "radiusScale")
+_OF_LEAF = ("transferFunction", "interpolation", "material", "kernel", "normalised", "radiusScale")
 
 
 def words(options: Mapping[str, Any]) -> list[str]:

@@ -20,7 +20,7 @@ from ._parts import Material, Preset, TransferFunction, curve
 T = TypeVar("T", bound="Object")
 
 #: Names of things in the node of an object that is yet to be given a look.
-_LOOK = ("transferFunction", "kernel", "normalised", "radiusScale")
+_LOOK = ("transferFunction", "interpolation", "kernel", "normalised", "radiusScale")
 
 
 class Object:
@@ -215,11 +215,13 @@ class _Data(Object):
 
     def styled(self, transfer_function: TransferFunction | Mapping[str, Any] | None = None, **style: Any) -> Object:
         """The same, with a :class:`TransferFunction` of its own instead of a look: ``opacity``, ``color``, ``input``, ``value_range``,
-        ``preset``; of clouds also ``kernel``, ``normalised`` and ``radius_scale``."""
-        keys = {"kernel": "kernel", "normalised": "normalised", "radius_scale": "radiusScale"}
+        ``preset``; of clouds also ``kernel``, ``normalised`` and ``radius_scale``, of grids ``interpolation`` (``linear``, or ``label``, which
+        mixes no values)."""
+        keys = {"kernel": "kernel", "normalised": "normalised", "radius_scale": "radiusScale", "interpolation": "interpolation"}
         node = {keys[name]: style.pop(name) for name in keys if name in style}
-        if node and isinstance(self, Grid):
-            raise TypeError("kernel, normalised and radius_scale are for points; a grid has voxels")
+        is_grid = isinstance(self, Grid)
+        if any((name == "interpolation") != is_grid for name in node):
+            raise TypeError("kernel, normalised and radius_scale are for points, interpolation is for the voxels of grids")
         if transfer_function is None:
             transfer_function = TransferFunction(**style)
         elif style:

@@ -117,6 +117,11 @@ impl Guess {
         Self { look: chosen.look, look_reason: within(&chosen.line).1, up, up_reason }
     }
 
+    /// Whether the values are taken for labels.
+    fn shows_labels(&self) -> bool {
+        self.look == "labels"
+    }
+
     fn describe(&self) {
         report::say(format_args!("up          {}: {}", self.up, self.up_reason));
         report::say(format_args!("look        {}: {}", self.look, self.look_reason));
@@ -223,10 +228,20 @@ struct GridInfo<'a> {
     bricks: u64,
     pages: u64,
     sources: &'a [String],
+    /// The values of all voxels, where they are few and whole.
+    labels: Vec<LabelInfo<'a>>,
     /// Of a sample of the values.
     histogram: Option<Histogram>,
     #[serde(flatten)]
     guess: Option<Guess>,
+}
+
+/// A value of voxels, in the JSON report.
+#[derive(serde::Serialize)]
+struct LabelInfo<'a> {
+    value: f64,
+    name: &'a str,
+    voxels: u64,
 }
 
 fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
@@ -238,6 +253,9 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
     let histogram = Histogram::of(values.flat_map(|values| (0..sample.len()).map(|i| values.get(i))));
     let guess = told(look::of_grid(grid, &LookArgs::default(), &CameraArgs::default(), GUESSED))
         .map(|chosen| Guess::of(&chosen));
+    let labels = h.labels.values.iter();
+    let labels =
+        labels.map(|label| LabelInfo { value: label.value, name: &label.name, voxels: label.voxels });
     if as_json {
         return report::json(&GridInfo {
             size: h.size,
@@ -250,6 +268,7 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
             bricks: h.brick_pages(),
             pages: h.pages(),
             sources: &h.sources,
+            labels: labels.collect(),
             histogram,
             guess,
         });
@@ -263,6 +282,14 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
     report::say(format_args!("values      {} to {}", report::number(value_min), report::number(value_max)));
     draw("", histogram.as_ref());
     report::say(format_args!("bounds      {}  to  {}", vector(bounds.min), vector(bounds.max)));
+    for label in h.labels.values.iter().filter(|_| guess.as_ref().is_some_and(Guess::shows_labels)) {
+        let name = if label.name.is_empty() { String::new() } else { format!(" {}", label.name) };
+        report::say(format_args!(
+            "label       {}{name}: {} voxels",
+            label.value,
+            report::count(label.voxels)
+        ));
+    }
     guess.iter().for_each(Guess::describe);
     report::say(format_args!(
         "file        {}, {} bricks, {} pages",

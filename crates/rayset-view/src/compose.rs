@@ -105,13 +105,13 @@ impl Opened {
     pub(crate) fn legend(&self, changes: &Changes, remarks: &[String]) -> Result<Legend, String> {
         let styled = self.styled(changes)?;
         let scene = styled.as_ref().map_or(&self.subject.scene, |styled| &styled.scene);
-        let (look, line, densities) = styled.as_ref().map_or_else(Default::default, |styled| {
-            (styled.look.clone(), styled.line.clone(), styled.densities.clone())
+        let (look, line, classes, densities) = styled.as_ref().map_or_else(Default::default, |styled| {
+            (styled.look.clone(), styled.line.clone(), styled.classes.clone(), styled.densities.clone())
         });
         let transfer_function = scene["root"]["transferFunction"].clone();
         let (is_lit, remarks) = (scene["lights"] != "none", remarks.to_vec());
         let exposure = scene["image"]["exposure"].as_f64().unwrap_or(0.0);
-        Ok(Legend { look, line, is_lit, exposure, transfer_function, densities, remarks })
+        Ok(Legend { look, line, is_lit, exposure, transfer_function, classes, densities, remarks })
     }
 
     /// The command that renders what a page sees, as a shell reads it; `None` if no options say it. The scene of the command is made, and

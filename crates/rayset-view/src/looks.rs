@@ -126,6 +126,8 @@ pub struct Styled {
     pub look: String,
     /// What was chosen, and why.
     pub line: String,
+    /// The classes or labels that colours tell apart: values and names.
+    pub classes: Vec<(f64, String)>,
     /// How what opacity is over is spread, estimated.
     pub densities: Option<Histogram>,
 }

@@ -134,6 +134,8 @@ pub(crate) struct Legend {
     pub(crate) exposure: f64,
     /// As the scene file has it.
     pub(crate) transfer_function: Value,
+    /// The classes or labels that colours tell apart: values and names.
+    pub(crate) classes: Vec<(f64, String)>,
     /// How what opacity is over is spread.
     pub(crate) densities: Option<Histogram>,
     /// What a person should know of the scene.

@@ -1,45 +1,16 @@
-//! Classes of points, by name.
+//! Classes of points and labels of voxels, by name.
 
 use std::collections::HashMap;
 
-use rayset::Cloud;
 use rayset::geometry::DVec3;
 use rayset::scene::{Camera, Projection};
+use rayset::{Cloud, Grid};
+use rayset_inputs::look::class_name;
 
 /// Points of a sample: enough to meet every class of a few thousandths.
 const SAMPLE_POINTS: usize = 1 << 14;
 
-/// The classes of the LAS specification (ASPRS, LAS 1.4 R15, table 17).
-const LAS: [&str; 23] = [
-    "never classified",
-    "unclassified",
-    "ground",
-    "low vegetation",
-    "medium vegetation",
-    "high vegetation",
-    "building",
-    "low noise",
-    "key point",
-    "water",
-    "rail",
-    "road",
-    "overlap",
-    "wire, guard",
-    "wire, conductor",
-    "transmission tower",
-    "wire connector",
-    "bridge deck",
-    "high noise",
-    "overhead structure",
-    "ignored ground",
-    "snow",
-    "temporal exclusion",
-];
-
-/// The first class that the specification leaves to users.
-const FIRST_OF_USERS: usize = 64;
-
-/// A class of points.
+/// A class of points, or a label of voxels.
 pub(super) struct Class {
     pub(super) value: f64,
     pub(super) name: String,
@@ -53,17 +24,6 @@ impl Class {
     }
 }
 
-/// The name of a class; `customary` is whether classes are those of LAS files.
-fn name(class: f64, customary: bool) -> String {
-    if !customary || class < 0.0 {
-        return format!("{class}");
-    }
-    match class as usize {
-        number if number >= FIRST_OF_USERS => format!("user class {number}"),
-        number => LAS.get(number).map_or_else(|| format!("reserved {number}"), |name| (*name).to_owned()),
-    }
-}
-
 /// The classes of a column that a sample of the points has, ascending, with their names; none if the sample cannot be read.
 pub(super) fn in_use(cloud: &Cloud, column: &str) -> Vec<Class> {
     let schema = cloud.sample_schema();
@@ -74,14 +34,33 @@ pub(super) fn in_use(cloud: &Cloud, column: &str) -> Vec<Class> {
         .filter(|(value, _)| value.is_finite())
         .collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let customary = column.eq_ignore_ascii_case("classification");
     let same = points.chunk_by(|a, b| a.0 == b.0);
     same.map(|same| Class {
         value: same[0].0,
-        name: name(same[0].0, customary),
+        name: class_name(same[0].0, column),
         places: same.iter().map(|(_, place)| *place).collect(),
     })
     .collect()
+}
+
+/// The labels of a grid's voxels that `shows`, ascending, with their names, and where voxels of a sample have them; of a label that
+/// the sample lacks nobody knows where it is.
+pub(super) fn labels(grid: &Grid, shows: impl Fn(f64) -> bool) -> Vec<Class> {
+    let sample = grid.sample(SAMPLE_POINTS).ok();
+    let places_of = |value: f64| {
+        let sample = sample.as_ref()?;
+        let has = |i: &usize| sample.columns[0].get(*i) == value;
+        let found = (0..sample.len()).filter(has).map(|i| DVec3::from_array(sample.position[i]));
+        Some(found.collect())
+    };
+    let labels = grid.header().labels.values.iter().filter(|label| shows(label.value));
+    labels
+        .map(|label| Class {
+            value: label.value,
+            name: if label.name.is_empty() { label.value.to_string() } else { label.name.clone() },
+            places: places_of(label.value).unwrap_or_default(),
+        })
+        .collect()
 }
 
 /// What a camera sees in a picture of a size.
@@ -112,7 +91,7 @@ impl View<'_> {
 }
 
 /// The classes of which a camera sees points: within the picture, and not behind so many others of the sample that these hide
-/// them.
+/// them; and those of which nobody knows where they are.
 pub(super) fn seen<'c>(classes: &'c [Class], view: &View<'_>) -> Vec<&'c Class> {
     /// Cells along each side of the picture.
     const CELLS: f64 = 48.0;
@@ -131,7 +110,7 @@ pub(super) fn seen<'c>(classes: &'c [Class], view: &View<'_>) -> Vec<&'c Class> 
             count < CLOSED || depth <= first + SLANT * width
         })
     };
-    classes.iter().filter(is_seen).collect()
+    classes.iter().filter(|class| class.places.is_empty() || is_seen(class)).collect()
 }
 
 /// The cells in which the points of a class are seen.
@@ -146,16 +125,6 @@ fn cells_of<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn classes_beyond_the_specification_are_those_of_users() {
-        assert_eq!(name(2.0, true), "ground");
-        assert_eq!(name(22.0, true), "temporal exclusion");
-        assert_eq!(name(40.0, true), "reserved 40");
-        assert_eq!(name(64.0, true), "user class 64");
-        assert_eq!(name(255.0, true), "user class 255");
-        assert_eq!(name(64.0, false), "64");
-    }
 
     #[test]
     fn classes_outside_of_the_picture_and_behind_others_are_not_seen() {

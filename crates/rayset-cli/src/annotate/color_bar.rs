@@ -1,7 +1,7 @@
-//! The colour map in use: which it is, and its bar or, of classes, its list.
+//! The colour map in use: which it is, and its bar or, of classes and labels, its list.
 
 use rayset::Cloud;
-use rayset::scene::{Channel, ColorMap, ColorRule, MapInput, Palette, Scene, Shape, Transfer};
+use rayset::scene::{Channel, ColorMap, ColorRule, GridObject, MapInput, Palette, Scene, Shape, Transfer};
 use rayset_inputs::units;
 
 use super::canvas::{Color, Piece, Shape as Drawn, rectangle};
@@ -30,7 +30,7 @@ impl Shown {
                     _ => None,
                 },
                 Shape::Grid(object) => match &object.transfer.color {
-                    ColorRule::Map { map, .. } => Some(Self::named(map, "value", "")),
+                    ColorRule::Map { map, .. } => Some(Self::of_grid(object, map)),
                     _ => None,
                 },
                 _ => None,
@@ -63,6 +63,16 @@ impl Shown {
                 Self::named(map, axis, space.unit.unwrap_or(""))
             }
         }
+    }
+
+    fn of_grid(object: &GridObject, map: &ColorMap) -> Self {
+        let is_named = object.labels && !object.grid.header().labels.values.is_empty();
+        if !is_named {
+            return Self::named(map, "value", "");
+        }
+        let shows = |value| object.transfer.opacity.shows_between(value, value);
+        let classes = Some(classes::labels(&object.grid, shows));
+        Self { classes, ..Self::named(map, "label", "") }
     }
 
     fn named(map: &ColorMap, name: &str, unit: &str) -> Self {

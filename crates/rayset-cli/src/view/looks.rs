@@ -148,6 +148,7 @@ impl ForPages for LooksOfFile {
             scene: chosen.scene,
             look: chosen.look.to_owned(),
             line: chosen.line,
+            classes: chosen.classes,
             densities: spread((chosen.densities)().into_iter()),
         })
     }

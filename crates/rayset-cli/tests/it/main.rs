@@ -14,6 +14,7 @@ mod info;
 mod inputs;
 mod interrupted;
 mod kept;
+mod labels;
 mod las_files;
 mod las_times;
 mod limits;

@@ -34,6 +34,8 @@ pub struct Chosen {
     pub turntable: Option<Turntable>,
     /// How the input stands, whichever side it is seen from.
     pub stance: Stance,
+    /// The classes or labels that its colours tell apart, with their names; none of other colours.
+    pub classes: Vec<(f64, String)>,
     /// What opacity is over at some places, estimated.
     pub densities: Densities,
 }
@@ -108,10 +110,11 @@ impl Looks {
     /// The names of looks that there are for it; not all of them for every cloud.
     pub fn names(&self) -> Vec<&'static str> {
         let all = LookName::value_variants().iter();
-        let is_for_grids = |look: &LookName| *look == LookName::Volume;
-        all.filter(|look| is_for_grids(look) == matches!(self.0, Sampled::Grid(..)))
-            .map(|look| look.name())
-            .collect()
+        let is_for_it = |look: &&LookName| match &self.0 {
+            Sampled::Cloud(..) => !look.is_of_voxels(),
+            Sampled::Grid(_, chosen) => chosen.can_be(**look),
+        };
+        all.filter(is_for_it).map(|look| look.name()).collect()
     }
 
     /// The scene in a look, for a picture of `size`.
@@ -140,8 +143,11 @@ fn of_sampled_cloud(
     camera: &CameraArgs,
     size: (u32, u32),
 ) -> Result<Chosen> {
-    if look.look == Some(LookName::Volume) {
-        bail!("--look volume is for voxels; the input has points, for which `--help` lists the others");
+    if let Some(name) = look.look.filter(|name| name.is_of_voxels()) {
+        bail!(
+            "--look {} is for voxels; the input has points, for which `--help` lists the others",
+            name.name()
+        );
     }
     let mut look = look.clone();
     // Weights that were made of masses are densities already: divided once more by volumes, they are next to nothing.
@@ -214,6 +220,7 @@ fn of_sampled_cloud(
         up: chosen.orientation.reason_and_up(),
         turntable: camera.axis(&chosen.orientation, &points).map(turntable),
         stance: stance(&chosen.orientation, &points),
+        classes: if look.recolors() { Vec::new() } else { chosen.classes() },
         densities: Box::new(move || chosen.opacity_densities()),
     })
 }
@@ -268,16 +275,11 @@ fn of_sampled_grid(
     camera: &CameraArgs,
     size: (u32, u32),
 ) -> Result<Chosen> {
-    if let Some(name) = look.look.filter(|name| *name != LookName::Volume) {
-        bail!("--look {} is for points; the input has voxels, whose look is volume", name.name());
-    }
-    let mut scene = around(
-        chosen.root(&name_in_scene(grid.address(), grid.storage().is_some())?),
-        &chosen.orientation.reason_and_up(),
-        size,
-    );
-    chosen.dress(&mut scene);
-    scene["camera"] = camera.scene(&chosen.orientation, &chosen.points, aspect(size))?;
+    let name = chosen.named(look.look)?;
+    let (file, points) = (name_in_scene(grid.address(), grid.storage().is_some())?, chosen.points(name));
+    let mut scene = around(chosen.root(name, &file), &chosen.orientation.reason_and_up(), size);
+    chosen.dress(name, &mut scene);
+    scene["camera"] = camera.scene(&chosen.orientation, points, aspect(size))?;
     let input = Input {
         has: &|_| false,
         stored: "a grid has nothing but its values",
@@ -288,12 +290,13 @@ fn of_sampled_grid(
     look.apply_image(&mut scene, 0.0);
     Ok(Chosen {
         scene,
-        line: chosen.line(),
+        line: chosen.line(name),
         middle: None,
-        look: LookName::Volume.name(),
+        look: name.name(),
         up: chosen.orientation.reason_and_up(),
-        turntable: camera.axis(&chosen.orientation, &chosen.points).map(turntable),
-        stance: stance(&chosen.orientation, &chosen.points),
+        turntable: camera.axis(&chosen.orientation, points).map(turntable),
+        stance: stance(&chosen.orientation, points),
+        classes: if look.recolors() { Vec::new() } else { chosen.classes(name) },
         densities: {
             let shown = chosen.shown.clone();
             Box::new(move || shown)

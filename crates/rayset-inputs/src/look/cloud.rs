@@ -6,6 +6,7 @@ use rayset::file::Header;
 use rayset::geometry::DVec3;
 use serde_json::{Value, json};
 
+use super::classes::class_name;
 use super::options::LookName;
 use super::palettes;
 use super::statistics::{Statistics, percentile, range};
@@ -169,6 +170,14 @@ impl CloudLook {
                 json!({"opacity": opacity, "color": map, "input": column, "valueRange": [low, high]})
             }
         }
+    }
+
+    /// The classes in a sample of the points, with their names, if classes are shown.
+    pub(super) fn classes(&self) -> Vec<(f64, String)> {
+        let Paint::Classes(column) = &self.paint else { return Vec::new() };
+        let mut values = self.statistics.sorted(column);
+        values.dedup();
+        values.into_iter().map(|value| (value, class_name(value, column))).collect()
     }
 
     /// The values of a column, of a coordinate, or of the density of gas, ascending; `None` if they are not known.

@@ -1,10 +1,12 @@
-//! The look of voxels.
+//! The looks of voxels: by their values, or by labels.
 
 use anyhow::{Result, bail};
 use rayset::Grid;
 use rayset::geometry::DVec3;
 use serde_json::{Value, json};
 
+use super::labels::LabelLook;
+use super::options::LookName;
 use super::ranges::over_logarithm;
 use super::statistics::percentile;
 use super::view::Orientation;
@@ -33,7 +35,9 @@ pub(super) struct GridLook {
     has_marks: bool,
     pub(super) orientation: Orientation,
     /// The places that the camera frames.
-    pub(super) points: Vec<(DVec3, f64)>,
+    points: Vec<(DVec3, f64)>,
+    /// What shows labels, if the values can be such, and the places that the camera frames then.
+    labels: Option<(LabelLook, Vec<(DVec3, f64)>)>,
     diagonal: f64,
     /// The shortest edge of a voxel.
     voxel: f64,
@@ -66,6 +70,7 @@ impl GridLook {
             has_marks: all.iter().any(|v| v.abs() >= MARKS),
             orientation,
             points: Vec::new(),
+            labels: None,
             diagonal: corners[0].distance(corners[7]),
             voxel: voxel.fold(f64::INFINITY, f64::min),
         };
@@ -73,11 +78,57 @@ impl GridLook {
         let margin = if content == Content::LevelSet { look.voxel } else { 0.0 };
         let stands_out = look.stands_out();
         let places = sample.position.iter().zip(&all).filter(|(_, v)| is_value(**v) && stands_out(**v));
-        look.points = places.map(|(p, _)| (DVec3::from_array(*p), margin)).collect();
-        if look.points.len() < 8 || content == Content::Constant {
-            look.points = corners.map(|corner| (corner, 0.0)).into();
-        }
+        let places: Vec<DVec3> = places.map(|(p, _)| DVec3::from_array(*p)).collect();
+        let is_solid = content == Content::Constant;
+        look.points = framed(if is_solid { Vec::new() } else { places }, margin, corners);
+        look.labels = LabelLook::of(header).map(|labels| {
+            let shown = sample.position.iter().zip(&all).filter(|(_, v)| labels.shows(**v));
+            let shown = shown.map(|(p, _)| DVec3::from_array(*p)).collect();
+            (labels, framed(shown, look.voxel, corners))
+        });
         Ok(look)
+    }
+
+    /// Whether there is a look of the name.
+    pub(super) fn can_be(&self, name: LookName) -> bool {
+        name == LookName::Volume || name == LookName::Labels && self.labels.is_some()
+    }
+
+    /// The look that is wanted, or the one that the values suggest.
+    pub(super) fn named(&self, wanted: Option<LookName>) -> Result<LookName> {
+        let are_known = matches!(self.content, Content::Hounsfield | Content::LevelSet);
+        match wanted {
+            None if self.labels.as_ref().is_some_and(|(labels, _)| labels.is_suggested(are_known)) => {
+                Ok(LookName::Labels)
+            }
+            None => Ok(LookName::Volume),
+            Some(name) if self.can_be(name) => Ok(name),
+            Some(LookName::Labels) => bail!(
+                "--look labels: the voxels have more than 2048 values, or values that are no whole numbers, or the grid \
+                 was built by an older rayset; --look volume shows values"
+            ),
+            Some(name) => {
+                bail!(
+                    "--look {} is for points; the input has voxels, whose looks are volume and labels",
+                    name.name()
+                )
+            }
+        }
+    }
+
+    /// What shows labels, in the look of them.
+    fn labels(&self, name: LookName) -> Option<&(LabelLook, Vec<(DVec3, f64)>)> {
+        self.labels.as_ref().filter(|_| name == LookName::Labels)
+    }
+
+    /// The places that the camera frames.
+    pub(super) fn points(&self, name: LookName) -> &[(DVec3, f64)] {
+        self.labels(name).map_or(&self.points, |(_, points)| points)
+    }
+
+    /// The labels that are shown, with their names.
+    pub(super) fn classes(&self, name: LookName) -> Vec<(f64, String)> {
+        self.labels(name).map_or_else(Vec::new, |(labels, _)| labels.classes())
     }
 
     /// Whether a value is framed: what is nearly transparent is not.
@@ -101,7 +152,10 @@ impl GridLook {
     }
 
     /// The object of the scene.
-    pub(super) fn root(&self, file: &str) -> Value {
+    pub(super) fn root(&self, name: LookName, file: &str) -> Value {
+        if let Some((labels, _)) = self.labels(name) {
+            return labels.root(file);
+        }
         let (opacity, color, range) = match self.content {
             Content::Hounsfield => self.hounsfield(),
             Content::LevelSet => self.level_set(),
@@ -220,12 +274,13 @@ impl GridLook {
     }
 
     /// Lights, background and rendering settings.
-    pub(super) fn dress(&self, scene: &mut Value) {
+    pub(super) fn dress(&self, name: LookName, scene: &mut Value) {
         let Orientation { up, facing, .. } = self.orientation;
         let right = facing.cross(up);
         let sun = (facing * 0.7 + right * 0.5 - up * 0.8).normalize().to_array();
+        let shows_labels = self.labels(name).is_some();
         scene["background"] = json!(NIGHT);
-        if self.content != Content::LevelSet {
+        if self.content != Content::LevelSet && !shows_labels {
             // Voxels have no edges that rays between those of pixels would smooth.
             scene["image"]["samples"] = json!(1);
         }
@@ -234,11 +289,23 @@ impl GridLook {
             {"type": "headlight", "intensity": 0.5},
             {"type": "directional", "direction": sun, "intensity": 0.5, "shadow": false}
         ]);
-        scene["rendering"]["unitDistance"] = json!((self.diagonal / 200.0).max(1e-17));
+        // A label hides what is behind it within half a voxel.
+        let unit = if shows_labels { 0.5 * self.voxel } else { self.diagonal / 200.0 };
+        scene["rendering"]["unitDistance"] = json!(unit.max(1e-17));
+        if shows_labels {
+            scene["rendering"]["ambientOcclusion"] = json!(0.7);
+        }
     }
 
     /// `look: volume, …`
-    pub(super) fn line(&self) -> String {
+    pub(super) fn line(&self, name: LookName) -> String {
+        if let Some((labels, _)) = self.labels(name) {
+            return format!(
+                "look: labels ({}), {}; --look volume shows values, --view and --up say otherwise",
+                labels.what(),
+                self.orientation.reason_and_up()
+            );
+        }
         let what = match self.content {
             Content::Hounsfield => "computed tomography in Hounsfield units".to_owned(),
             Content::LevelSet => "a level set, the surface where values are 0".to_owned(),
@@ -256,6 +323,14 @@ impl GridLook {
             self.orientation.reason_and_up()
         )
     }
+}
+
+/// Places to frame, each with a margin around it; of few, the whole box.
+fn framed(places: Vec<DVec3>, margin: f64, corners: [DVec3; 8]) -> Vec<(DVec3, f64)> {
+    if places.len() < 8 {
+        return corners.map(|corner| (corner, 0.0)).into();
+    }
+    places.into_iter().map(|place| (place, margin)).collect()
 }
 
 /// The corners of the box around the voxels, in the space of the file.

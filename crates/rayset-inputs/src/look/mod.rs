@@ -5,9 +5,11 @@
 //! execution settings have no influence.
 
 mod choose;
+mod classes;
 mod cloud;
 mod framing;
 mod grid;
+mod labels;
 mod options;
 mod palettes;
 mod ranges;
@@ -19,6 +21,7 @@ mod view;
 mod voxels;
 
 pub use self::choose::{Chosen, Looks, Stance, of_cloud, of_grid};
+pub use self::classes::class_name;
 pub use self::options::{ImageChoices, LookArgs, expose};
 pub use self::turntable::{Turntable, standing_back, turned};
 pub use self::view::CameraArgs;

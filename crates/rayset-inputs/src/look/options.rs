@@ -99,11 +99,18 @@ pub(super) enum LookName {
     Gas,
     /// Voxels, by their values
     Volume,
+    /// Voxels whose values are labels: a colour each, none between two
+    Labels,
     /// Gaussian splats: their own colours, unlit
     Splats,
 }
 
 impl LookName {
+    /// Whether it is one of voxels.
+    pub(super) fn is_of_voxels(self) -> bool {
+        matches!(self, Self::Volume | Self::Labels)
+    }
+
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Density => "density",
@@ -113,6 +120,7 @@ impl LookName {
             Self::Intensity => "intensity",
             Self::Gas => "gas",
             Self::Volume => "volume",
+            Self::Labels => "labels",
             Self::Splats => "splats",
         }
     }

@@ -53,6 +53,18 @@ function colorAt(stops, at) {
 }
 
 /**
+ * The colours of classes or labels, each with its name.
+ * @param {RaysetView} view @returns {{color: string, name: string}[]}
+ */
+export function classColors(view) {
+  const { transferFunction: shown, classes } = view.legend ?? {};
+  if (!shown || !classes?.length || !view.choices || !isMap(shown.color, view.choices.palettes)) return [];
+  const stops = stopsOf(shown.color, view.choices.palettes);
+  const [low, high] = shown.valueRange ?? [0, 1];
+  return classes.map(([value, name]) => ({ color: `rgb(${colorAt(stops, (value - low) / (high - low)).join(" ")})`, name }));
+}
+
+/**
  * The name of the palette that a map has the colours of; `null` if it has others.
  * @param {any} given @param {[number, number]} range @param {Palettes} palettes @returns {string | null}
  */

@@ -1,7 +1,7 @@
 // @ts-check
 /** What a cloud or grid looks like: the looks of `rayset render`, its colours, and their bar. */
 
-import { drawBar, isLogarithmic, isMap, nameOf } from "./colors.js";
+import { classColors, drawBar, isLogarithmic, isMap, nameOf } from "./colors.js";
 import { editor } from "./transfer.js";
 import { checkbox, color, element, following, number, panel, select, short, slider } from "./widgets.js";
 
@@ -65,6 +65,7 @@ export function lookPanel(view, begin) {
     (power) => `${short(2 ** power)}×`);
   const bar = element("canvas", { class: "bar", width: "256", height: "58", role: "img" });
   const caption = element("p", { class: "caption" });
+  const classes = element("ul", { class: "classes", "aria-label": "Colours of classes" });
   const said = element("p", { class: "caption" });
 
   /** The style that the legend tells of. */
@@ -87,16 +88,26 @@ export function lookPanel(view, begin) {
     const name = style.colormap ?? (hasMap ? nameOf(transfer.color, shownRange(view.legend), palettes) : null);
     map.input.value = name ?? OTHER;
     [low, high].forEach((each, k) => each.set(transfer.valueRange?.[k]));
-    bar.hidden = caption.hidden = !hasMap;
+    const named = isTold ? classColors(view) : [];
+    classes.replaceChildren(...named.map(({ color: shownColor, name: shownName }) => {
+      const swatch = element("span", { class: "swatch" });
+      swatch.style.background = shownColor;
+      return element("li", {}, [swatch, shownName]);
+    }));
+    classes.hidden = !named.length;
+    // Between two classes there is nothing to show or to change.
+    range.hidden ||= named.length > 0;
+    log.row.hidden ||= named.length > 0;
+    bar.hidden = caption.hidden = !hasMap || named.length > 0;
     said.textContent = view.legend?.line ?? "";
-    if (hasMap) drawBar(/** @type {HTMLCanvasElement} */ (bar), caption, view);
+    if (!bar.hidden) drawBar(/** @type {HTMLCanvasElement} */ (bar), caption, view);
   };
   // Before the others hear of it.
   view.addEventListener("legend", () => (told = JSON.stringify(shown())));
   if (view.legend) told = JSON.stringify(shown());
   following(view, follow);
   return [
-    panel("Look", [look.row, by.row, one.row, map.row, range, log.row, bar, caption, ...(attributes.length ? [radius.row] : []), said], true),
+    panel("Look", [look.row, by.row, one.row, map.row, range, log.row, bar, caption, classes, ...(attributes.length ? [radius.row] : []), said], true),
     editor(view, begin, restyle),
   ];
 }

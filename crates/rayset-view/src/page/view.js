@@ -29,7 +29,7 @@ import { Warp } from "./warp.js";
  * @typedef {{low: number, high: number, logarithmic: boolean, counts: number[]}} Histogram
  * @typedef {{name: string, unit: string, range: [number, number], histogram: Histogram | null}} Attribute
  * @typedef {{looks: string[], attributes: Attribute[], palettes: [string, string[]][], style: Style}} Choices
- * @typedef {{look: string, line: string, isLit: boolean, exposure: number, transferFunction: any, densities: Histogram | null, remarks: string[]}} Legend
+ * @typedef {{look: string, line: string, isLit: boolean, exposure: number, transferFunction: any, classes: [number, string][], densities: Histogram | null, remarks: string[]}} Legend
  * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, values: [string, number, string][]} | null, value: number | null, error: number}} Picked
  *   `value` of a grid; `error`: how exactly places are known
  * @typedef {{name: string, bytes: number, hits: number, misses: number, reads: number, bytesRead: number, bytesUnique: number, evictions: number, waitedSeconds: number}} KindReport

@@ -74,6 +74,8 @@ impl SectionKind {
     pub const COLUMNS: Self = Self(*b"COLS");
     /// The numeric header of a grid.
     pub const GRID: Self = Self(*b"GRID");
+    /// The values of a grid where they are few and whole, as JSON.
+    pub const LABELS: Self = Self(*b"LABL");
     /// Textual descriptions, as JSON.
     pub const META: Self = Self(*b"META");
     /// Pages of points.

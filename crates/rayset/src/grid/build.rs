@@ -6,7 +6,9 @@ use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use super::census::Census;
 use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, brick_shape};
+use super::labels::GridLabels;
 use super::read::{ReadError, VolumeSource};
 use super::slices::{Held, PIECE_BYTES, SliceError, Slices, Window};
 use crate::container::{
@@ -65,8 +67,9 @@ pub enum GridBuildError {
     },
 }
 
-/// Memory for buffers, in bytes: of a piece of voxels before and after conversion, of a decompressor, and of the output.
-const BUFFER_BYTES: u64 = 3 * PIECE_BYTES as u64 + (3 << 20);
+/// Memory for buffers, in bytes: of a piece of voxels before and after conversion, of a decompressor, of the output, and of the values
+/// that are counted.
+const BUFFER_BYTES: u64 = 3 * PIECE_BYTES as u64 + (3 << 20) + Census::BYTES;
 /// Upper limit on the bytes that are copied out of the slices at a time.
 const MOST_WINDOW_BYTES: u64 = 16 << 20;
 
@@ -182,6 +185,8 @@ fn header_of(source: &VolumeSource) -> Result<GridHeader, GridBuildError> {
         sources: sorted(&source.about),
         up: source.up.and_then(DVec3::try_normalize),
         facing: source.facing.and_then(DVec3::try_normalize),
+        // Not known yet.
+        labels: GridLabels::default(),
     };
     let checked = header.check_size().and_then(|()| header.check_numbers());
     checked.map_err(|what| GridBuildError::Grid {
@@ -242,6 +247,7 @@ fn write(
         header.range = (0.0, 0.0);
     }
     header.identity = slices.identity();
+    header.labels = slices.labels(header, source.labels());
     Ok(writer.finish(header)?)
 }
 
@@ -350,7 +356,8 @@ impl Writer {
                 identify(&mut self.ranges, header, bricks..bricks + ranges)?,
             ),
         ];
-        let sections = [(SectionKind::GRID, header.encode())];
+        let mut sections = vec![(SectionKind::GRID, header.encode())];
+        sections.extend(header.labels.encode().map(|labels| (SectionKind::LABELS, labels)));
         let whole = seal_file(
             &mut self.bricks,
             FileKind::Grid,

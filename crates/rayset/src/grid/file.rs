@@ -185,7 +185,7 @@ impl Grid {
         let voxel = voxel.to_array().map(|at| at as u64);
         let bricks = header.bricks();
         let corner: [u64; 3] =
-            std::array::from_fn(|axis| (voxel[axis] / header.kind.brick_cells()).min(bricks[axis] - 1));
+            std::array::from_fn(|axis| (voxel[axis] / header.brick_cells()[axis]).min(bricks[axis] - 1));
         let brick = (corner[2] * bricks[1] + corner[1]) * bricks[0] + corner[0];
         let mut found = None;
         self.reopened()?.each_of(SectionKind::VOXELS, &[brick as u32], |page, offset, bytes| {

@@ -3,6 +3,7 @@
 //! A brick holds all voxels that samples in its cells need, including those shared with neighbouring bricks, so that a
 //! sample reads a single page. Numbers are little-endian. The surrounding container format is in [`crate::container`].
 
+use super::labels::GridLabels;
 use crate::container::{
     BLOCK_BYTES, BRICK_SHAPE, FileHeader, Identity, Metadata, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
     SectionKind, Writer,
@@ -135,6 +136,9 @@ pub struct GridHeader {
     /// The direction in which one looks at the front, of length one: a patient is seen from the front. `None` if the format
     /// does not say.
     pub facing: Option<DVec3>,
+    /// The values of its voxels, where they are few and whole.
+    #[doc(hidden)]
+    pub labels: GridLabels,
 }
 
 impl GridHeader {
@@ -241,8 +245,14 @@ impl GridHeader {
         let header = Self::decode(&bytes, file.header())
             .ok_or_else(|| wrong("the numbers of the grid end early, or its kind of voxels is unknown"))?;
         header.check_ranges(file.header()).map_err(wrong)?;
+        let labels = match file.header().section(SectionKind::LABELS) {
+            Some(_) => GridLabels::decode(&file.section(SectionKind::LABELS)?).ok_or_else(|| {
+                file.wrong_section(SectionKind::LABELS, "the list of values is not JSON of the expected form")
+            })?,
+            None => GridLabels::default(),
+        };
         let (up, facing) = (words.up(), words.facing());
-        Ok(Self { sources: words.sources, up, facing, ..header })
+        Ok(Self { sources: words.sources, up, facing, labels, ..header })
     }
 
     fn decode(bytes: &[u8], file: &FileHeader) -> Option<Self> {
@@ -275,6 +285,7 @@ impl GridHeader {
             sources: Vec::new(),
             up: None,
             facing: None,
+            labels: GridLabels::default(),
         })
     }
 

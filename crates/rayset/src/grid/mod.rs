@@ -2,8 +2,10 @@
 //! layout.
 
 pub mod build;
+mod census;
 pub mod file;
 pub mod format;
+pub mod labels;
 pub mod read;
 mod slices;
 

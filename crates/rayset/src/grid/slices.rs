@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::io;
 use std::ops::Range;
 
-use super::format::GridHeader;
+use super::census::Census;
+use super::format::{GridHeader, VoxelKind};
+use super::labels::{GridLabels, NamedLabels};
 use super::read::{ReadError, VolumeSource};
 use crate::cancel::CancelToken;
 use crate::container::{Identity, StreamHash};
@@ -30,6 +32,8 @@ pub(super) struct Slices {
     voxel_bytes: u64,
     held: Held,
     piece: Vec<u8>,
+    kind: VoxelKind,
+    census: Census,
     /// Hash of the size, type, scaling and transform of the grid, and of all voxels so far.
     hash: StreamHash,
 }
@@ -63,6 +67,8 @@ impl Slices {
             voxel_bytes,
             held,
             piece: Vec::new(),
+            kind: header.kind,
+            census: Census::new(header.size[0]),
             hash: StreamHash::new(&format!(
                 "{:?} {} {:?} {:?} {:?}",
                 header.size,
@@ -77,6 +83,11 @@ impl Slices {
     /// The identity of a file of these voxels, once all have been read.
     pub(super) fn identity(&self) -> Identity {
         self.hash.identity()
+    }
+
+    /// The values of all voxels, once all have been read.
+    pub(super) fn labels(&self, header: &GridHeader, names: &NamedLabels) -> GridLabels {
+        self.census.labels(|stored| header.value(stored), names)
     }
 
     /// Size in bytes of the slices that a layer of bricks needs.
@@ -119,6 +130,7 @@ impl Slices {
             self.piece.resize((self.slice_bytes - done).min(PIECE_BYTES as u64) as usize, 0);
             source.read(&mut self.piece).map_err(SliceError::Read)?;
             self.hash.update(&self.piece);
+            self.census.add(self.kind, &self.piece);
             match &self.held {
                 Held::Memory(_) => slice.extend_from_slice(&self.piece),
                 Held::Disk { file, places } => {

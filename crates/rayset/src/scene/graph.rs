@@ -150,6 +150,10 @@ pub struct GridObject {
     pub grid: Arc<Grid>,
     /// Opacity and colour from values.
     pub transfer: TransferFunction,
+    /// Whether values are labels, which are never mixed. A sample then has the value of the most trilinear weight among the
+    /// eight voxels around it (the larger of two that have as much), in place of their mean. The object's surface is where
+    /// half of the weight is that of voxels at least as opaque as the sample, or that show at all if the sample does not.
+    pub labels: bool,
 }
 
 impl GridObject {
@@ -162,7 +166,7 @@ impl GridObject {
             opacity: OpacityRule::Curve(vec![(low, 0.0), (high, 1.0)]),
             color: ColorRule::Uniform([1.0; 3]),
         };
-        Self { grid, transfer }
+        Self { grid, transfer, labels: false }
     }
 
     /// The value that defines the boundary: where the opacity first reaches half its maximum.

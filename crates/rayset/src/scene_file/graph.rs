@@ -204,11 +204,13 @@ impl<'a> GraphReader<'a> {
                 (object, Shape::Cloud(cloud))
             }
             Type::Grid => {
-                let object = with(&["file", "transferFunction"])?;
+                let object = with(&["file", "interpolation", "transferFunction"])?;
                 let mut made = GridObject::plain(self.data.grid(&object.require("file")?)?);
                 if let Some(at) = object.get("transferFunction") {
                     read_value_transfer(&at, &mut made)?;
                 }
+                let known = [("linear", false), ("label", true)];
+                made.labels = object.read_or("interpolation", false, |at| at.one_of(&known))?;
                 (object, Shape::Grid(made))
             }
             Type::Operator(operator) => {

@@ -44,7 +44,7 @@ fn scene(grid: &Arc<Grid>, lit: bool) -> Scene {
     let transfer = TransferFunction { opacity, color: ColorRule::Uniform([0.9, 0.6, 0.3]) };
     let headlight = Light { kind: LightKind::Headlight, color: [1.0; 3], shadow: false };
     Scene {
-        root: Arc::new(Node::new(Shape::Grid(GridObject { grid: grid.clone(), transfer }))),
+        root: Arc::new(Node::new(Shape::Grid(GridObject { grid: grid.clone(), transfer, labels: false }))),
         lighting: if lit { Lighting::Lit(vec![headlight]) } else { Lighting::Unlit },
         background: None,
         unit_distance: 1.0,
@@ -188,6 +188,21 @@ fn the_smallest_grid_can_be_lit() {
         let grid = random_grid(folder.path(), [2; 3], kind);
         for axis in 0..3 {
             assert!(compare(&grid, &camera([2; 3], axis, 0.5), kind.name()) > 8);
+        }
+    }
+}
+
+#[test]
+fn the_value_of_a_voxel_is_found_in_bricks_of_any_shape() {
+    let folder = folder();
+    for size in [[2, 3, 5000], [40, 35, 3], [33, 40, 52]] {
+        let grid = random_grid(folder.path(), size, VoxelKind::U16);
+        let all = grid.load().expect("it reads");
+        for at in (0..all.len() as u64).step_by(all.len() / 40) {
+            let place = [at % size[0], at / size[0] % size[1], at / size[0] / size[1]];
+            let place = DVec3::from_array(place.map(|v| v as f64)) + 0.2;
+            let found = grid.value_at(place.min(grid.header().last_voxel())).expect("it reads");
+            assert_eq!(found, Some(f64::from(all[at as usize])), "{size:?} at {place}");
         }
     }
 }

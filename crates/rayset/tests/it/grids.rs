@@ -66,7 +66,7 @@ fn object(grid: &Arc<Grid>, shift: f64) -> Node {
     let transfer =
         rayset::scene::TransferFunction { opacity, color: ColorRule::Map { map, input: MapInput::Density } };
     let turn = DQuat::from_axis_angle(DVec3::new(0.3, 1.0, 0.2).normalize(), 0.6);
-    Node::new(Shape::Grid(GridObject { grid: grid.clone(), transfer }))
+    Node::new(Shape::Grid(GridObject { grid: grid.clone(), transfer, labels: false }))
         .moved(DAffine3::from_translation(DVec3::splat(-0.7)))
         .moved(DAffine3::from_scale_rotation_translation(DVec3::new(1.0, 1.2, 0.9), turn, DVec3::ZERO))
 }

@@ -32,6 +32,7 @@ mod grid_borders;
 mod grids;
 mod house;
 mod inner_loop;
+mod labels;
 mod las_peer;
 #[allow(dead_code, reason = "the program's tests use the rest")]
 mod las_writer;

@@ -11,16 +11,19 @@ use flate2::bufread::MultiGzDecoder;
 
 use super::data::{Begin, Compression, Place, data_at};
 use super::error::ReadError;
+use super::label_table;
 use super::orientation::Orientation;
 use super::series::Series;
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DQuat, DVec3};
+use crate::grid::labels::NamedLabels;
 use crate::numbers::Stored;
 
 const HEADER_BYTES: usize = 348;
 
 /// Byte offsets of the fields.
 const DIM: usize = 40;
+const INTENT: usize = 68;
 const DATATYPE: usize = 70;
 const PIXDIM: usize = 76;
 const VOX_OFFSET: usize = 108;
@@ -118,17 +121,41 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
     let series = Series::new(path, volumes, index)?;
     let all = bytes.checked_mul(volumes).ok_or_else(|| fields.wrong(DIM, "dim", "the series is too long"))?;
     let before = bytes * series.index;
-    let (start, rest) = ((start as u64).saturating_add(before), all - before - bytes);
-    let place = Place { path, start: if zipped { 0 } else { start }, bytes, rest: Some(rest) };
+    let (first, rest) = ((start as u64).saturating_add(before), all - before - bytes);
+    let place = Place { path, start: if zipped { 0 } else { first }, bytes, rest: Some(rest) };
     let voxels = if zipped {
-        place.compressed(Compression::Gzip, None, Begin::After(start))?
+        place.compressed(Compression::Gzip, None, Begin::After(first))?
     } else {
         place.plain()?
     };
     // The axes of every space that has a code point to the right, to the front and up.
     let of_patient = fields.i16(SFORM_CODE) > 0 || fields.i16(QFORM_CODE) > 0;
     let orientation = Orientation::of_patient("RAS").filter(|_| of_patient).unwrap_or_default();
-    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(orientation).of_series(series))
+    let source = VolumeSource::new(&described, bytes, voxels).with_orientation(orientation);
+    Ok(source.of_series(series).with_labels(labels(&fields, zipped, start as u64)))
+}
+
+/// What the header and its extensions, which end where voxels begin, say of labels.
+fn labels(fields: &Fields<'_>, zipped: bool, begin: u64) -> NamedLabels {
+    /// The code for values that are labels (`NIFTI_INTENT_LABEL`).
+    const LABEL: i16 = 1002;
+    /// The header, and four bytes that say whether there are extensions.
+    const BEFORE: u64 = HEADER_BYTES as u64 + 4;
+    let length = begin.saturating_sub(BEFORE).min(label_table::MOST_BYTES);
+    let read = || {
+        let file = data_at(fields.path, 0).ok()?;
+        let mut data: Box<dyn Read> =
+            if zipped { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) };
+        let mut head = [0; BEFORE as usize];
+        data.read_exact(&mut head).ok()?;
+        let mut extensions = Vec::new();
+        data.take(length).read_to_end(&mut extensions).ok()?;
+        (head[HEADER_BYTES] != 0).then_some(extensions)
+    };
+    let extensions = if length > 0 { read() } else { None };
+    let mut labels = label_table::of_extensions(&extensions.unwrap_or_default(), fields.big_endian);
+    labels.said |= fields.i16(INTENT) == LABEL;
+    labels
 }
 
 fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {

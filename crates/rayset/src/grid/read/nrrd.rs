@@ -15,6 +15,7 @@ use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes, skip_li
 use super::error::ReadError;
 use super::fields::Lines;
 use super::orientation::Orientation;
+use super::segments::Segments;
 use super::series::{Interleaved, Series};
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
@@ -37,6 +38,7 @@ struct Header {
     byte_skip: i64,
     line_skip: u64,
     orientation: Orientation,
+    segments: Segments,
 }
 
 pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
@@ -51,7 +53,11 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
         if text.is_empty() {
             break;
         }
-        if text.starts_with('#') || text.contains(":=") {
+        if text.starts_with('#') {
+            continue;
+        }
+        if let Some((key, value)) = text.split_once(":=") {
+            header.segments.take(key.trim(), value.trim());
             continue;
         }
         let (key, value) = text
@@ -88,7 +94,8 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
         }
         _ => {}
     }
-    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation).of_series(series))
+    let source = VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation);
+    Ok(source.of_series(series).with_labels(header.segments.of_layer(series.index)))
 }
 
 /// Most volumes of a series that are stored voxel by voxel.

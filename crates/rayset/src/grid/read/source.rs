@@ -9,6 +9,7 @@ use super::orientation::Orientation;
 use super::series::Series;
 use crate::geometry::{DAffine3, DVec3};
 use crate::grid::format::VoxelKind;
+use crate::grid::labels::NamedLabels;
 use crate::numbers::Stored;
 
 /// Largest number of voxels along an axis.
@@ -33,6 +34,7 @@ pub struct VolumeSource {
     pub facing: Option<DVec3>,
     /// Sentences about the choices of the reader: which of several arrays is read, what its values mean.
     pub about: Vec<String>,
+    labels: NamedLabels,
     stored: Stored,
     big_endian: bool,
     voxels: Voxels,
@@ -149,6 +151,15 @@ impl VolumeSource {
         self
     }
 
+    /// The same volume, of whose values the format says that they are labels, or does not.
+    pub(super) fn with_labels(self, labels: NamedLabels) -> Self {
+        Self { labels, ..self }
+    }
+
+    pub(in crate::grid) fn labels(&self) -> &NamedLabels {
+        &self.labels
+    }
+
     /// The same volume, whose reader holds this many bytes beside the buffers that all have.
     pub(super) fn with_memory_bytes(self, memory_bytes: u64) -> Self {
         Self { memory_bytes, ..self }
@@ -170,6 +181,7 @@ impl VolumeSource {
             up: None,
             facing: None,
             about: Vec::new(),
+            labels: NamedLabels::default(),
             stored: described.stored,
             big_endian: described.big_endian,
             header_path: voxels.path.clone(),

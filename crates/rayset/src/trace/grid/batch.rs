@@ -20,7 +20,7 @@ pub(super) struct Cells {
     /// Index of the first voxel of each in the brick.
     voxel: [u16; BATCH],
     /// How far into it each sample lies.
-    within: [Row; 3],
+    pub(super) within: [Row; 3],
 }
 
 impl Cells {
@@ -107,19 +107,71 @@ fn less(a: &Row, b: &Row) -> Row {
     out
 }
 
+/// What of a voxel is interpolated.
+pub(super) trait Quantity {
+    /// Of rows of stored numbers, what is interpolated.
+    fn of(&self, numbers: [Row; 2]) -> [Row; 2];
+}
+
+/// Stored numbers, of which nothing is subtracted.
+struct Stored;
+
+impl Quantity for Stored {
+    #[inline(always)]
+    fn of(&self, numbers: [Row; 2]) -> [Row; 2] {
+        numbers
+    }
+}
+
+/// Stored numbers less one.
+struct Less(f32);
+
+impl Quantity for Less {
+    #[inline(always)]
+    fn of(&self, mut numbers: [Row; 2]) -> [Row; 2] {
+        for row in &mut numbers {
+            for number in row {
+                *number -= self.0;
+            }
+        }
+        numbers
+    }
+}
+
+/// The stored numbers of the corners of cells less `base`: rows of two that follow each other along x, then along y, then along z.
+#[inline(always)]
+pub(super) fn corners<V: Voxel, B: BrickShape>(
+    shape: B,
+    brick: &[u8],
+    cells: &Cells,
+    base: f32,
+) -> [[Row; 2]; 4] {
+    let (y, z) = shape.strides::<V>();
+    let pairs = Pairs::<V, 4>::read(brick, cells, 0, [0, y, z, z + y], z + y);
+    [0, 1, 2, 3].map(|row| Less(base).of(pairs.numbers(row)))
+}
+
 /// The trilinear values of a batch, in stored numbers less `base`.
 #[inline(always)]
 pub(super) fn values<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells, base: f32) -> Row {
+    interpolated::<V, B>(shape, brick, cells, &Less(base))
+}
+
+/// The trilinear values of a quantity.
+#[inline(always)]
+pub(super) fn interpolated<V: Voxel, B: BrickShape>(
+    shape: B,
+    brick: &[u8],
+    cells: &Cells,
+    quantity: &impl Quantity,
+) -> Row {
     let (y, z) = shape.strides::<V>();
     let pairs = Pairs::<V, 4>::read(brick, cells, 0, [0, y, z, z + y], z + y);
     let [fx, fy, fz] = &cells.within;
     let mut along_x = [[0.0; BATCH]; 4];
     for (row, out) in along_x.iter_mut().enumerate() {
-        let [a, b] = pairs.numbers(row);
-        for i in 0..BATCH {
-            let (a, b) = (a[i] - base, b[i] - base);
-            out[i] = a + (b - a) * fx[i];
-        }
+        let [a, b] = quantity.of(pairs.numbers(row));
+        *out = lerp(&a, &b, fx);
     }
     let low = lerp(&along_x[0], &along_x[1], fy);
     let high = lerp(&along_x[2], &along_x[3], fy);
@@ -130,6 +182,17 @@ pub(super) fn values<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Ce
 /// side, with the weights of the same cell.
 #[inline(always)]
 pub(super) fn gradients<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells) -> [Row; 3] {
+    gradients_of::<V, B>(shape, brick, cells, &Stored)
+}
+
+/// The gradients of a quantity, as [`gradients`] are those of stored numbers.
+#[inline(always)]
+pub(super) fn gradients_of<V: Voxel, B: BrickShape>(
+    shape: B,
+    brick: &[u8],
+    cells: &Cells,
+    quantity: &impl Quantity,
+) -> [Row; 3] {
     let (y, z) = shape.strides::<V>();
     let f = &cells.within;
     // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
@@ -145,12 +208,12 @@ pub(super) fn gradients<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: 
     let pairs = Pairs::<V, 16>::read(brick, cells, z, offsets, y + 3 * z);
     let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
     for row in 0..4 {
-        let ([a, b], [c, d]) = (pairs.numbers(row), pairs.numbers(4 + row));
+        let ([a, b], [c, d]) = (quantity.of(pairs.numbers(row)), quantity.of(pairs.numbers(4 + row)));
         along_x[row] = lerp(&less(&c, &a), &less(&d, &b), &f[0]);
         through[row] = lerp(&b, &c, &f[0]);
     }
     for row in 0..4 {
-        let ([a, b], [c, d]) = (pairs.numbers(8 + row), pairs.numbers(12 + row));
+        let ([a, b], [c, d]) = (quantity.of(pairs.numbers(8 + row)), quantity.of(pairs.numbers(12 + row)));
         outer[row] = lerp(&a, &b, &f[0]);
         outer[4 + row] = lerp(&c, &d, &f[0]);
     }

@@ -2,8 +2,11 @@
 
 use fearless_simd::prelude::*;
 
-use super::batch::{BATCH, BATCH_GROUPS, Cells, at_sample, gradients, values};
+use super::batch::{
+    BATCH, BATCH_GROUPS, Cells, Row, at_sample, gradients, gradients_of, interpolated, values,
+};
 use super::field::{Color, GridField, GridRequest};
+use super::labels::{Shown, labels};
 use super::places::{GROUPS, GROUPS_OF_LANE, OfSamples, Places};
 use super::shape::BrickShape;
 use super::spans::Segment;
@@ -87,7 +90,18 @@ impl<B: BrickShape> BrickSamples<'_, B> {
             self.colors(groups, out);
         }
         if required.normal || required.boundary {
-            self.normals::<V>(groups, out);
+            self.normals::<S, V>(simd, groups, out);
+        }
+    }
+
+    /// What a batch of samples is, in stored numbers less the base.
+    #[inline(always)]
+    fn numbers<V: Voxel>(&self, cells: &Cells) -> Row {
+        let base = self.field.values.base;
+        if self.field.labels {
+            labels::<V, B>(self.shape, self.voxels, cells, base)
+        } else {
+            values::<V, B>(self.shape, self.voxels, cells, base)
         }
     }
 
@@ -132,7 +146,7 @@ impl<B: BrickShape> BrickSamples<'_, B> {
             batch[..count].copy_from_slice(&groups.at[first..first + count]);
             samples[..count].copy_from_slice(&groups.samples[first..first + count]);
             let cells = Cells::of_groups(self.places, &batch);
-            let numbers = values::<V, B>(self.shape, self.voxels, &cells, self.field.values.base);
+            let numbers = self.numbers::<V>(&cells);
             let opacities = self.field.opacities.of(simd, &numbers, measure);
             for i in 0..BATCH_GROUPS {
                 let (numbers, opacities) = (&numbers.as_chunks().0[i], &opacities.as_chunks().0[i]);
@@ -213,7 +227,7 @@ impl<B: BrickShape> BrickSamples<'_, B> {
     }
 
     #[inline(always)]
-    fn normals<V: Voxel>(&self, groups: &Groups, out: &mut NodeSamples) {
+    fn normals<S: Simd, V: Voxel>(&self, simd: S, groups: &Groups, out: &mut NodeSamples) {
         let (mut batch, mut len) = ([0; BATCH], 0);
         for (at, mut samples) in groups.iter() {
             while samples != 0 {
@@ -221,7 +235,7 @@ impl<B: BrickShape> BrickSamples<'_, B> {
                 samples &= samples - 1;
                 len += 1;
                 if len == BATCH {
-                    self.normals_of_batch::<V>(&batch, len, groups, out);
+                    self.normals_of_batch::<S, V>(simd, &batch, len, groups, out);
                     len = 0;
                 }
             }
@@ -229,14 +243,15 @@ impl<B: BrickShape> BrickSamples<'_, B> {
         if len > 0 {
             let first = batch[0];
             batch[len..].fill(first);
-            self.normals_of_batch::<V>(&batch, len, groups, out);
+            self.normals_of_batch::<S, V>(simd, &batch, len, groups, out);
         }
     }
 
     /// Stores shading vectors and boundaries of the first `len` samples of a batch.
     #[inline(always)]
-    fn normals_of_batch<V: Voxel>(
+    fn normals_of_batch<S: Simd, V: Voxel>(
         &self,
+        simd: S,
         batch: &[u16; BATCH],
         len: usize,
         groups: &Groups,
@@ -247,7 +262,14 @@ impl<B: BrickShape> BrickSamples<'_, B> {
         for (number, &at) in numbers.iter_mut().zip(batch) {
             *number = at_sample(&groups.number, at);
         }
-        let gradients = gradients::<V, B>(self.shape, self.voxels, &Cells::of_samples(self.places, batch));
+        let cells = Cells::of_samples(self.places, batch);
+        let gradients = if self.field.labels {
+            let shown = Shown::around(simd, &numbers, &self.field.opacities, self.field.values.base);
+            numbers = interpolated::<V, B>(self.shape, self.voxels, &cells, &shown);
+            gradients_of::<V, B>(self.shape, self.voxels, &cells, &shown)
+        } else {
+            gradients::<V, B>(self.shape, self.voxels, &cells)
+        };
         let (normal, boundary) = self.field.gradients.of(&numbers, &gradients);
         for (i, &at) in batch.iter().enumerate().take(len) {
             let (lane, j) = (usize::from(at) / SLAB_SAMPLES % LANES, usize::from(at) % SLAB_SAMPLES);

@@ -21,6 +21,8 @@ pub(super) struct GridField {
     pub(super) values: Values,
     pub(super) opacities: Opacities,
     pub(super) gradients: Gradients,
+    /// Whether values are labels ([`GridObject::labels`](crate::scene::GridObject::labels)).
+    pub(super) labels: bool,
     pub(super) color: Color,
     /// The number of the program's attribute that its values provide, if any.
     pub(super) value_number: Option<usize>,

@@ -32,6 +32,11 @@ impl Gradients {
         }
     }
 
+    /// Those of a quantity that is 1 where something shows and 0 where nothing does; the boundary lies at one half.
+    pub(super) fn of_shown(voxel_from_world: &DAffine3) -> Self {
+        Self::new(voxel_from_world, &Values { base: 0.0, scale: 1.0, offset: 0.0 }, -1.0, 0.5)
+    }
+
     /// Shading vectors, of length one or zero, and boundaries.
     #[inline(always)]
     pub(super) fn of(&self, numbers: &Row, [x, y, z]: &[Row; 3]) -> ([Row; 3], Row) {

@@ -83,12 +83,13 @@ impl GridVolume {
             color,
             value_number: None,
             opacities: Opacities::new(&object.transfer.opacity, &values, unit_distance),
-            gradients: Gradients::new(
-                &voxel_from_world,
-                &values,
-                object.outward(),
-                object.boundary_value(unit_distance),
-            ),
+            gradients: if object.labels {
+                Gradients::of_shown(&voxel_from_world)
+            } else {
+                let boundary = object.boundary_value(unit_distance);
+                Gradients::new(&voxel_from_world, &values, object.outward(), boundary)
+            },
+            labels: object.labels,
             values,
             material,
         };
@@ -311,6 +312,7 @@ pub(super) mod tests {
             sources: Vec::new(),
             up: None,
             facing: None,
+            labels: Default::default(),
         }
     }
 }

@@ -3,6 +3,7 @@
 //! description and the closed forms of procedural fields. The step is a parameter. The fields of clouds may be supplied
 //! from outside; the renderer is then the discrete ray tracer with which samples of another engine are compared.
 
+mod grid;
 mod maps;
 mod shared;
 mod tree;
@@ -15,9 +16,8 @@ use crate::field::AttributeColumns;
 use crate::field::reference::{ReferenceField, ReferenceSample};
 use crate::geometry::{DAffine3, DMat3, DVec3, Ray};
 use crate::scene::{
-    Camera, CameraError, Channel, CloudObject, ColorRule, GRID_ATTRIBUTE, GridObject, LightKind, Lighting,
-    MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene,
-    Shape, Transfer,
+    Camera, CameraError, Channel, CloudObject, ColorRule, GridObject, LightKind, Lighting, MAX_OPACITY,
+    MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer,
 };
 
 /// A pixel: premultiplied colour in linear light, and opacity.
@@ -363,47 +363,6 @@ impl<'a> ReferenceRenderer<'a> {
             *value = of(name).unwrap_or(0.0);
         }
         attributes
-    }
-
-    fn sample_grid(&self, node: &SeenNode<'_>, object: &GridObject, voxels: &[f32], q: DVec3) -> Sample {
-        let header = object.grid.header();
-        let voxel_from_local = header.space_from_voxel.inverse();
-        let p = voxel_from_local.transform_point3(node.local_from_world.transform_point3(q));
-        let last = header.last_voxel();
-        if p.cmplt(DVec3::ZERO).any() || p.cmpgt(last).any() {
-            return Sample { material: node.material.to_array(), ..NOTHING };
-        }
-        let voxel = |i: DVec3| {
-            let i = i.clamp(DVec3::ZERO, last);
-            let at = (i.z as u64 * header.size[1] + i.y as u64) * header.size[0] + i.x as u64;
-            header.value(f64::from(voxels[at as usize]))
-        };
-        let cell = p.floor().min(last - 1.0);
-        let value = |shift: DVec3| {
-            let mut sum = 0.0;
-            for corner in 0..8 {
-                let c =
-                    DVec3::new(f64::from(corner & 1), f64::from(corner >> 1 & 1), f64::from(corner >> 2 & 1));
-                let w = c * (p - cell) + (1.0 - c) * (1.0 - (p - cell));
-                sum += w.x * w.y * w.z * voxel(cell + c + shift);
-            }
-            sum
-        };
-        let difference = |axis: DVec3| 0.5 * (value(axis) - value(-axis));
-        let gradient = DVec3::new(difference(DVec3::X), difference(DVec3::Y), difference(DVec3::Z));
-        let unit = self.scene.unit_distance;
-        let v = value(DVec3::ZERO);
-        let to_local = voxel_from_local.matrix3.transpose();
-        let implicit = (v - object.boundary_value(unit)) * object.outward();
-        let (normal, boundary) = surface(node, implicit, to_local * gradient * object.outward());
-        let color = match &object.transfer.color {
-            ColorRule::Uniform(c) => c.map(f64::from),
-            ColorRule::Points => [1.0; 3],
-            ColorRule::Map { map, .. } => maps::color(map, v),
-        };
-        let opacity = object.transfer.opacity.opacity_of_value(v, unit);
-        let attributes = self.attributes(|name| (name == GRID_ATTRIBUTE).then_some(v));
-        Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
     }
 
     /// The light that a sample scatters toward the origin of the ray.
