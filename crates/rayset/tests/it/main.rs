@@ -63,6 +63,7 @@ mod shadows;
 mod skips;
 mod snapshots;
 mod splats;
+mod steps;
 mod tables;
 mod vdb;
 mod volume_fixtures;
