@@ -67,6 +67,20 @@ def a_view_that_was_started_orthographic_stays_so(browser, server, folder):
     person.well()
 
 
+@test("sheet.ply")
+def no_command_is_said_to_render_a_picture_that_has_changed(browser, server, _folder):
+    person = Person(browser, server, width=560, height=240)
+    hint = "document.querySelector('textarea').nextElementSibling.textContent"
+    for act in (lambda: drag(person.page, (60, 20)), lambda: person.page.get_by_role("button", name="Add a box").click()):
+        person.command()
+        person.wait(f"{hint}.includes('byte for byte')")
+        act()
+        # The command follows the complete picture; until it has come, nothing is said of it.
+        assert person.evaluate(f"rayset.view.isConverged || !{hint}.includes('byte for byte')")
+    person.wait(f"{hint}.includes('Save the scene first')")
+    person.well()
+
+
 def is_what_the_command_renders(person, folder):
     words, is_whole = person.command()
     assert is_whole, f"no options say it: {words}"

@@ -56,6 +56,9 @@ function picture(view, status) {
   return [size, buttons([save, cancel]), progress];
 }
 
+/** What is said of a command while the picture is another. */
+const LATER = "The command follows when the picture is complete.";
+
 /** The command that renders what is seen. @param {RaysetView} view */
 function command(view) {
   const text = /** @type {HTMLTextAreaElement} */ (element("textarea", { readonly: "", rows: "4", "aria-label": "Command that renders this picture" }));
@@ -75,11 +78,16 @@ function command(view) {
       // Not connected, or asked again: another answer follows.
       return;
     }
+    if (!view.isConverged) return;
     text.value = said ?? "rayset render scene.json -o picture.png";
     hint.textContent = said ? "This command renders the picture, byte for byte." : "No options of the command say this. Save the scene first: the command renders it, byte for byte.";
   };
   // Only at rest: nobody reads it while the picture moves.
   view.addEventListener("converged", follow);
+  // Until then it is of another picture.
+  view.addEventListener("change", () => {
+    if (hint.textContent !== LATER) hint.textContent = LATER;
+  });
   if (view.isConverged) follow();
   return [text, hint, buttons([copy])];
 }

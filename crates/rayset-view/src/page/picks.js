@@ -61,12 +61,15 @@ export function picksPanel(view, begin, overlay) {
     else {
       made.open = true;
       note.textContent = "Nothing is seen there.";
+      note.scrollIntoView({ block: "nearest" });
     }
   };
   const keep = (/** @type {Picked} */ pick) => {
     picks = [...picks.slice(-1), pick];
     made.open = true;
     show();
+    // The answer, beside panels that are open above.
+    told.lastElementChild?.scrollIntoView({ block: "nearest" });
   };
   const turnAbout = (/** @type {Picked} */ pick) => {
     if (!view.camera || !pick.position) return;
