@@ -94,14 +94,14 @@ def pictures_of_any_size_are_saved_and_views_are_kept(browser, server, folder):
     person.wait("[...document.querySelectorAll('.caption')].some((each) => each.textContent === 'cancelled')")
     first = person.camera()
     person.page.get_by_label("Name of the view to keep").fill("the front")
-    person.page.get_by_role("button", name="Keep this view").click()
+    person.page.get_by_role("button", name="Keep view").click()
     drag(person.page, (100, 40))
     assert person.camera() != first
     person.page.reload()
     person.opened()
     person.page.get_by_role("button", name="Go to the front").click()
     assert person.camera() == first
-    person.page.get_by_role("button", name="Forget the front").click()
+    person.page.get_by_role("button", name="Delete the front").click()
     assert person.page.get_by_role("button", name="Go to the front").count() == 0
     person.well()
 
@@ -110,7 +110,7 @@ def pictures_of_any_size_are_saved_and_views_are_kept(browser, server, folder):
 def the_engine_shows_its_working_set(browser, server, _folder):
     person = Person(browser, server)
     person.converged()
-    person.page.get_by_label("Watch").check()
+    person.page.get_by_label("Show memory").check()
     person.wait("document.querySelector('.numbers td:last-child')")
     report = person.evaluate("rayset.view.engine(true)")
     kinds = {kind["name"]: kind for kind in report["kinds"]}
@@ -150,12 +150,12 @@ def everything_can_be_reached_with_the_keyboard_and_has_a_name(browser, server, 
             break
         assert name, person.evaluate("document.activeElement.outerHTML")
         reached.add(name)
-    for wanted in ("Whole", "Look", "Exposure", "Shadows", "x from", "Add a ball", "Remove Box 1", "Save scene", "Watch",
+    for wanted in ("Show all", "Look", "Exposure", "Shadows", "x from", "Add a ball", "Remove Box 1", "Save scene", "Show memory",
                    "Box 1, place: arrow keys move it"):
         assert wanted in reached, f"{wanted} cannot be reached: {sorted(reached)}"
     if AXE:
         person.page.get_by_label("Section box", exact=True).check()
-        person.page.get_by_label("Watch").check()
+        person.page.get_by_label("Show memory").check()
         person.converged()
         for scheme in ("dark", "light"):
             person.page.emulate_media(color_scheme=scheme)
@@ -189,7 +189,7 @@ def a_telephone_has_room_for_it(browser, server, _folder):
     wide = person.evaluate("document.documentElement.scrollWidth")
     assert wide <= 375, f"{wide} pixels wide"
     person.shot("telephone")
-    person.page.get_by_role("button", name="Panels").click()
+    person.page.get_by_role("button", name="Settings").click()
     # The picture has another size a moment later.
     time.sleep(0.5)
     person.converged()

@@ -25,13 +25,42 @@ def field_height(x, y):
     return 100 + 3 * math.sin(x / 9) + y / 20
 
 
-def las(path):
-    """A field of 120 by 80 metres in UTM 33N, at centimetres, of two classes with a tower in its north-east."""
+def field(path):
+    """A field of 120 by 80 metres, at centimetres, of two classes with a tower in its north-east."""
     points = [(x, y, field_height(x, y), 2) for x in range(120) for y in range(80)]
     points += [(100 + x / 4, 60 + y / 4, field_height(100, 60) + z / 2, 6) for x in range(20) for y in range(20) for z in range(40)]
+    las(path, points, 0.01)
+
+
+# Metres between points of which far more is known than their files say.
+FINE = 0.03
+
+
+def fine_point(column, row):
+    return FINE * column, FINE * row, 100 + math.sin(column / 17) * math.cos(row / 13) / 2
+
+
+def fine_points():
+    return [fine_point(column, row) for column in range(160) for row in range(120)]
+
+
+def centimetres(path):
+    las(path, [(*point, 2) for point in fine_points()], 0.01)
+
+
+def millimetres(path):
+    las(path, [(*point, 2) for point in fine_points()], 0.001)
+
+
+def text_of_centimetres(path):
+    path.write_text("".join(f"{400_000 + x:.2f} {5_700_000 + y:.2f} {z:.2f}\n" for x, y, z in fine_points()))
+
+
+def las(path, points, scale):
+    """Points in metres from a place in UTM 33N, each with its class."""
     keys = struct.pack("<16H", 1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32633)
     record = struct.pack("<H16sHH32s", 0, b"LASF_Projection", 34735, len(keys), b"") + keys
-    offset, scale, east, north = 227 + len(record), 0.01, 400_000, 5_700_000
+    offset, east, north = 227 + len(record), 400_000, 5_700_000
     rows = [(round(x / scale), round(y / scale), round(z / scale), kind) for x, y, z, kind in points]
     ends = [(max(row[axis] for row in rows), min(row[axis] for row in rows)) for axis in range(3)]
     origin = (east, north, 0)
@@ -58,6 +87,19 @@ def nrrd(path):
     path.write_bytes(head.encode() + struct.pack(f"<{len(values)}h", *values))
 
 
+def body(path):
+    """A computed tomography in Hounsfield units: tissue with a bone in air."""
+    sizes = (40, 32, 24)
+
+    def unit(x, y, z):
+        away = math.dist((x, y, z), (20, 16, 12))
+        return 1200 - 20 * z if away < 4 else 40 + x if away < 10 else -1000
+
+    head = f"NRRD0004\ntype: short\ndimension: 3\nsizes: {' '.join(map(str, sizes))}\nencoding: raw\nendian: little\nspacings: 1 1 1\n\n"
+    values = [unit(x, y, z) for z in range(sizes[2]) for y in range(sizes[1]) for x in range(sizes[0])]
+    path.write_bytes(head.encode() + struct.pack(f"<{len(values)}h", *values))
+
+
 def splats(path):
     """A few Gaussian splats, longer than wide."""
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
@@ -74,6 +116,8 @@ def ball(path):
 
 
 def make_inputs(folder):
-    for name, write in {"sheet.ply": sheet, "field.las": las, "ball.json": ball, "slope.nrrd": nrrd, "splats.ply": splats}.items():
+    written = {"sheet.ply": sheet, "field.las": field, "ball.json": ball, "slope.nrrd": nrrd, "splats.ply": splats, "body.nrrd": body,
+               "centimetres.las": centimetres, "millimetres.las": millimetres, "centimetres.xyz": text_of_centimetres}
+    for name, write in written.items():
         write(folder / name)
     subprocess.run([PROGRAM, "generate", "knot-200k", "-o", str(folder / "points.ply")], check=True, capture_output=True)

@@ -11,7 +11,7 @@ def colours_by_an_attribute_are_those_of_the_command_that_the_page_shows(browser
     person = Person(browser, server, width=720, height=480)
     plain, _ = person.pixels()
     person.page.get_by_label("Colours", exact=True).select_option("warmth")
-    person.page.get_by_label("Map", exact=True).select_option("plasma")
+    person.page.get_by_label("Colour map", exact=True).select_option("plasma")
     warm, _ = person.pixels()
     assert warm != plain
     legend = person.evaluate("rayset.view.legend.transferFunction")
@@ -20,8 +20,8 @@ def colours_by_an_attribute_are_those_of_the_command_that_the_page_shows(browser
     assert abs(legend["valueRange"][0]) < 10 and abs(legend["valueRange"][1] - 200) < 10, legend
     bar = person.page.locator("canvas.bar")
     assert "warmth" in bar.get_attribute("aria-label")
-    person.page.get_by_label("largest value of the map").fill("150")
-    person.page.get_by_label("largest value of the map").blur()
+    person.page.get_by_label("value at the upper end of the colour map").fill("150")
+    person.page.get_by_label("value at the upper end of the colour map").blur()
     hot, size = person.pixels()
     assert hot != warm
     person.is_what_render_makes(folder)
@@ -73,7 +73,7 @@ def opacity_is_edited_on_the_histogram_with_the_keyboard_alone(browser, server, 
     points.nth(1).focus()
     person.page.keyboard.press("Delete")
     assert points.count() == count - 1
-    person.page.get_by_role("button", name="As the look has it").click()
+    person.page.get_by_role("button", name="Reset opacity to that of the look").click()
     assert person.pixels()[0] == before
     person.well()
 
@@ -85,10 +85,10 @@ def options_of_the_command_line_are_on_the_page(browser, folder):
     person = Person(browser, server, width=720, height=480)
     first, _ = person.pixels()
     person.is_what_render_makes(folder)
-    assert person.page.get_by_label("Logarithm").is_checked()
+    assert person.page.get_by_label("Logarithmic").is_checked()
     assert person.page.get_by_label("Point radius").input_value() == "1"
     assert person.page.get_by_label("Colours", exact=True).input_value() == "warmth"
-    person.page.get_by_label("Logarithm").uncheck()
+    person.page.get_by_label("Logarithmic").uncheck()
     assert person.pixels()[0] != first
     command, _ = person.command()
     assert "--log" not in command and "--radius-scale=2" in command and "--colormap=magma" in command, command

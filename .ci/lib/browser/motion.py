@@ -62,7 +62,7 @@ def nobody_comes_through_a_surface_unless_shift_is_held(browser, server, _folder
     notches(person, 70, -1)
     far = math.hypot(*eye(person))
     assert 1 < far < 1.5, f"the wheel stops {far} from the middle of a ball of radius 1"
-    person.page.get_by_role("button", name="Whole").click()
+    person.page.get_by_role("button", name="Show all").click()
     person.converged()
     person.page.locator("#picture").focus()
     person.page.keyboard.down("w")
@@ -92,7 +92,7 @@ def the_ground_stops_who_comes_down_at_a_slant(browser, server, _folder):
         ground = sheet_height(x + 100, y + 100)
         assert z > ground, f"the eye is at {z}, the ground at {ground}"
         person.converged()
-        person.page.get_by_role("button", name="Whole").click()
+        person.page.get_by_role("button", name="Show all").click()
         person.converged()
     person.well()
 

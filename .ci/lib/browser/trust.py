@@ -3,7 +3,7 @@ import math
 import re
 import time
 
-from browser.inputs import field_height, voxel
+from browser.inputs import FINE, field_height, fine_point, voxel
 from browser.people import Person, Server, drag, test
 
 BAR = """(() => {
@@ -29,18 +29,18 @@ def the_bar_shows_the_colours_of_a_logarithmic_map(browser, server, _folder):
     person.wait("rayset.view.legend?.look === 'gas'")
     person.converged()
     assert shades(person) > 20, f"{shades(person)} colours"
-    assert person.page.get_by_label("Logarithm").is_checked()
-    assert person.page.get_by_label("Map", exact=True).input_value() == "inferno"
+    assert person.page.get_by_label("Logarithmic").is_checked()
+    assert person.page.get_by_label("Colour map", exact=True).input_value() == "inferno"
     assert "log scale" in person.page.locator("canvas.bar").get_attribute("aria-label")
     # Small numbers are read whole.
     person.evaluate("""(rayset.view.changes = { ...rayset.view.changes, style: { look: "gas", colormap: "magma", log: true,
         valueRange: [4.60009e-10, 2.71828e-7] } })""")
     person.converged()
-    for end in ("least", "largest"):
+    for end in ("lower", "upper"):
         wide = person.evaluate(f"(({{ scrollWidth, clientWidth, value }}) => [scrollWidth, clientWidth, value])"
-                               f"(document.querySelector('[aria-label=\"{end} value of the map\"]'))")
+                               f"(document.querySelector('[aria-label=\"value at the {end} end of the colour map\"]'))")
         assert wide[0] <= wide[1], wide
-    assert person.page.get_by_label("least value of the map").input_value() == "4.60009e-10"
+    assert person.page.get_by_label("value at the lower end of the colour map").input_value() == "4.60009e-10"
     assert shades(person) > 20
     person.page.locator("canvas.bar").scroll_into_view_if_needed()
     person.shot("bar")
@@ -54,9 +54,29 @@ def colours_that_no_map_has_are_not_called_by_the_name_of_one(browser, server, _
         person.page.get_by_label("Look", exact=True).select_option(look)
         person.wait(f"rayset.view.legend?.look === {look!r}")
         person.converged()
-        chosen = person.page.get_by_label("Map", exact=True)
+        chosen = person.page.get_by_label("Colour map", exact=True)
         if chosen.is_visible():
             assert chosen.input_value() == (name or ""), (look, chosen.input_value())
+    person.well()
+
+
+@test("body.nrrd")
+def the_colours_of_a_ct_scan_are_not_called_by_the_name_of_a_map(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    assert "Hounsfield" in person.evaluate("rayset.view.legend.line")
+    chosen = person.page.get_by_label("Colour map", exact=True)
+    assert chosen.is_visible() and chosen.input_value() == "", chosen.input_value()
+    assert chosen.evaluate("each => each.selectedOptions[0].textContent") == "that of the look"
+    assert shades(person) > 3
+    person.shot("ct")
+    # Another map has its name, and the look's own comes back.
+    chosen.select_option("magma")
+    person.converged()
+    assert chosen.input_value() == "magma"
+    chosen.select_option("")
+    person.converged()
+    assert chosen.input_value() == ""
     person.well()
 
 
@@ -74,9 +94,48 @@ def a_pick_has_the_unit_and_the_digits_of_its_file(browser, server, _folder):
     x, y, z = map(float, found.groups())
     assert abs(z - field_height(x - 400_000, y - 5_700_000)) < 0.02, place
     apart = person.page.locator(".distance").text_content()
-    assert re.match(r"Distance \d+(\.\d{1,4})? m ", apart), apart
+    assert re.fullmatch(r"Distance \d+(\.\d{1,2})? m", apart), apart
+    # The answer is in sight, whatever panels are open.
+    box = person.page.locator(".distance").bounding_box()
+    assert 0 <= box["y"] and box["y"] + box["height"] <= 600, box
     person.shot("picked-metres")
     person.well()
+
+
+def is_of_its_file(browser, server, decimals):
+    """Asks the page for points that lie far denser than their files' digits say more."""
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    for k, at in enumerate(((0.5, 0.5), (0.45, 0.55), (0.6, 0.5), (0.42, 0.48))):
+        person.page.mouse.click(*person.at(*at))
+        time.sleep(0.4)
+        person.wait(f"document.querySelectorAll('#panels caption').length === {min(k + 1, 2)}")
+        place = person.page.locator("#panels td:has-text(', ')").last.text_content()
+        numbers = re.findall(r"\d+(?:\.\d+)?", place)
+        assert len(numbers) == 3 and all(len(each.partition(".")[2]) <= decimals for each in numbers), place
+        x, y, z = map(float, numbers)
+        column, row = round((x - 400_000) / FINE), round((y - 5_700_000) / FINE)
+        of_file = [round(v, decimals) for v in fine_point(column, row)]
+        assert max(abs(a - b) for a, b in zip((x - 400_000, y - 5_700_000, z), of_file)) < 1e-6, (place, of_file)
+    apart = person.page.locator(".distance").text_content()
+    digits = re.match(r"Distance \d+(?:\.(\d+))?", apart)[1] or ""
+    assert len(digits) <= decimals, apart
+    person.well()
+
+
+@test("centimetres.las")
+def a_pick_of_a_scan_in_centimetres_has_no_digit_below(browser, server, _folder):
+    is_of_its_file(browser, server, 2)
+
+
+@test("millimetres.las")
+def a_pick_of_a_scan_in_millimetres_has_no_digit_below(browser, server, _folder):
+    is_of_its_file(browser, server, 3)
+
+
+@test("centimetres.xyz")
+def a_pick_of_text_has_the_decimals_of_its_rows(browser, server, _folder):
+    is_of_its_file(browser, server, 2)
 
 
 @test("slope.nrrd")
@@ -122,10 +181,17 @@ def what_was_taken_back_is_done_again_and_a_reload_forgets_neither(browser, serv
     person = Person(browser, server, width=720, height=480)
     person.converged()
     states = [person.camera()]
+    undo, redo = (person.page.get_by_role("button", name=name) for name in ("Undo", "Redo"))
+    assert undo.is_disabled() and redo.is_disabled()
     for by in ((60, 0), (0, 40), (-30, 20)):
         drag(person.page, by)
         states.append(person.camera())
+    assert undo.is_enabled() and redo.is_disabled()
     person.page.keyboard.press("Control+z")
+    # What only asks changes nothing.
+    person.page.mouse.click(*person.at(0.5, 0.5))
+    person.wait("document.querySelectorAll('#panels caption').length === 1")
+    assert redo.is_enabled()
     assert person.camera() == states[2]
     person.converged()
     person.page.reload()
@@ -136,6 +202,7 @@ def what_was_taken_back_is_done_again_and_a_reload_forgets_neither(browser, serv
     for k in (2, 1, 0):
         person.page.get_by_role("button", name="Undo").click()
         assert person.camera() == states[k], k
+    assert undo.is_disabled()
     person.page.keyboard.press("Control+y")
     assert person.camera() == states[1]
     person.page.get_by_role("button", name="Redo").click()
@@ -162,22 +229,60 @@ def a_new_window_begins_with_what_this_one_shows(browser, server, _folder):
 
 
 @test("points.ply")
-def the_page_is_as_tall_as_its_window_and_a_telephone_sees_the_whole_large(browser, server, _folder):
+def the_page_is_as_tall_as_its_window(browser, server, _folder):
     person = Person(browser, server)
     address = person.evaluate("rayset.view.invitation()")
     for person, height in ((person, 600), (Person(browser, server, address, width=375, height=720), 720)):
         person.converged()
         tall = person.evaluate("document.documentElement.scrollHeight")
         assert tall <= height, f"{tall} pixels of {height}"
-    person.page.get_by_role("button", name="Whole").click()
+    person.well()
+
+
+def taken(person):
+    """The part of the picture's width or height that what is seen takes, the larger of both."""
     pixels, (wide, high) = person.pixels()
     behind = pixels[:4]
-    columns = {i % wide for i in range(wide * high) if pixels[4 * i:4 * i + 4] != behind}
-    rows = {i // wide for i in range(wide * high) if pixels[4 * i:4 * i + 4] != behind}
-    part = max(len(columns) / wide, len(rows) / high)
-    assert part > 0.4, f"the whole takes {part:.0%} of a telephone's picture"
+    seen = [i for i in range(wide * high) if pixels[4 * i:4 * i + 4] != behind]
+    columns, rows = {i % wide for i in seen}, {i // wide for i in seen}
+    assert 0 < min(columns) and max(columns) < wide - 1 and 0 < min(rows) and max(rows) < high - 1, "it is cropped"
+    return max((max(columns) - min(columns)) / wide, (max(rows) - min(rows)) / high)
+
+
+def fills_windows_of_all_shapes(browser, server):
+    person = Person(browser, server, width=360, height=640, has_touch=True)
+    for width, height in ((360, 640), (390, 844), (844, 390), (1400, 400)):
+        person.page.set_viewport_size({"width": width, "height": height})
+        # The picture has another shape a moment later.
+        time.sleep(0.5)
+        assert taken(person) > 0.8, f"{taken(person):.0%} of {width}×{height}"
+    person.page.set_viewport_size({"width": 360, "height": 640})
+    for _ in range(2):
+        person.page.get_by_role("button", name="Settings").click()
+        time.sleep(0.5)
+        assert taken(person) > 0.8, f"{taken(person):.0%} with settings folded, and unfolded again"
+    drag(person.page, (90, 20))
+    person.page.mouse.move(*person.at(0.5, 0.5))
+    person.page.mouse.wheel(0, 300)
+    person.converged()
+    for button in ("Show all", "Look from +x", "Look from +z", "Show all"):
+        person.page.get_by_role("button", name=button).click()
+        assert taken(person) > 0.8, f"{taken(person):.0%} after {button}"
+    person.page.get_by_label("Orthographic").check()
+    person.page.get_by_role("button", name="Look from −y").click()
+    assert taken(person) > 0.8, f"{taken(person):.0%} by parallel rays"
     person.shot("telephone-whole")
     person.well()
+
+
+@test("points.ply")
+def a_knot_fills_windows_of_all_shapes_until_somebody_moves_it(browser, server, _folder):
+    fills_windows_of_all_shapes(browser, server)
+
+
+@test("field.las")
+def a_field_fills_windows_of_all_shapes_until_somebody_moves_it(browser, server, _folder):
+    fills_windows_of_all_shapes(browser, server)
 
 
 @test()
@@ -204,6 +309,8 @@ def remarks_of_the_program_are_on_the_page(browser, server, _folder):
     person.converged()
     said = person.page.get_by_label("Remarks").text_content()
     assert "ellipsoid" in said, said
+    # Where its file is kept is for the terminal.
+    assert "built" not in said and "cache" not in said, said
     person.shot("remarks")
     person.well()
 
@@ -214,8 +321,24 @@ def a_screen_that_has_more_pixels_than_the_memory_is_told(browser, server, _fold
     person.converged()
     picture, screen = person.evaluate("[rayset.view.sharpness.picture, rayset.view.sharpness.screen]")
     assert picture[0] < screen[0]
-    person.wait("document.getElementById('status').textContent.includes('--memory')")
-    assert "×".join(map(str, picture)) in person.status(), person.status()
+    said = person.page.get_by_label("Remarks").text_content()
+    assert "×".join(map(str, picture)) in said and "--memory" in said, said
+    person.well()
+
+
+@test("points.ply")
+def a_telephone_with_more_pixels_than_the_memory_comes_to_rest(browser, server, _folder):
+    person = Person(browser, server, width=390, height=844, device_scale_factor=3, has_touch=True)
+    for _ in range(2):
+        person.page.get_by_role("button", name="Settings").click()
+        time.sleep(0.5)
+        person.converged()
+        time.sleep(0.5)
+        person.converged()
+        # What is said of it takes no room from the picture, which would be traced again.
+        shown = person.evaluate("[rayset.view.shown, rayset.view.sharpness.wanted]")
+        time.sleep(1.5)
+        assert person.evaluate("rayset.view.isConverged") and person.evaluate("[rayset.view.shown, rayset.view.sharpness.wanted]") == shown
     person.well()
 
 

@@ -73,6 +73,10 @@ impl Host for Program<'_> {
         }
     }
 
+    fn note(&self, text: &str) {
+        report::remark(text);
+    }
+
     fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64) {
         self.meter.show_in(unit, doing, done, total);
     }

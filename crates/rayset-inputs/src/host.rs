@@ -12,6 +12,11 @@ pub trait Host: Sync {
     /// Something that a person should know.
     fn remark(&self, text: &str);
 
+    /// What was done, from which nothing follows for what is seen: where an input is kept. A remark, unless the host has a place for it.
+    fn note(&self, text: &str) {
+        self.remark(text);
+    }
+
     /// How far a build is: what is counted, what is being done, how much of it is done, and how much there is.
     fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64);
 
@@ -69,6 +74,10 @@ impl Host for Remembering<'_> {
     fn remark(&self, text: &str) {
         self.remarks().push(text.to_owned());
         self.host.remark(text);
+    }
+
+    fn note(&self, text: &str) {
+        self.host.note(text);
     }
 
     fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64) {

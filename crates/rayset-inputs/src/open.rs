@@ -123,13 +123,13 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resou
         Place::Kept(entry) => {
             entry.complete(&all, pulled_in.stamps, &work.said.into_inner())?;
             cache.prune(entry, resources.host);
-            resources.host.remark(&format!(
+            resources.host.note(&format!(
                 "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",
                 entry.data().display()
             ));
         }
         Place::Temporary { .. } => {
-            resources.host.remark(&format!("built in {seconds:.1} s; nothing is kept"));
+            resources.host.note(&format!("built in {seconds:.1} s; nothing is kept"));
         }
     }
     Ok(Opened { input, files: with(all, place.path()), _place: Some(place) })
@@ -143,7 +143,7 @@ fn kept(files: &Files, found: Vec<Found>, host: &dyn Host) -> Option<Opened> {
             Ok(input) => {
                 entry.touch();
                 remarks.iter().for_each(|remark| host.remark(remark));
-                host.remark(&format!("using {}, built before", path.display()));
+                host.note(&format!("using {}, built before", path.display()));
                 let files = with([&*files.paths, &*pulled_in].concat(), &path);
                 return Some(Opened { input, files, _place: Some(Place::Kept(entry)) });
             }

@@ -120,17 +120,23 @@ impl Opened {
         let looks = self.subject.looks.as_ref()?;
         let changes = &show.changes;
         let style = changes.style.as_ref().unwrap_or(&self.first_style);
+        let mut seen = self.composed(show, true).ok()?;
+        without_comments(&mut seen);
+        let means_the_same = |camera: &[String]| {
+            let Command { words, mut scene } = looks.command(style, camera, changes.exposure).ok()?;
+            scene["image"]["size"] = json!(show.size);
+            without_comments(&mut scene);
+            (scene == seen).then_some(words)
+        };
+        // What is up in the picture is what is up in the data, or follows from it: straight from above, where it is north.
         let camera = camera_words(&show.camera);
-        let Command { mut words, mut scene } = looks.command(style, &camera, changes.exposure).ok()?;
-        scene["image"]["size"] = json!(show.size);
+        let mut words = means_the_same(&camera).or_else(|| {
+            let others: Vec<String> =
+                camera.iter().filter(|word| !word.starts_with("--up=")).cloned().collect();
+            means_the_same(&others)
+        })?;
         if let Some(stops) = changes.exposure {
             words.push(format!("--exposure={stops}"));
-        }
-        let mut seen = self.composed(show, true).ok()?;
-        without_comments(&mut scene);
-        without_comments(&mut seen);
-        if scene != seen {
-            return None;
         }
         let [width, height] = show.size;
         words.extend([format!("--size={width}x{height}"), "-o".into(), "picture.png".into()]);

@@ -142,7 +142,7 @@ pub struct Command {
 }
 
 /// How a cloud or grid stands in its coordinates.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Stance {
     /// What is up; length one.
     pub up: [f64; 3],
@@ -150,4 +150,9 @@ pub struct Stance {
     pub facing: [f64; 3],
     /// The least and the largest coordinates of what fills a picture of the whole.
     pub framed: [[f64; 3]; 2],
+    /// Its outermost places, one in each of some directions.
+    pub outline: Vec<[f64; 3]>,
+    /// Whether the first camera frames it; not if somebody said where it stands.
+    #[serde(rename = "isFramed")]
+    pub is_framed: bool,
 }

@@ -26,6 +26,8 @@ pub(crate) struct Picked {
     pub(crate) value: Option<f64>,
     /// How exactly places are known, in world space: of a point as its file stores it, of other things as they are seen.
     pub(crate) error: f64,
+    /// The step of the coordinates that the point's file was made from, in world space; `None` if it is not known.
+    pub(crate) step: Option<f64>,
 }
 
 /// A point of a cloud.
@@ -36,6 +38,10 @@ pub(crate) struct Point {
     pub(crate) position: [f64; 3],
     /// In the cloud's own coordinates.
     pub(crate) stored: [f64; 3],
+    /// How exactly these are known.
+    pub(crate) error: f64,
+    /// Their step along each axis in the inputs of the file; `None` if it is not known.
+    pub(crate) step: Option<[f64; 3]>,
     /// Radius, weight, colour and attributes: name, value, unit.
     pub(crate) values: Vec<(String, f64, String)>,
 }
@@ -76,9 +82,20 @@ pub(crate) fn pick(
         if position.distance(place) < nearest {
             nearest = position.distance(place);
             // Nor more than double precision has.
-            picked.error = cloud.header().position_error.max(position.abs().max_element() * f64::EPSILON);
-            picked.point =
-                Some(Point { position: position.to_array(), stored, values: values(cloud, &found) });
+            let within = |at: DVec3, error: f64| error.max(at.abs().max_element() * f64::EPSILON);
+            let (position_error, step) = (cloud.header().position_error, cloud.header().step);
+            let matrix = world_from_local.matrix3;
+            let longest = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(DVec3::length);
+            let scale = longest.into_iter().fold(0.0, f64::max);
+            picked.error = within(position, position_error * scale);
+            picked.step = step.map(|step| DVec3::from_array(step).max_element() * scale);
+            picked.point = Some(Point {
+                position: position.to_array(),
+                stored,
+                error: within(stored.into(), position_error),
+                step,
+                values: values(cloud, &found),
+            });
         }
     }
     if picked.point.is_none() {

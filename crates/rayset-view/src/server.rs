@@ -165,7 +165,7 @@ impl Opener {
             title: opened.subject.title.clone(),
             camera: Box::new(opened.camera),
             bounds: [opened.bounds.min.to_array(), opened.bounds.max.to_array()],
-            stance: opened.subject.stance.map(Box::new),
+            stance: opened.subject.stance.clone().map(Box::new),
             unit: opened.subject.unit,
             remarks: opened.subject.remarks.clone(),
             scene: Box::new(opened.subject.scene.clone()),

@@ -204,8 +204,13 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
     let file = SceneFile::parse(&path, &scene.to_string()).map_err(|error| anyhow::anyhow!(error.what))?;
     let unit = Space::of(&file.scene).unit;
     let vector = |v: DVec3| v.to_array();
-    let stance =
-        Stance { up: vector(stance.up), facing: vector(stance.facing), framed: stance.framed.map(vector) };
+    let stance = Stance {
+        up: vector(stance.up),
+        facing: vector(stance.facing),
+        framed: stance.framed.map(vector),
+        outline: stance.outline.into_iter().map(vector).collect(),
+        is_framed: args.camera.position.is_none() && args.camera.height.is_none(),
+    };
     Ok(Subject {
         looks: Some(Box::new(looks)),
         stance: Some(stance),

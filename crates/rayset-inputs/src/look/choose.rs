@@ -11,7 +11,7 @@ use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
 use super::cloud::CloudLook;
-use super::framing::{Axis, one_place, reach};
+use super::framing::{Axis, one_place, outline, reach};
 use super::grid::GridLook;
 use super::options::{Input, LookArgs, LookName};
 use super::statistics::{Statistics, percentile};
@@ -41,7 +41,7 @@ pub struct Chosen {
 }
 
 /// How an input stands in its coordinates.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Stance {
     /// What is up; length one.
     pub up: DVec3,
@@ -49,6 +49,8 @@ pub struct Stance {
     pub facing: DVec3,
     /// The least and the largest coordinates of what is framed.
     pub framed: [DVec3; 2],
+    /// The outermost places of what is framed, one in each of some directions.
+    pub outline: Vec<DVec3>,
 }
 
 /// Estimates that cost a while, made when they are asked for.
@@ -305,7 +307,8 @@ fn of_sampled_grid(
 }
 
 fn stance(orientation: &Orientation, points: &[(DVec3, f64)]) -> Stance {
-    Stance { up: orientation.up, facing: orientation.facing, framed: reach(points) }
+    let framed = reach(points);
+    Stance { up: orientation.up, facing: orientation.facing, framed, outline: outline(points, framed) }
 }
 
 /// A scene of one object, without camera and lights.

@@ -183,6 +183,27 @@ pub(super) fn reach(points: &[(DVec3, f64)]) -> [DVec3; 2] {
     [spreads.map(|s| s.low).into(), spreads.map(|s| s.high).into()]
 }
 
+/// The outermost places of the points within a box, each with its radius, in directions that are spread evenly: what frames them frames
+/// all.
+pub(super) fn outline(points: &[(DVec3, f64)], [low, high]: [DVec3; 2]) -> Vec<DVec3> {
+    /// Directions besides the six of the axes.
+    const DIRECTIONS: usize = 58;
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let spread = (0..DIRECTIONS).map(|k| {
+        let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
+        let (sine, cosine) = (golden * k as f64).sin_cos();
+        DVec3::new(cosine, sine, 0.0) * (1.0 - z * z).sqrt() + DVec3::Z * z
+    });
+    let axes = DVec3::AXES.into_iter().flat_map(|axis| [axis, -axis]);
+    let is_within = |p: DVec3| p.cmpge(low).all() && p.cmple(high).all();
+    let within: Vec<(DVec3, f64)> = points.iter().copied().filter(|(p, _)| is_within(*p)).collect();
+    let outermost = |direction: DVec3| {
+        let places = within.iter().map(|&(p, r)| p + direction * (SEEN * r));
+        places.max_by(|a, b| a.dot(direction).total_cmp(&b.dot(direction)))
+    };
+    axes.chain(spread).filter_map(outermost).collect()
+}
+
 /// Where most of some intervals lie on an axis.
 #[derive(Clone, Copy)]
 struct Spread {

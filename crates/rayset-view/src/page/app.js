@@ -91,14 +91,18 @@ view.addEventListener("change", () => {
   clearTimeout(keeping);
   keeping = window.setTimeout(keep, 200);
 });
-view.addEventListener("converged", (event) => {
-  const seconds = /** @type {CustomEvent} */ (event).detail.seconds;
+/** What the program remarked, and that the screen has more pixels than the picture. */
+const remark = () => {
   const { picture, screen, wanted } = view.sharpness;
   const memory = wanted && `--memory ${Math.ceil(wanted / 2 ** 20 / 16) * 16}MiB`;
-  const blur = memory ? `; ${picture.join("×")} pixels, stretched over ${screen.join("×")}: ${memory} gives more` : "";
-  status.textContent = `complete, ${seconds.toFixed(1)} s${blur}`;
-  const remarks = [...view.remarks, ...(view.legend?.remarks ?? [])];
-  by("remarks").replaceChildren(...remarks.map((remark) => element("li", {}, [remark])));
+  const blur = memory ? [`the picture has ${picture.join("×")} pixels, enlarged to ${screen.join("×")}: ${memory} gives a sharper one`] : [];
+  const remarks = [...view.remarks, ...(view.legend?.remarks ?? []), ...blur];
+  by("remarks").replaceChildren(...remarks.map((each) => element("li", {}, [each])));
+};
+// Before there is a picture, because they take a part of the page; and again when its size is settled.
+for (const name of ["hello", "legend", "converged"]) view.addEventListener(name, remark);
+view.addEventListener("converged", (event) => {
+  status.textContent = `complete, ${/** @type {CustomEvent} */ (event).detail.seconds.toFixed(1)} s`;
 });
 view.addEventListener("problem", (event) => {
   status.textContent = /** @type {CustomEvent} */ (event).detail.what;

@@ -17,6 +17,8 @@
 const STEEPEST = 0.9999;
 /** The part of the picture's shorter side that a framed box fills. */
 const FILLED = 0.9;
+/** Steps until a camera that is filled by places stands still. */
+const ROUNDS = 24;
 
 /** @param {Vector} a @param {Vector} b @returns {Vector} */
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
@@ -200,6 +202,41 @@ export function framing(camera, direction, up, box, aspect) {
     distance = Math.max(distance, spread / tangent - dot(from, direction));
   }
   return { ...camera, direction, up, distance: distance || 1, position: at(distance || 1) };
+}
+
+/**
+ * A camera that looks exactly along a direction, and whose picture some places fill.
+ * @param {Camera} camera whose angle and kind it has
+ * @param {Vector} direction @param {Vector} up at a right angle to it, both of length 1
+ * @param {Vector[]} places @param {number} aspect width over height @returns {Camera}
+ */
+export function filledBy(camera, direction, up, places, aspect) {
+  const sideways = cross(direction, up);
+  const spread = (/** @type {number[]} */ values) => {
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    return { middle: (low + high) / 2, half: (high - low) / 2 };
+  };
+  const [across, upward, along] = [sideways, up, direction].map((axis) => spread(places.map((place) => dot(place, axis))));
+  const center = add(add(scale(sideways, across.middle), scale(up, upward.middle)), scale(direction, along.middle));
+  const half = Math.max(upward.half, across.half / aspect) || 1;
+  const at = (/** @type {Vector} */ position) => ({ ...camera, direction, up, position, distance: dot(subtract(center, position), direction) });
+  if (camera.height) return { ...at(subtract(center, scale(direction, along.half + 2 * half))), height: (2 * half) / FILLED };
+  const tangent = Math.tan((camera.fovy * Math.PI) / 360);
+  let position = subtract(center, scale(direction, along.half + half / tangent));
+  for (let round = 0; round < ROUNDS; round++) {
+    // Seen from nearby, what is in front is larger: the camera moves until what it sees is in the middle and fills the picture.
+    const seen = (/** @type {Vector} */ axis) => spread(places.map((place) => {
+      const from = subtract(place, position);
+      return dot(from, axis) / Math.max(dot(from, direction), 0.01 * half);
+    }));
+    const [x, y] = [seen(sideways), seen(up)];
+    const filled = Math.max(y.half / tangent, x.half / (tangent * aspect)) / FILLED;
+    const distance = Math.max(dot(subtract(center, position), direction), 1e-6 * half);
+    position = add(position, scale(add(scale(sideways, x.middle), scale(up, y.middle)), distance));
+    // A part of the way, so that it does not swing.
+    position = subtract(position, scale(direction, distance * (Math.min(Math.max(filled, 0.5), 2) - 1) * 0.7));
+  }
+  return at(position);
 }
 
 /**

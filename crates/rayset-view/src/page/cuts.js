@@ -28,17 +28,18 @@ export function cutsPanel(view, begin, overlay) {
     return { lines: drawings.flatMap(({ lines }) => lines), handles: drawings.flatMap(({ handles }) => handles) };
   });
   const hasExtent = [0, 1, 2].every((axis) => high[axis] > low[axis]);
-  return panel("Cuts", hasExtent ? [box, solids, ...filling] : [element("p", {}, ["There is nothing to cut."])]);
+  return panel("Cuts", hasExtent ? [box, solids, ...filling] : [element("p", {}, ["A flat scene cannot be cut."])]);
 }
 
 /** Whether cuts are filled. @param {RaysetView} view @param {() => void} begin */
 function filled(view, begin) {
-  const shown = color("Filled with", "#b8553a", (value) => view.changes.cap && set(value));
+  const shown = color("Fill colour", "#b8553a", (value) => view.changes.cap && set(value));
   const set = (/** @type {string | undefined} */ cap) => {
     const { cap: _, ...others } = view.changes;
     view.changes = cap ? { ...others, cap } : others;
   };
   const on = checkbox("Fill cuts", false, (checked) => (begin(), set(checked ? shown.input.value : undefined)));
+  on.row.title = "Close what cuts lay open: what a surface encloses looks solid";
   const follow = () => {
     on.input.checked = Boolean(view.changes.cap);
     if (view.changes.cap) shown.input.value = view.changes.cap;
@@ -61,6 +62,7 @@ function sectionBox(view, begin) {
     view.changes = { ...others, section: { min: corner(0), max: corner(1) } };
   };
   const check = checkbox("Section box", false, (checked) => (begin(), (on = checked), apply()));
+  check.row.title = "Show only what lies inside a box along the axes";
   const sliders = AXES.flatMap((name, axis) => [0, 1].map((end) => {
     // A thousandth of the scene is told apart, however far from the origin it lies.
     const digits = Math.min(Math.max(3 - Math.floor(Math.log10(high[axis] - low[axis] || 1)), 0), 12);
@@ -85,7 +87,8 @@ function sectionBox(view, begin) {
     }
   };
   following(view, follow);
-  return element("div", {}, [check.row, ...sliders.map(({ row }) => row)]);
+  const unit = view.unit ? [element("p", { class: "caption" }, [`Coordinates in ${view.unit}`])] : [];
+  return element("div", {}, [check.row, ...sliders.map(({ row }) => row), ...unit]);
 }
 
 /** The box on the picture, with a handle on each of its faces. @param {RaysetView} view */
@@ -148,6 +151,7 @@ function cutters(view, begin) {
     all.forEach((cutter, k) => built[k].set(cutter));
   };
   following(view, rebuild);
+  adds.forEach((add) => (add.title = "Cut away what is inside of it; handles in the picture move and stretch it"));
   return element("div", {}, [buttons(adds), list]);
 }
 
@@ -168,6 +172,9 @@ function solid(view, begin, cutter, k, set) {
   const keep = checkbox("Keep what is inside", cutter.keep ?? false, (on) => (begin(), change({ keep: on })));
   const turn = slider("Turn", [-180, 180, 1], angles().turn, (v) => turnTo({ ...angles(), turn: v }), degrees);
   const tilt = slider("Tilt", [-90, 90, 1], angles().tilt, (v) => turnTo({ ...angles(), tilt: v }), degrees);
+  keep.row.title = "Show only what is inside of it, and cut away all else";
+  turn.row.title = "Turn it about the vertical";
+  tilt.row.title = "Tilt it out of the vertical";
   const remove = button("Remove", () => (begin(), set((view.changes.cutters ?? []).filter((_, i) => i !== k))), `Remove ${name}`);
   const row = element("fieldset", {}, [element("legend", {}, [name]), keep.row, turn.row, tilt.row, buttons([remove])]);
   const show = (/** @type {Cutter} */ now) => {

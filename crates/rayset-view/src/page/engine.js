@@ -33,7 +33,7 @@ export function enginePanel(view) {
       const report = await view.engine(boxes.length === 0);
       if (report.regions) boxes = report.regions;
       map.hidden = boxes.length === 0;
-      caption.textContent = numbers(table, report) + (boxes.length ? "; bright: in memory; seen from above, with the eye" : "");
+      caption.textContent = numbers(table, report) + (boxes.length ? ". The map shows the cloud from above: bright is in memory, the dot is the camera." : ".");
       draw(map, boxes, report.resident, view);
     } catch {
       // Not connected, or asked again: the next attempt may be luckier.
@@ -42,14 +42,15 @@ export function enginePanel(view) {
     clearTimeout(timer);
     timer = window.setTimeout(ask, BETWEEN);
   };
-  const on = checkbox("Watch", false, (checked) => {
+  const on = checkbox("Show memory", false, (checked) => {
     const wasOn = isOn;
     isOn = checked;
     map.hidden = caption.hidden = table.hidden = !checked;
     if (checked && !wasOn) ask();
   });
   map.hidden = caption.hidden = table.hidden = true;
-  return panel("Engine", [on.row, map, caption, table]);
+  on.row.title = "Watch which parts of the file are in memory, and what is read";
+  return panel("Memory", [on.row, map, caption, table]);
 }
 
 /** @param {HTMLElement} table @param {Report} report */
@@ -59,19 +60,19 @@ function numbers(table, report) {
   /** @type {[string, (kind: Report["kinds"][0]) => string][]} */
   const rows = [
     ["in memory", (kind) => bytes(kind.bytes)],
-    ["hits", (kind) => (kind.hits + kind.misses ? `${((100 * kind.hits) / (kind.hits + kind.misses)).toFixed(2)} %` : "")],
-    ["asked for", (kind) => short(kind.hits + kind.misses)],
+    ["found in memory", (kind) => (kind.hits + kind.misses ? `${((100 * kind.hits) / (kind.hits + kind.misses)).toFixed(2)} %` : "")],
+    ["requests", (kind) => short(kind.hits + kind.misses)],
     ["pages read", (kind) => short(kind.reads)],
     ["bytes read", (kind) => bytes(kind.bytesRead)],
-    ["of these, new", (kind) => bytes(kind.bytesUnique)],
+    ["for the first time", (kind) => bytes(kind.bytesUnique)],
     ["evicted", (kind) => short(kind.evictions)],
-    ["waited, s", (kind) => short(Number(kind.waitedSeconds.toFixed(3)))],
+    ["time waited, s", (kind) => short(Number(kind.waitedSeconds.toFixed(3)))],
   ];
   const head = element("tr", {}, [element("td"), ...kinds.map(({ name }) => element("th", { scope: "col" }, [name]))]);
   const lines = rows.map(([name, of]) =>
     element("tr", {}, [element("th", { scope: "row" }, [name]), ...kinds.map((kind) => element("td", {}, [of(kind)]))]));
   table.replaceChildren(element("tbody", {}, [head, ...lines]));
-  return `${bytes(used)} of ${bytes(report.budget)} for pages`;
+  return `${bytes(used)} of ${bytes(report.budget)} for parts of the file are in use`;
 }
 
 /**

@@ -1,7 +1,7 @@
 // @ts-check
 /** Mouse, touch and keys on the picture, as movements of a camera. */
 
-import { beforeAll, framing, orbit, withRays } from "./camera.js";
+import { beforeAll, filledBy, framing, orbit, withRays } from "./camera.js";
 import { aheadAt, approach, flyBy, shift } from "./motion.js";
 
 /** @typedef {import("./view.js").RaysetView} RaysetView */
@@ -191,7 +191,8 @@ export function lookFrom(view, direction) {
   const { height } = view.camera;
   const { height: _, ...home } = view.home;
   const aspect = view.canvas.width / view.canvas.height;
-  const seen = framing({ ...home, ...(height ? { height } : {}) }, direction, view.upAlong(direction), view.framed, aspect);
+  const [camera, up] = [{ ...home, ...(height ? { height } : {}) }, view.upAlong(direction)];
+  const seen = view.outline.length ? filledBy(camera, direction, up, view.outline, aspect) : framing(camera, direction, up, view.framed, aspect);
   view.camera = beforeAll({ ...seen, vertical: view.vertical }, view.bounds);
 }
 

@@ -13,6 +13,8 @@ export class History extends EventTarget {
   #past = [];
   /** States that were taken back, the latest last. @type {string[]} */
   #future = [];
+  /** What was shown when the last of them was taken back: they are done again from there alone. */
+  #shown = "";
 
   /** @param {RaysetView} view @param {string} key under which the browser keeps it */
   constructor(view, key) {
@@ -29,7 +31,7 @@ export class History extends EventTarget {
   open(scene) {
     try {
       const kept = JSON.parse(sessionStorage.getItem(this.key) ?? "{}");
-      if (kept.scene === scene) [this.#past, this.#future] = [kept.past, kept.future];
+      if (kept.scene === scene) [this.#past, this.#future, this.#shown] = [kept.past, kept.future, this.#now];
     } catch {
       // Nothing was kept.
     }
@@ -57,7 +59,6 @@ export class History extends EventTarget {
     // What changed nothing is not worth taking back.
     if (this.#past.at(-1) !== state) this.#past.push(state);
     if (this.#past.length > MOST) this.#past.shift();
-    this.#future = [];
     this.#tell();
   }
 
@@ -67,7 +68,7 @@ export class History extends EventTarget {
   }
 
   get canRedo() {
-    return this.#future.length > 0;
+    return this.#future.length > 0 && this.#now === this.#shown;
   }
 
   undo() {
@@ -75,20 +76,21 @@ export class History extends EventTarget {
     while (this.#past.at(-1) === now) this.#past.pop();
     const state = this.#past.pop();
     if (state === undefined) return;
-    this.#future.push(now);
+    this.#future = this.canRedo ? [...this.#future, now] : [now];
     this.#show(state);
   }
 
   redo() {
-    const state = this.#future.pop();
+    const [state, now] = [this.canRedo ? this.#future.pop() : undefined, this.#now];
     if (state === undefined) return;
-    this.#past.push(this.#now);
+    if (this.#past.at(-1) !== now) this.#past.push(now);
     this.#show(state);
   }
 
   /** @param {string} state */
   #show(state) {
     this.view.state = JSON.parse(state);
+    this.#shown = this.#now;
     this.#tell();
   }
 

@@ -34,17 +34,18 @@ export function lightPanel(view, begin) {
   };
   const degrees = (/** @type {number} */ v) => `${Math.round(v)}°`;
   const one = (/** @type {number} */ v) => v.toFixed(1);
+  const stopsText = (/** @type {number} */ v) => `${v > 0 ? "+" : ""}${v.toFixed(1)} stops`;
   const exposure = slider("Exposure", [-4, 4, 0.1], view.scene?.image?.exposure ?? 0,
-    (stops) => (view.changes = { ...view.changes, exposure: stops }), one);
+    (stops) => (view.changes = { ...view.changes, exposure: stops }), stopsText);
   const ownExposure = view.scene?.image?.exposure ?? 0;
   const shadows = checkbox("Shadows", sun.shadow, (on) => (begin(), (sun.shadow = on), apply()));
   const dial = sunDial(sun, (azimuth, elevation) => {
     [sun.azimuth, sun.elevation] = [azimuth, elevation];
     apply();
   }, begin);
-  const around = slider("Sun, around", [-180, 180, 1], sun.azimuth, (v) => ((sun.azimuth = v), apply()), degrees);
-  const height = slider("Sun, height", [-90, 90, 1], sun.elevation, (v) => ((sun.elevation = v), apply()), degrees);
-  const bright = slider("Sun, bright", [0, 3, 0.05], sun.intensity, (v) => ((sun.intensity = v), apply()), one);
+  const around = slider("Sun azimuth", [-180, 180, 1], sun.azimuth, (v) => ((sun.azimuth = v), apply()), degrees);
+  const height = slider("Sun height", [-90, 90, 1], sun.elevation, (v) => ((sun.elevation = v), apply()), degrees);
+  const bright = slider("Sun intensity", [0, 3, 0.05], sun.intensity, (v) => ((sun.intensity = v), apply()), one);
   const follow = () => {
     exposure.set(view.changes.exposure ?? view.legend?.exposure ?? ownExposure);
     sun = view.changes.sun ? placed(view.changes.sun) : { ...first };
@@ -55,6 +56,13 @@ export function lightPanel(view, begin) {
     dial.set(sun.azimuth, sun.elevation);
     for (const { row } of sunny) row.hidden = view.legend?.isLit === false;
   };
+  const names = ["x", "y", "z"];
+  exposure.row.title = "Brightness of the picture: one stop more is twice the light";
+  dial.row.title = "The sky: drag the sun; overhead is the middle, the horizon is the outer circle";
+  around.row.title = `Where the sun stands, counterclockwise seen from above: 0° along ${names[east]}, 90° along ${names[north]}`;
+  height.row.title = "Angle of the sun above the horizon";
+  bright.row.title = "How bright the sun is";
+  shadows.row.title = "The sun casts shadows";
   const sunny = [dial, around, height, bright, shadows];
   following(view, follow);
   return panel("Light", [exposure.row, ...sunny.map(({ row }) => row)]);

@@ -9,8 +9,8 @@ import { checkbox, color, element, following, number, panel, select, short, slid
 /** @typedef {import("./view.js").Style} Style */
 /** @typedef {import("./view.js").Legend} Legend */
 
-const OWN = "as the look has it";
-const ONE = "one colour";
+const OWN = "those of the look";
+const ONE = "a single colour";
 const AS = "look:";
 /** Colours that no map of the list has: those of classes, of a scan's Hounsfield units. */
 const OTHER = "";
@@ -31,7 +31,7 @@ export function lookPanel(view, begin) {
   };
   const act = (/** @type {Partial<Style>} */ part) => (begin(), restyle(part));
 
-  const look = select("Look", [["", "chosen from the data"], ...looks.map((name) => /** @type {[string, string]} */ ([name, name]))],
+  const look = select("Look", [["", "automatic"], ...looks.map((name) => /** @type {[string, string]} */ ([name, name]))],
     // Opacity is over another density, and colours over other values.
     (name) => act({ look: name || undefined, opacity: undefined, color: undefined, colorBy: undefined, colormap: undefined,
       valueRange: undefined, log: undefined }));
@@ -48,9 +48,9 @@ export function lookPanel(view, begin) {
         valueRange: low < high ? [low, high] : [low, low + 1] });
     });
   const one = color("Colour", "#dbccb2", (value) => restyle({ color: value }));
-  const map = select("Map", [[OTHER, "colours of the look"], ...palettes.flatMap(([name]) => /** @type {[string, string][]} */ ([[name, name], [`${name}_r`, `${name}, reversed`]]))],
+  const map = select("Colour map", [[OTHER, "that of the look"], ...palettes.flatMap(([name]) => /** @type {[string, string][]} */ ([[name, name], [`${name}_r`, `${name}, reversed`]]))],
     (name) => act({ colormap: name || undefined, color: undefined }));
-  const end = (/** @type {0 | 1} */ which) => number(which ? "largest value of the map" : "least value of the map", (value) => {
+  const end = (/** @type {0 | 1} */ which) => number(which ? "value at the upper end of the colour map" : "value at the lower end of the colour map", (value) => {
     const range = shownRange(view.legend);
     /** @type {[number, number]} */
     const changed = [...range];
@@ -58,8 +58,9 @@ export function lookPanel(view, begin) {
     act({ valueRange: changed });
   });
   const [low, high] = [end(0), end(1)];
-  const range = element("div", { class: "row wide" }, [element("span", {}, ["Range"]), low.input, high.input]);
-  const log = checkbox("Logarithm", false, (on) => act({ log: on || undefined }));
+  const rangeName = element("span", {}, ["Value range"]);
+  const range = element("div", { class: "row wide" }, [rangeName, low.input, high.input]);
+  const log = checkbox("Logarithmic", false, (on) => act({ log: on || undefined }));
   // By powers of two, from a sixteenth to sixteen times.
   const radius = slider("Point radius", [-4, 4, 0.25], 0, (power) => restyle({ radiusScale: power ? 2 ** power : undefined }),
     (power) => `${short(2 ** power)}×`);
@@ -67,6 +68,11 @@ export function lookPanel(view, begin) {
   const caption = element("p", { class: "caption" });
   const classes = element("ul", { class: "classes", "aria-label": "Colours of classes" });
   const said = element("p", { class: "caption" });
+  look.row.title = "How the data are shown; automatic: chosen from the data";
+  by.row.title = "What the colours show";
+  map.row.title = "The colours, from the lowest to the highest value";
+  log.row.title = "Colours follow the logarithm of the values";
+  radius.row.title = "The radius of all points, as a multiple of their own";
 
   /** The style that the legend tells of. */
   let told = "";
@@ -99,7 +105,10 @@ export function lookPanel(view, begin) {
     range.hidden ||= named.length > 0;
     log.row.hidden ||= named.length > 0;
     bar.hidden = caption.hidden = !hasMap || named.length > 0;
-    said.textContent = view.legend?.line ?? "";
+    // Without the options that say otherwise: here, the controls do.
+    said.textContent = (view.legend?.line ?? "").replace(/; --.*$/, "");
+    const attribute = attributes.find((each) => each.name === transfer.input);
+    rangeName.textContent = `Value range${attribute?.unit ? `, ${attribute.unit}` : ""}`;
     if (!bar.hidden) drawBar(/** @type {HTMLCanvasElement} */ (bar), caption, view);
   };
   // Before the others hear of it.

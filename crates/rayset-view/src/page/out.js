@@ -15,6 +15,8 @@ export function outPanel(view, hand) {
     hand();
     window.open(address, "_blank", "noopener");
   }));
+  save.title = "Download a scene file, from which `rayset render` makes this picture";
+  another.title = "Open a second page, which begins with what this one shows";
   return panel("Export", [buttons([save, another]), ...picture(view, status), status, ...command(view)]);
 }
 
@@ -24,7 +26,8 @@ function picture(view, status) {
   for (const { input } of [width, height]) Object.assign(input, { min: "1", max: "16384", step: "1" });
   const progress = /** @type {HTMLProgressElement} */ (element("progress", { max: "1", value: "0", "aria-label": "The picture that is being saved" }));
   progress.hidden = true;
-  const size = element("div", { class: "row" }, [element("span", {}, ["Picture"]), width.input, element("span", {}, ["×"]), height.input]);
+  const size = element("div", { class: "row" }, [element("span", {}, ["Size, pixels"]), width.input, element("span", {}, ["×"]), height.input]);
+  size.title = "Width and height of the picture that is saved; those of the picture on the page if nothing is written";
   const cancel = button("Cancel", () => view.cancelPicture());
   cancel.hidden = true;
   const save = button("Save picture", async () => {
@@ -43,6 +46,7 @@ function picture(view, status) {
     progress.hidden = cancel.hidden = true;
     progress.value = 0;
   });
+  save.title = "Render the picture in this size and download it as PNG";
   const showSize = () => {
     [width, height].forEach(({ input }, k) => (input.placeholder = `${k ? view.canvas.height : view.canvas.width}`));
   };
@@ -52,10 +56,13 @@ function picture(view, status) {
   return [size, buttons([save, cancel]), progress];
 }
 
+/** What is said of a command while the picture is another. */
+const LATER = "The command follows when the picture is complete.";
+
 /** The command that renders what is seen. @param {RaysetView} view */
 function command(view) {
-  const text = /** @type {HTMLTextAreaElement} */ (element("textarea", { readonly: "", rows: "4", "aria-label": "The command that renders this" }));
-  const copy = button("Copy the command", () => {
+  const text = /** @type {HTMLTextAreaElement} */ (element("textarea", { readonly: "", rows: "4", "aria-label": "Command that renders this picture" }));
+  const copy = button("Copy command", () => {
     text.select();
     // Beyond this machine, browsers let pages without TLS copy only what is selected.
     if (navigator.clipboard) navigator.clipboard.writeText(text.value).catch(() => document.execCommand("copy"));
@@ -71,11 +78,16 @@ function command(view) {
       // Not connected, or asked again: another answer follows.
       return;
     }
+    if (!view.isConverged) return;
     text.value = said ?? "rayset render scene.json -o picture.png";
-    hint.textContent = said ? "Renders the same bytes as the page shows." : "No options say this: save the scene first, and the command renders the same bytes.";
+    hint.textContent = said ? "This command renders the picture, byte for byte." : "No options of the command say this. Save the scene first: the command renders it, byte for byte.";
   };
   // Only at rest: nobody reads it while the picture moves.
   view.addEventListener("converged", follow);
+  // Until then it is of another picture.
+  view.addEventListener("change", () => {
+    if (hint.textContent !== LATER) hint.textContent = LATER;
+  });
   if (view.isConverged) follow();
   return [text, hint, buttons([copy])];
 }

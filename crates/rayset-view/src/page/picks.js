@@ -19,10 +19,12 @@ export function picksPanel(view, begin, overlay) {
   /** @type {Picked[]} the last two, the latest last */
   let picks = [];
   const told = element("div", { "aria-live": "polite" });
-  const hint = "Click on the picture, or press Enter for its middle: what is there is told here; double-click, or F, to turn about it.";
+  const hint = "Click a point of the picture for its coordinates and values, and another one for the distance; Enter takes the middle. "
+    + "A double click, or F for the middle, makes a point the one that the camera turns about.";
   const clear = button("Clear", () => ((picks = []), show()));
+  clear.title = "Remove the points from the list and the picture";
   const note = element("p", { class: "caption", role: "status" });
-  const made = panel("Points", [told, note, buttons([clear])]);
+  const made = panel("Measure", [told, note, buttons([clear])]);
 
   const show = () => {
     clear.hidden = picks.length === 0;
@@ -31,9 +33,11 @@ export function picksPanel(view, begin, overlay) {
     const [a, b] = picks.map(placeOf);
     if (a && b) {
       const apart = subtract(b, a);
-      const exact = digits(Math.max(...picks.map(({ error }) => error)));
+      const steps = picks.map(({ step }) => step ?? 0);
+      const exact = digits(Math.max(...picks.map(({ error }) => error)), Math.max(...steps));
       const unit = view.unit ? ` ${view.unit}` : "";
-      told.append(element("p", { class: "distance" }, [`Distance ${exact(Math.hypot(...apart))}${unit}  (${apart.map(exact).join(", ")})`]));
+      told.append(element("p", { class: "distance" }, [`Distance ${exact(Math.hypot(...apart))}${unit}`]),
+        element("p", { class: "caption" }, [`along x, y, z: ${apart.map(exact).join(", ")}${unit}`]));
     }
     overlay.redraw();
   };
@@ -57,12 +61,15 @@ export function picksPanel(view, begin, overlay) {
     else {
       made.open = true;
       note.textContent = "Nothing is seen there.";
+      note.scrollIntoView({ block: "nearest" });
     }
   };
   const keep = (/** @type {Picked} */ pick) => {
     picks = [...picks.slice(-1), pick];
     made.open = true;
     show();
+    // The answer, beside panels that are open above.
+    told.lastElementChild?.scrollIntoView({ block: "nearest" });
   };
   const turnAbout = (/** @type {Picked} */ pick) => {
     if (!view.camera || !pick.position) return;
@@ -110,9 +117,20 @@ export function picksPanel(view, begin, overlay) {
 /** @param {Picked} pick @returns {import("./camera.js").Vector} */
 const placeOf = (pick) => /** @type {import("./camera.js").Vector} */ (pick.point?.position ?? pick.position);
 
-/** Writes numbers that are known up to an error with the digits that this leaves. @param {number} error @returns {(value: number) => string} */
-function digits(error) {
-  const decimals = error > 0 ? Math.floor(-Math.log10(2 * error) + 1e-9) : 9;
+/** The decimals that multiples of a step have. @param {number} step */
+function decimalsOf(step) {
+  const isWhole = (/** @type {number} */ k) => Math.abs(step * 10 ** k - Math.round(step * 10 ** k)) < 1e-6 && Math.round(step * 10 ** k) > 0;
+  for (let k = 0; k < 9; k++) if (isWhole(k)) return k;
+  return Math.ceil(-Math.log10(step));
+}
+
+/**
+ * Writes numbers that are known up to an error, and are multiples of a step if there is one, with the digits that both leave.
+ * @param {number} error @param {number | null} [step] @returns {(value: number) => string}
+ */
+function digits(error, step) {
+  const known = error > 0 ? Math.floor(-Math.log10(2 * error) + 1e-9) : 9;
+  const decimals = step ? Math.min(known, decimalsOf(step)) : known;
   return (value) => {
     const size = Math.abs(value);
     if (size >= 1e9 || (size > 0 && size < 1e-6)) {
@@ -127,14 +145,14 @@ function digits(error) {
 /** @param {Picked} pick @param {string | null} unit of lengths @param {string} title */
 function table(pick, unit, title) {
   const { point } = pick;
-  const exact = digits(pick.error);
   const lengths = unit ? ` ${unit}` : "";
-  const place = (/** @type {number[]} */ at) => `${at.map(exact).join(", ")}${lengths}`;
+  const inScene = (/** @type {number[]} */ at) => `${at.map(digits(pick.error, pick.step)).join(", ")}${lengths}`;
+  const inFile = point && `${point.stored.map((v, axis) => digits(point.error, point.step?.[axis])(v)).join(", ")}${lengths}`;
   /** @type {[string, string][]} */
-  const rows = [["place", place(point ? point.stored : /** @type {number[]} */ (pick.position))]];
+  const rows = [["x, y, z", inFile ?? inScene(/** @type {number[]} */ (pick.position))]];
   if (pick.value !== null) rows.push(["value", short(pick.value)]);
   const isMoved = point && point.stored.some((v, k) => v !== point.position[k]);
-  if (isMoved) rows.push(["in the scene", place(point.position)]);
+  if (isMoved) rows.push(["in the scene", inScene(point.position)]);
   const values = new Map(point?.values.map(([name, value]) => [name, value]));
   const isColored = ["red", "green", "blue"].every((name) => values.has(name));
   if (isColored) rows.push(["colour", ["red", "green", "blue"].map((name) => values.get(name)).join(", ")]);

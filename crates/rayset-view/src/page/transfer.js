@@ -77,7 +77,9 @@ export function editor(view, begin, restyle) {
       at.setAttribute("aria-label", `point ${k + 1}: opacity ${opacity.toFixed(2)} at ${short(value)}`);
     });
     const { low, high } = range();
-    caption.textContent = points.length ? `Opacity 0 to 1 over ${short(low)} to ${short(high)}${spread ? "; bars: a sample" : ""}` : "";
+    const over = view.choices?.attributes.length ? "density" : "value";
+    caption.textContent = points.length
+      ? `Opacity, 0 at the bottom to 1 at the top, over ${over}, ${short(low)} to ${short(high)}${spread ? "; grey bars: how often each occurs" : ""}` : "";
   };
 
   /** Moves a point, between its neighbours. @param {number} k @param {number} value @param {number} opacity */
@@ -139,7 +141,7 @@ export function editor(view, begin, restyle) {
     apply();
   });
 
-  const add = button("Add a point", () => {
+  const add = button("Add point", () => {
     // In the middle of the longest piece.
     const gaps = points.slice(1).map((point, k) => x(point[0]) - x(points[k][0]));
     const k = gaps.indexOf(Math.max(...gaps));
@@ -150,7 +152,8 @@ export function editor(view, begin, restyle) {
     draw();
     apply();
   });
-  const reset = button("As the look has it", () => (begin(), restyle({ opacity: undefined })));
+  add.title = "Add a point in the middle of the longest piece of the curve; a double click on the curve adds one there";
+  const reset = button("Reset", () => (begin(), restyle({ opacity: undefined })), "Reset opacity to that of the look");
   const made = panel("Opacity", [svg, caption, buttons([add, reset])]);
   const follow = () => {
     if (isHeld) return;

@@ -11,7 +11,7 @@
  * is complete), `problem` (`detail.what`), `connection` (`detail.open`, and `detail.what`, why not, if the program said so).
  */
 
-import { cameraOf, cross, dot, project, scale, subtract, unit, zoom } from "./camera.js";
+import { axes, cameraOf, cross, dot, filledBy, project, scale, subtract, unit, zoom } from "./camera.js";
 import { Painter, parse, PARTS, PIECE } from "./frames.js";
 import { Warp } from "./warp.js";
 
@@ -30,11 +30,12 @@ import { Warp } from "./warp.js";
  * @typedef {{name: string, unit: string, range: [number, number], histogram: Histogram | null}} Attribute
  * @typedef {{looks: string[], attributes: Attribute[], palettes: [string, string[]][], style: Style}} Choices
  * @typedef {{look: string, line: string, isLit: boolean, exposure: number, transferFunction: any, classes: [number, string][], densities: Histogram | null, remarks: string[]}} Legend
- * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, values: [string, number, string][]} | null, value: number | null, error: number}} Picked
- *   `value` of a grid; `error`: how exactly places are known
+ * @typedef {{question: number, position: Vector | null, point: {position: Vector, stored: Vector, error: number, step: Vector | null, values: [string, number, string][]} | null, value: number | null, error: number, step: number | null}} Picked
+ *   `value` of a grid; `error`: how exactly places are known; `step` of the coordinates of the file that they come from
  * @typedef {{name: string, bytes: number, hits: number, misses: number, reads: number, bytesRead: number, bytesUnique: number, evictions: number, waitedSeconds: number}} KindReport
  * @typedef {{budget: number, kinds: KindReport[], regions: [Vector, Vector][] | null, resident: number[]}} Report
- * @typedef {{up: Vector, facing: Vector, framed: [Vector, Vector]}} Stance what is up, in which direction one looks at the front, and what fills a picture of the whole
+ * @typedef {{up: Vector, facing: Vector, framed: [Vector, Vector], outline: Vector[], isFramed: boolean}} Stance what is up, in which direction one looks at the front,
+ *   what fills a picture of the whole, its outermost places, and whether the first camera frames it
  */
 
 /** A picture moves as long as changes follow each other faster than this, in milliseconds. */
@@ -43,8 +44,8 @@ const REST = 120;
 const RECENT = 80;
 /** Milliseconds between two drawings of the last picture: the program needs the processor, too. */
 const BETWEEN_WARPS = 25;
-/** Width over height of the picture that the program chooses a camera for. */
-const CHOSEN_ASPECT = 16 / 9;
+/** Width and height of the picture that a camera was made for, if a scene does not say. */
+const CHOSEN_SIZE = [16, 9];
 /** Pixels of the screen for one of the page, at most: eyes see no more. */
 const MOST_RATIO = 2;
 /** The part of the pixels that memory allows that edges are chosen for: they are rounded. */
@@ -67,6 +68,8 @@ export class RaysetView extends EventTarget {
   vertical = [0, 0, 1];
   /** @type {Vector} the direction in which one looks at the front; seen from above, what is up in the picture */
   facing = [0, 1, 0];
+  /** @type {Vector[]} the outermost places of what fills a picture of the whole; none of a scene */
+  outline = [];
   title = "";
   /** @type {string | null} of lengths */
   unit = null;
@@ -76,11 +79,15 @@ export class RaysetView extends EventTarget {
   choices = null;
   /** @type {Legend | null} what the picture shows in which colours */
   legend = null;
-  /** @type {Camera | null} where it is best seen from */
-  home = null;
 
   /** @type {Camera | null} */
   #camera = null;
+  /** The first camera, as the program chose it. @type {Camera | null} */
+  #chosen = null;
+  /** Whether it was chosen to show the whole. */
+  #isFramed = false;
+  /** The same for the shape of the canvas. @type {{camera: Camera, aspect: number} | null} */
+  #home = null;
   /** @type {Changes} */
   #changes = {};
   #generation = 0;
@@ -129,6 +136,13 @@ export class RaysetView extends EventTarget {
     this.#observer.observe(canvas);
     this.#resized();
     this.#connect();
+  }
+
+  /** Where it is best seen from, in a picture of the canvas's shape. @returns {Camera | null} */
+  get home() {
+    const aspect = this.#aspect;
+    if (this.#chosen && this.#home?.aspect !== aspect) this.#home = { camera: this.#fitted(this.#chosen), aspect };
+    return this.#home?.camera ?? null;
   }
 
   /** @returns {Camera | null} */
@@ -331,7 +345,7 @@ export class RaysetView extends EventTarget {
         this.choices = message.choices;
         [this.#mostPixels, this.#memory] = [message.mostPixels, message.memory];
         this.#resized();
-        this.home = this.#fitted(cameraOf(message.camera, this.framed, this.vertical));
+        [this.#chosen, this.#home] = [cameraOf(message.camera, this.framed, this.vertical), null];
         this.#camera ??= this.home;
         this.#tell("connection", { open: true });
         this.#tell("hello", {});
@@ -387,7 +401,7 @@ export class RaysetView extends EventTarget {
 
   /** Takes note of how the scene stands. @param {Stance | null} stance @param {{direction: Vector, up: Vector}} camera */
   #stand(stance, { direction, up }) {
-    this.framed = stance?.framed ?? this.bounds;
+    [this.framed, this.outline, this.#isFramed] = [stance?.framed ?? this.bounds, stance?.outline ?? [], stance?.isFramed ?? false];
     // Of a scene, the camera says what is upright.
     const vertical = stance?.up ?? cameraOf({ position: [0, 0, 0], direction, up, fovy: 35 }, this.bounds).vertical ?? up;
     /** @type {Vector} maps have north along y; what has y up faces the reader */
@@ -407,12 +421,19 @@ export class RaysetView extends EventTarget {
   }
 
   /**
-   * A camera that was chosen for a picture of 16 to 9, as far back as a narrower one needs to show the whole.
+   * A camera that was chosen for a picture of another shape, in one of the canvas's: what was framed fills it. A camera whose place
+   * somebody said goes back, as far as a narrower picture needs to show the whole.
    * @param {Camera} camera @returns {Camera}
    */
   #fitted(camera) {
-    const aspect = this.#aspect;
-    const most = Math.max(CHOSEN_ASPECT / aspect, 1);
+    const [aspect, [width, height]] = [this.#aspect, this.scene.image?.size ?? CHOSEN_SIZE];
+    if (this.#isFramed && this.outline.length) {
+      // The program has framed all points, and not only the outermost.
+      if (Math.abs((aspect * height) / width - 1) < 0.01) return camera;
+      const { vertical } = camera;
+      return { ...filledBy(camera, camera.direction, axes(camera)[1], this.outline, aspect), up: camera.up, vertical };
+    }
+    const most = Math.max(width / height / aspect, 1);
     const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => /** @type {Vector} */ ([0, 1, 2].map((axis) => this.framed[(k >> axis) & 1][axis])));
     const isInside = (/** @type {Camera} */ each) => corners.every((corner) => {
       const at = project(each, corner, aspect);
@@ -453,7 +474,10 @@ export class RaysetView extends EventTarget {
     const edge = (/** @type {number} */ length) => Math.min(Math.max(Math.round(length * ratio), 1), MOST_EDGE);
     const [width, height] = [edge(clientWidth), edge(clientHeight)];
     if (width === this.canvas.width && height === this.canvas.height && this.#generation > 0) return;
+    const isHome = this.#camera !== null && this.#camera === this.#home?.camera;
     this.#painter.resize(width, height);
+    // Who has not moved yet sees the whole, whatever the shape of the picture.
+    if (isHome) this.#camera = this.home;
     this.#drawn = { camera: null, changes: null, columns: 0 };
     this.#changed();
   }

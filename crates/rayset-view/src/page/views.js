@@ -14,16 +14,20 @@ const MOST_KEPT = 50;
  */
 export function viewsPanel(view, begin, scene, history) {
   const act = (/** @type {() => void} */ change) => () => (begin(), change());
-  const home = button("Whole", act(() => (view.camera = view.home)));
-  home.title = "See the scene whole (H)";
+  const home = button("Show all", act(() => (view.camera = view.home)));
+  home.title = "Go back to where the whole scene is seen (H)";
   const along = STANDARD.map(([name, direction]) => button(name, act(() => lookFrom(view, direction)), `Look from ${name}`));
 
-  const [undo, redo] = [button("Undo", () => history.undo()), button("Redo", () => history.redo())];
-  [undo.title, redo.title] = ["Take the last change back (Ctrl+Z)", "Do it again (Ctrl+Shift+Z)"];
+  const [undo, redo] = /** @type {HTMLButtonElement[]} */ ([button("Undo", () => history.undo()), button("Redo", () => history.redo())]);
+  [undo.title, redo.title] = ["Undo the last change (Ctrl+Z)", "Redo the change that was undone (Ctrl+Shift+Z)"];
   const parallel = checkbox("Orthographic", false, (on) => (begin(), setOrthographic(view, on)));
   parallel.row.title = "Parallel rays: what is far away is as large as what is near";
-  const follow = () => (parallel.input.checked = Boolean(view.camera?.height));
+  const follow = () => {
+    parallel.input.checked = Boolean(view.camera?.height);
+    [undo.disabled, redo.disabled] = [!history.canUndo, !history.canRedo];
+  };
   view.addEventListener("change", follow);
+  history.addEventListener("change", follow);
   follow();
 
   const key = `rayset-views-${scene}`;
@@ -46,14 +50,15 @@ export function viewsPanel(view, begin, scene, history) {
   };
   const show = () => list.replaceChildren(...kept().map(({ name, state }, k) => buttons([
     button(name, act(() => (view.state = state)), `Go to ${name}`),
-    button("×", () => set(kept().filter((_, i) => i !== k)), `Forget ${name}`),
+    button("×", () => set(kept().filter((_, i) => i !== k)), `Delete ${name}`),
   ])));
   const name = /** @type {HTMLInputElement} */ (element("input", { type: "text", maxlength: "60", placeholder: "Name of the view", "aria-label": "Name of the view to keep" }));
-  const keep = button("Keep this view", () => {
+  const keep = button("Keep view", () => {
     const views = kept();
     set([...views.slice(-(MOST_KEPT - 1)), { name: name.value.trim() || `View ${views.length + 1}`, state: view.state }]);
     name.value = "";
   });
+  keep.title = "Keep the camera and all settings under this name, in this browser";
   show();
   return panel("View", [buttons([home, ...along]), parallel.row, buttons([undo, redo]), element("div", { class: "row" }, [name, keep]), list], true);
 }

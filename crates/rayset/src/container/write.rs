@@ -29,6 +29,9 @@ pub(crate) struct Metadata {
     /// The direction in which one looks at the front, if the sources say so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) facing: Option<[f64; 3]>,
+    /// The step of the coordinates along each axis, if the sources say so: the largest, of several.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) step: Option<[f64; 3]>,
     /// Names of feature bits, by bit number.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) features: BTreeMap<String, String>,
@@ -49,6 +52,17 @@ impl Metadata {
         });
         let crs = if crs.len() <= MAX_CRS_BYTES { crs.to_owned() } else { String::new() };
         Self { crs, sources, ..Self::default() }
+    }
+
+    /// The steps of the coordinates of both of two sources; `None` if those of one are not known.
+    pub(crate) fn common_step(a: Option<[f64; 3]>, b: Option<[f64; 3]>) -> Option<[f64; 3]> {
+        let (a, b) = (a?, b?);
+        Some(std::array::from_fn(|axis| a[axis].max(b[axis])))
+    }
+
+    /// The step of the coordinates along each axis; `None` if there is none.
+    pub(crate) fn step(&self) -> Option<[f64; 3]> {
+        self.step.filter(|step| step.iter().all(|v| v.is_finite() && *v > 0.0))
     }
 
     /// The direction that is up, of length one; `None` if there is none.

@@ -143,6 +143,9 @@ pub struct Header {
     pub sources: Vec<String>,
     /// The direction that is up by the custom of the sources, of length one; `None` if they have none, or differ.
     pub up: Option<DVec3>,
+    /// The step of the coordinates of the sources along each axis, the largest of several: no digits below it are known. `None` if
+    /// they do not say.
+    pub step: Option<[f64; 3]>,
     /// The layout of the columns of a run, derived from the columns.
     pub(crate) columns: ColumnLayout,
 }
@@ -288,7 +291,7 @@ impl Header {
         let in_columns = |what| file.wrong_section(SectionKind::COLUMNS, what);
         header.decode_columns(&columns).map_err(in_columns)?;
         header.columns = header.column_layout(header.attributes.len());
-        header.up = words.up();
+        (header.up, header.step) = (words.up(), words.step());
         (header.crs, header.sources) = (words.crs, words.sources);
         header.check_ranges(file.header()).map_err(wrong)?;
         Ok(header)
@@ -323,6 +326,7 @@ impl Header {
             crs: String::new(),
             sources: Vec::new(),
             up: None,
+            step: None,
             columns: ColumnLayout::default(),
         })
     }

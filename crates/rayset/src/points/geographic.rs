@@ -9,6 +9,8 @@ use crate::cancel::CancelToken;
 const CODES: [&str; 8] = ["4326", "4258", "4269", "4283", "4617", "4979", "4171", "6318"];
 /// Degrees from the middle of a zone, within which a transverse projection is usable.
 const FARTHEST_DEGREES: f64 = 30.0;
+/// Metres of a degree along the equator: the most that a degree is.
+const METRES_OF_DEGREE: f64 = 111_320.0;
 
 /// Whether a reference system, WKT or `EPSG:` and a code, is of longitudes and latitudes.
 fn is_geographic(crs: &str) -> bool {
@@ -191,6 +193,7 @@ pub(super) fn in_metres(
     let mut schema = source.schema().clone();
     schema.crs = format!("EPSG:{}", projection.epsg());
     schema.up = schema.up.or(Some([0.0, 0.0, 1.0]));
+    schema.step = schema.step.map(|[x, y, z]| [x * METRES_OF_DEGREE, y * METRES_OF_DEGREE, z]);
     schema.warnings.push(format!(
         "degrees of longitude and latitude are made metres, of {projection} (EPSG:{})",
         projection.epsg()

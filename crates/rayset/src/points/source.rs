@@ -41,6 +41,9 @@ pub struct Schema {
     pub reading: String,
     /// The direction that is up in files of this kind; `None` if they have no convention.
     pub up: Option<[f64; 3]>,
+    /// The step of the file's coordinates along each axis: they are multiples of it, apart from a constant. `None` if the file
+    /// does not say.
+    pub step: Option<[f64; 3]>,
 }
 
 impl Schema {
@@ -56,6 +59,7 @@ impl Schema {
             warnings: Vec::new(),
             reading: String::new(),
             up: None,
+            step: None,
         }
     }
 

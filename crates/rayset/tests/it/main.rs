@@ -64,6 +64,7 @@ mod shadows;
 mod skips;
 mod snapshots;
 mod splats;
+mod steps;
 mod tables;
 mod vdb;
 mod volume_fixtures;

@@ -378,6 +378,7 @@ impl Assembler {
             crs: survey.metadata.crs.clone(),
             sources: survey.metadata.sources.clone(),
             up: survey.metadata.up(),
+            step: survey.metadata.step(),
             columns: self.columns,
         };
         if survey.count == 0 {

@@ -49,7 +49,7 @@ impl Form {
             auto_scale: options.radius_scale,
             weight: if let Rule::Number(w) = weight { (w * options.weight_scale) as f32 } else { 1.0 },
             pages_depend_on: pages_depend_on(options, &radius, &weight, &columns),
-            metadata: describe(sources),
+            metadata: describe(sources, options.length_scale),
         };
         Ok((form, columns))
     }
@@ -72,14 +72,17 @@ fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns
     )
 }
 
-/// The descriptions of the sources, and their reference system and what is up if they all have the same.
-fn describe(sources: &[Box<dyn PointSource + '_>]) -> Metadata {
+/// The descriptions of the sources, their reference system and what is up if they all have the same, and the step of their
+/// coordinates.
+fn describe(sources: &[Box<dyn PointSource + '_>], length_scale: f64) -> Metadata {
     let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
     let shared = sources.iter().all(|s| s.schema().crs == crs);
     let described = sources.iter().map(|s| s.schema().description.clone()).filter(|d| !d.is_empty());
     let up = sources.first().and_then(|s| s.schema().up);
     let up = up.filter(|_| sources.iter().all(|s| s.schema().up == up));
-    Metadata { up, ..Metadata::new(if shared { crs } else { "" }, described.collect()) }
+    let steps = sources.iter().map(|s| s.schema().step.map(|step| step.map(|v| v * length_scale.abs())));
+    let step = steps.reduce(Metadata::common_step).flatten();
+    Metadata { up, step, ..Metadata::new(if shared { crs } else { "" }, described.collect()) }
 }
 
 /// Totals over records.

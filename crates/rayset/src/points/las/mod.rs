@@ -95,6 +95,7 @@ impl LasSource {
                 crs => crs,
             },
             description: words::description(&header),
+            step: Some(header.scale.map(f64::abs)).filter(|step| step.iter().all(|&v| v > 0.0)),
             ..Schema::new(fields.iter().map(|f| f.info.clone()).collect(), ColorDepth::Guess)
         };
         Ok(Self {

@@ -21,6 +21,8 @@ pub(super) struct Layout {
     pub(super) first_line: u64,
     /// Whether rows may have more values than there are names.
     pub(super) is_open_ended: bool,
+    /// The step of the coordinates, if the first rows write each with the same number of decimals.
+    pub(super) step: Option<[f64; 3]>,
 }
 
 /// Longest name of a column of a header that is a comment.
@@ -29,6 +31,8 @@ const LONGEST_NAME: usize = 24;
 const MOST_PREAMBLE: usize = 32;
 /// Bytes of the rows that are looked at.
 const SAMPLE_BYTES: usize = 64 << 10;
+/// Fewer rows may have the same number of decimals by chance.
+const FEWEST_ROWS_OF_A_STEP: usize = 8;
 
 /// The columns of COLMAP's sparse points, as a comment of theirs names them; any number of others follows.
 const COLMAP: &[u8] = b"POINT3D_ID, X, Y, Z, R, G, B, ERROR, ";
@@ -210,6 +214,7 @@ impl Layout {
             first,
             first_line,
             is_open_ended: false,
+            step: step(&texts, axes),
         })
     }
 }
@@ -328,6 +333,29 @@ fn fields(lines: &mut Lines, separator: Separator, first: &Splitter) -> Result<V
 fn sample(mut mark: DecimalMark, rows: &[Vec<String>]) -> Vec<Vec<f64>> {
     let mut number = |text: &String| mark.parse(text).unwrap_or(f64::NAN);
     rows.iter().map(|row| row.iter().map(&mut number).collect()).collect()
+}
+
+/// The step of the coordinates of some rows, if each axis has the same number of decimals in all of them: a program that writes
+/// whole digits leaves trailing zeros out, and says nothing of a step.
+fn step(rows: &[Vec<String>], axes: [usize; 3]) -> Option<[f64; 3]> {
+    let mut steps = [0.0; 3];
+    for (step, axis) in steps.iter_mut().zip(axes) {
+        let mut decimals = rows.iter().map(|row| decimals(row.get(axis)?));
+        let first = decimals.next()??;
+        if rows.len() < FEWEST_ROWS_OF_A_STEP || !decimals.all(|count| count == Some(first)) {
+            return None;
+        }
+        *step = 10_f64.powi(-(first as i32));
+    }
+    Some(steps)
+}
+
+/// The number of decimals of a number without exponent; `None` if there are none.
+fn decimals(text: &str) -> Option<usize> {
+    let (whole, fraction) = text.trim().split_once(['.', ','])?;
+    let are_digits = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
+    let is_fixed = are_digits(whole.trim_start_matches(['+', '-'])) && are_digits(fraction);
+    (is_fixed && (1..=12).contains(&fraction.len())).then_some(fraction.len())
 }
 
 /// Whether a value is neither a number, whatever its decimal mark, nor missing.

@@ -89,6 +89,7 @@ impl TextSource {
         }
         schema.roles = roles::colors(&schema.columns);
         schema.description = describe(&layout);
+        schema.step = layout.step;
         let by = match (layout.header_line, names) {
             (_, Some(_)) => reading::BY_OPTION.to_owned(),
             (Some(line), None) => format!("the header on line {line}"),

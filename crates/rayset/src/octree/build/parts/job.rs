@@ -110,7 +110,8 @@ fn merged(a: &Metadata, b: &Metadata) -> Metadata {
     let crs = if a.crs == b.crs { a.crs.as_str() } else { "" };
     let sources = a.sources.iter().chain(&b.sources).cloned().collect();
     let up = a.up.filter(|_| a.up == b.up);
-    Metadata { up, ..Metadata::new(crs, sources) }
+    let step = Metadata::common_step(a.step, b.step);
+    Metadata { up, step, ..Metadata::new(crs, sources) }
 }
 
 /// A step of a part, under way.

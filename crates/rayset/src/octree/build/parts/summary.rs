@@ -45,6 +45,7 @@ struct StoredForm {
     crs: String,
     sources: Vec<String>,
     up: Option<[u64; 3]>,
+    step: Option<[u64; 3]>,
 }
 
 #[derive(Clone, Debug, PartialEq, serde::Deserialize, serde::Serialize)]
@@ -180,6 +181,7 @@ impl StoredForm {
             crs: form.metadata.crs.clone(),
             sources: form.metadata.sources.clone(),
             up: form.metadata.up.map(|up| up.map(f64::to_bits)),
+            step: form.metadata.step.map(|step| step.map(f64::to_bits)),
         }
     }
 
@@ -196,7 +198,7 @@ impl StoredForm {
             has_color: self.has_color,
             attributes: attributes.iter().map(|info| info.kind).collect(),
         };
-        let up = self.up.map(|up| up.map(f64::from_bits));
+        let [up, step] = [self.up, self.step].map(|vector| vector.map(|v| v.map(f64::from_bits)));
         Some(Form {
             layout,
             attributes,
@@ -204,7 +206,7 @@ impl StoredForm {
             auto_scale: f64::from_bits(self.auto_scale),
             weight: f32::from_bits(self.weight),
             pages_depend_on: self.pages_depend_on.clone(),
-            metadata: Metadata { up, ..Metadata::new(&self.crs, self.sources.clone()) },
+            metadata: Metadata { up, step, ..Metadata::new(&self.crs, self.sources.clone()) },
         })
     }
 }
