@@ -28,7 +28,8 @@ pub(crate) struct BuildArgs {
     /// Points: PLY, LAS, LAZ, COPC, E57, PCD, PTX, PTS, XYZ, TXT, CSV, ASC, NPY, NPZ, VTK, VTP or VTU files; BIN of KITTI
     /// and nuScenes; snapshots of simulations (HDF5 of GADGET, SWIFT, AREPO, EAGLE, Illustris; GADGET 1 and 2); Gaussian
     /// splats (PLY, SPZ, SPLAT, KSPLAT); meshes (OBJ, OFF, STL); text, PLY, PTX and PCD in gzip or zstd; folders and patterns
-    /// of such. Or one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTK, VDB, DX, SLC, NPY or NPZ
+    /// of such. Or one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTR, VTK, VDB, DX, SLC, NPY or
+    /// NPZ
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
@@ -63,7 +64,7 @@ pub(crate) struct BuildArgs {
     /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as NIfTI and NRRD of four dimensions are; the first, 0, by default
+    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by default
     #[arg(long, value_name = "N")]
     volume_index: Option<u64>,
     /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of PLY with 20 000 vertices or

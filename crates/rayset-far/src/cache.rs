@@ -1,7 +1,8 @@
 //! A folder of blocks of far objects that were read before, of a size that is never exceeded.
 //!
-//! A block is a file of at most [`BLOCK_BYTES`] of an object, behind a checksum. Its name is a hash of the object's address,
-//! entity tag and length, and the block's number, so that an object that has changed has other blocks. Several processes may
+//! A block is a file of at most [`BLOCK_BYTES`] of an object, behind a checksum. Its name is a hash of the object's address without
+//! secrets, entity tag and length, and the block's number, so that an object that has changed has other blocks, and one that is signed
+//! anew the same. Folders that are made are open to their owner alone. Several processes may
 //! use one folder: they write one after another, under a lock, and read without one. The file `bytes` says how much all blocks
 //! take; it is raised before a block gets its name, so that a process that is killed may leave it too high, but never too low.
 //! What it left unfinished lies in `unfinished`, with a file that says that it had begun; whoever opens the folder next removes it and
@@ -14,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
+use rayset::storage::shown;
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 /// Most bytes of a block.
@@ -55,9 +57,10 @@ impl std::error::Error for CacheError {
 pub struct Key(u128);
 
 impl Key {
-    /// The object with this address, entity tag or date, and length in bytes.
+    /// The object with this address, entity tag or date, and length in bytes. Secrets of the address have no part in it.
     #[must_use]
     pub fn new(address: &str, version: &str, length: u64) -> Self {
+        let address = shown(Path::new(address));
         Self(xxh3_128(format!("{address}\n{version}\n{length}").as_bytes()))
     }
 }
@@ -91,7 +94,7 @@ impl Cache {
     }
 
     fn prepare(&self) -> io::Result<()> {
-        fs::create_dir_all(self.folder.join("unfinished"))?;
+        create_folders(&self.folder.join("unfinished"))?;
         let mut lock = Lock::take(&self.folder)?;
         let mut killed = false;
         for left in fs::read_dir(self.folder.join("unfinished"))? {
@@ -251,9 +254,18 @@ fn write_block(partial: &Path, path: &Path, checksum: &[u8], content: &[u8]) -> 
     file.write_all(checksum)?;
     file.write_all(content)?;
     if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
+        create_folders(folder)?;
     }
     fs::rename(partial, path)
+}
+
+/// Creates a folder and those that it lies in, each for its owner alone.
+fn create_folders(path: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(path)
 }
 
 /// The bytes of some blocks, in an object of `length` bytes.
@@ -334,6 +346,33 @@ mod tests {
 
     fn bytes(count: usize, seed: usize) -> Vec<u8> {
         (0..count).map(|at| ((at + seed) % 249) as u8).collect()
+    }
+
+    #[test]
+    fn an_object_that_is_signed_anew_has_the_same_blocks_and_one_that_has_changed_others() {
+        let key = |address: &str, version: &str| Key::new(address, version, 9);
+        let signed = key("https://user:hunter2@host/a.rset?sig=1", "\"1\"");
+        assert_eq!(signed, key("https://user:other@host/a.rset?sig=2", "\"1\""));
+        assert_eq!(signed, key("https://host/a.rset", "\"1\""));
+        assert_ne!(signed, key("https://host/a.rset", "\"2\""));
+        assert_ne!(signed, key("https://host/b.rset", "\"1\""));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn folders_that_are_made_are_open_to_their_owner_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let named = folder.path().join("a/b");
+        let cache = Cache::open(&named, LEAST_BYTES).expect("a cache");
+        cache.keep(KEY, BLOCK_BYTES, 0, &bytes(BLOCK_BYTES as usize, 0));
+        let block = cache.path(KEY, 0);
+        assert!(block.exists());
+        let made = [folder.path().join("a"), named.clone(), named.join(OWN_FOLDER)];
+        for path in made.iter().map(PathBuf::as_path).chain(block.parent()) {
+            let mode = fs::metadata(path).expect("a folder").permissions().mode();
+            assert_eq!(mode & 0o777, 0o700, "{}", path.display());
+        }
     }
 
     #[test]

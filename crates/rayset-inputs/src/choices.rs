@@ -14,7 +14,7 @@ pub struct BuildChoices {
     /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     pub(crate) columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as NIfTI and NRRD of four dimensions are; the first, 0, by default
+    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by default
     #[arg(long, value_name = "N")]
     pub(crate) volume_index: Option<u64>,
     /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7

@@ -121,12 +121,19 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resou
     let seconds = started.elapsed().as_secs_f64();
     match &mut place {
         Place::Kept(entry) => {
-            entry.complete(&all, pulled_in.stamps, &work.said.into_inner())?;
-            cache.prune(entry, resources.host);
-            resources.host.note(&format!(
-                "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",
-                entry.data().display()
-            ));
+            // The disk may be full just now: what was built is there all the same.
+            match entry.complete(&all, pulled_in.stamps, &work.said.into_inner()) {
+                Ok(()) => {
+                    cache.prune(entry, resources.host);
+                    resources.host.note(&format!(
+                        "built {} in {seconds:.1} s; it is used again until the input changes (--cache, --no-cache)",
+                        entry.data().display()
+                    ));
+                }
+                Err(error) => resources.host.remark(&format!(
+                    "built in {seconds:.1} s; nothing is kept: {error:#}; --cache names another folder"
+                )),
+            }
         }
         Place::Temporary { .. } => {
             resources.host.note(&format!("built in {seconds:.1} s; nothing is kept"));

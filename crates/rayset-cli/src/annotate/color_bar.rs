@@ -8,7 +8,11 @@ use super::canvas::{Color, Piece, Shape as Drawn, rectangle};
 use super::classes::{self, Class, View};
 use super::layout::Layout;
 use super::space::Space;
+use super::text::Wrapped;
 use super::ticks::{self, Tick};
+
+/// Most lines of a title.
+const TITLE_LINES: usize = 4;
 
 /// A colour map of a scene, with what it shows.
 pub(super) struct Shown {
@@ -98,8 +102,10 @@ impl Shown {
         let (em, margin) = (layout.em, layout.margin);
         let row = 1.45 * em;
         let (upper, lower) = layout.at_the_right();
-        let most = (((0.7 * layout.height()).min(lower - upper - row) / row) as usize).max(1);
         let room = layout.room_at_the_right(0.4);
+        let title = layout.font.wrapped(&self.title, em, room, TITLE_LINES);
+        let below = lower - upper - row - title.drop();
+        let most = (((0.7 * layout.height()).min(below) / row) as usize).max(1);
         let mut rows: Vec<(Option<Color>, String)> = (classes.iter().take(most))
             .map(|Class { value, name, .. }| {
                 (Some(color_at(&self.map, *value)), layout.font.shortened(name, em, room - 1.6 * em))
@@ -108,17 +114,16 @@ impl Shown {
         if classes.len() > most {
             rows.push((None, format!("and {} more", classes.len() - most)));
         }
-        let title = layout.font.shortened(&self.title, em, room);
         let widest = rows.iter().map(|(_, text)| layout.font.width(text, em)).fold(0.0, f32::max);
-        let widest = (widest + 1.6 * em).max(layout.font.width(&title, em));
+        let widest = (widest + 1.6 * em).max(title.width(&layout.font));
         let left = (layout.width() - margin - widest).max(margin).round();
-        let height = row * (rows.len() + 1) as f32;
+        let height = row * (rows.len() + 1) as f32 + title.drop();
         let top = (0.5 * (upper + lower - height)).max(upper.max(margin)).round();
         let mut piece = layout.panel((left, top), (left + widest, top + height));
         let mut text = Vec::new();
-        layout.font.write(&title, em, (left, top + em), &mut text);
+        title.write(&layout.font, (left, top + em), &mut text);
         for (i, (color, name)) in rows.iter().enumerate() {
-            let y = (top + row * (i + 1) as f32).round();
+            let y = (top + title.drop() + row * (i + 1) as f32).round();
             if let Some(color) = color {
                 let side = em.round();
                 let swatch = rectangle(left, y + 0.1 * em, side, side);
@@ -183,7 +188,7 @@ fn is_logarithmic(map: &ColorMap) -> bool {
 /// A bar of colours with its scale.
 pub(super) struct Bar<'m> {
     map: &'m ColorMap,
-    title: String,
+    title: Wrapped,
     logarithmic: bool,
     least: f64,
     most: f64,
@@ -203,7 +208,10 @@ impl<'m> Bar<'m> {
         let (least, most) = (map.range.0.min(map.range.1), map.range.0.max(map.range.1));
         let logarithmic = is_logarithmic(map);
         let (upper, lower) = layout.at_the_right();
-        let height = (0.46 * layout.height()).min(lower - upper - 3.0 * em).max(em).round();
+        let room = layout.room_at_the_right(0.6);
+        // The number at the title, if there is one, may need a line more; ticks depend on the height.
+        let above = layout.font.wrapped(&format!("{title} ×10⁻¹⁰"), em, room, TITLE_LINES).drop();
+        let height = (0.46 * layout.height()).min(lower - upper - 3.0 * em - above).max(em).round();
         // Labels have room for themselves and as much again.
         let wanted = f64::from((height / (2.8 * em)).clamp(1.0, 7.0));
         let found = if logarithmic {
@@ -215,14 +223,14 @@ impl<'m> Bar<'m> {
             0 => title.to_owned(),
             power => format!("{title} ×{}", ticks::power_of_ten(power)),
         };
-        let title = layout.font.shortened(&title, em, layout.room_at_the_right(0.6));
+        let title = layout.font.wrapped(&title, em, room, TITLE_LINES);
         let label = |tick: &Tick| layout.font.width(&tick.label, em);
         let labels = found.ticks.iter().map(label).fold(0.0, f32::max);
         let right = layout.width() - layout.margin;
         let width = (1.1 * em).round().max(3.0);
         let left = (right - labels - 0.7 * em - width).round();
-        let title_left = left.min(right - layout.font.width(&title, em)).max(layout.margin);
-        let top = (0.5 * (upper + lower - height) + 0.6 * em).round();
+        let title_left = left.min(right - title.width(&layout.font)).max(layout.margin);
+        let top = (0.5 * (upper + lower - height + title.drop()) + 0.6 * em).round();
         let ticks = found.ticks;
         Self { map, title, logarithmic, least, most, ticks, left, top, width, height, title_left, right }
     }
@@ -249,7 +257,7 @@ impl<'m> Bar<'m> {
     fn piece(&self, layout: &Layout) -> Piece {
         let em = layout.em;
         let mut piece = layout.panel(
-            (self.title_left.min(self.left), self.top - 1.7 * em),
+            (self.title_left.min(self.left), self.top - 1.7 * em - self.title.drop()),
             (self.right, self.top + self.height + 0.2 * em),
         );
         let frame = layout.line;
@@ -276,7 +284,8 @@ impl<'m> Bar<'m> {
         let (left, top, width) = (self.left as u32, self.top as u32, self.width as u32);
         piece.shapes.push(Drawn::Rows { left, top, width, colors });
         let mut text = Vec::new();
-        layout.font.write(&self.title, em, (self.title_left, self.top - 0.75 * em), &mut text);
+        let first = self.top - 0.75 * em - self.title.drop();
+        self.title.write(&layout.font, (self.title_left, first), &mut text);
         for tick in &self.ticks {
             let place = (self.left + self.width + 0.6 * em, self.y_of(tick.value) + 0.35 * em);
             layout.font.write(&tick.label, em, place, &mut text);
@@ -335,6 +344,45 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn no_letter_of_a_title_of_forty_is_lost_and_longer_ones_end_in_an_ellipsis() {
+        let size = (640, 480);
+        let map = ColorMap::named("viridis".parse().expect("a map"), (0.0, 4e-9));
+        let beside = Layout::new(Font::carried().expect("a typeface"), size, None);
+        let beside = beside.beside(super::super::sheet::Sheet::new(size, 2));
+        let over = Layout::new(Font::carried().expect("a typeface"), size, None);
+        assert!(beside.is_beside() && !over.is_beside());
+        let titles = [
+            "short (kpc)".to_owned(),
+            "a_quantity_with_a_long_name (1e10 M☉/kpc³)".to_owned(),
+            "photosynthetically active radiation (W)".to_owned(),
+            "W".repeat(40),
+        ];
+        let letters = |text: &str| text.chars().filter(|c| !c.is_whitespace()).collect::<String>();
+        for layout in [&beside, &over] {
+            let (upper, lower) = layout.at_the_right();
+            for title in &titles {
+                let bar = Bar::new(&map, title, layout);
+                let found = bar.title.lines.concat();
+                assert_eq!(letters(&found), letters(&format!("{title} ×10⁻⁹")), "{:?}", bar.title);
+                let width = bar.title.width(&layout.font);
+                assert!(
+                    bar.title_left >= layout.margin && bar.title_left + width <= bar.right + 0.5,
+                    "{title}"
+                );
+                let above = bar.top - 0.75 * layout.em - bar.title.drop() - bar.title.em;
+                assert!(above >= upper && bar.top + bar.height <= lower, "{title}: {above}");
+            }
+            let long = Bar::new(&map, &"a name without an end ".repeat(20), layout);
+            assert!(long.title.lines.len() == TITLE_LINES, "{:?}", long.title);
+            assert!(long.title.lines[TITLE_LINES - 1].ends_with('…'), "{:?}", long.title);
+            assert!(long.title.width(&layout.font) <= layout.room_at_the_right(0.6));
+        }
+        // What fits is as large as ever, in one line.
+        assert_eq!(Bar::new(&map, "short", &beside).title.em, beside.em);
+        assert_eq!(Bar::new(&map, "short", &beside).title.lines, ["short ×10⁻⁹"]);
     }
 
     #[test]

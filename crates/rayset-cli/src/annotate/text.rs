@@ -5,6 +5,36 @@ use zeno::Command;
 
 use super::canvas::point;
 
+/// Lines of text of one size.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Wrapped {
+    /// An em in pixels.
+    pub(super) em: f32,
+    pub(super) lines: Vec<String>,
+}
+
+/// From one baseline to the next, in ems.
+const LINE_EMS: f32 = 1.2;
+
+impl Wrapped {
+    /// From the first baseline to the last, in pixels.
+    pub(super) fn drop(&self) -> f32 {
+        LINE_EMS * self.em * self.lines.len().saturating_sub(1) as f32
+    }
+
+    /// The width of the widest line, in pixels.
+    pub(super) fn width(&self, font: &Font) -> f32 {
+        self.lines.iter().map(|line| font.width(line, self.em)).fold(0.0, f32::max)
+    }
+
+    /// Appends the outlines of all lines, the first of which has its baseline at `(x, y)`.
+    pub(super) fn write(&self, font: &Font, (x, y): (f32, f32), path: &mut Vec<Command>) {
+        for (i, line) in self.lines.iter().enumerate() {
+            font.write(line, self.em, (x, y + LINE_EMS * self.em * i as f32), path);
+        }
+    }
+}
+
 /// A typeface that the program carries.
 pub(super) struct Font {
     face: Face<'static>,
@@ -36,6 +66,50 @@ impl Font {
             })
             .collect();
         format!("{}…", kept.trim_end())
+    }
+
+    /// A text in at most `most` lines that are at most `width` wide: in the size of an em if it fits, otherwise in smaller ones. What
+    /// does not fit even so is left out, with an ellipsis.
+    pub(super) fn wrapped(&self, text: &str, em: f32, width: f32, most: usize) -> Wrapped {
+        let sizes = [1.0, 0.9, 0.8].map(|part| part * em);
+        let whole = sizes.iter().map(|&em| (em, self.broken(text, em, width)));
+        if let Some((em, lines)) = whole.into_iter().find(|(_, lines)| lines.len() <= most) {
+            return Wrapped { em, lines: lines.into_iter().map(str::to_owned).collect() };
+        }
+        let em = sizes[sizes.len() - 1];
+        let lines = self.broken(text, em, width);
+        let (kept, cut) = lines.split_at(most.saturating_sub(1));
+        // With the first letter that does not fit, so that an ellipsis is needed.
+        let rest = cut.first().map_or("", |line| &text[line.as_ptr() as usize - text.as_ptr() as usize..]);
+        let last = self.shortened(rest, em, width);
+        Wrapped { em, lines: kept.iter().map(|line| (*line).to_owned()).chain([last]).collect() }
+    }
+
+    /// The lines of a text that are at most `width` wide, or one letter: broken between words where that is possible.
+    fn broken<'t>(&self, text: &'t str, em: f32, width: f32) -> Vec<&'t str> {
+        let mut lines = Vec::new();
+        let mut rest = text.trim();
+        while !rest.is_empty() {
+            let (mut used, mut between) = (0.0, None);
+            let mut end = rest.len();
+            for (at, c) in rest.char_indices() {
+                if at > 0 && matches!(c, ' ' | '(' | '[' | '×') {
+                    between = Some(at);
+                }
+                used += self.advance(self.glyph(c)) * self.scale(em);
+                if used > width && at > 0 {
+                    end = between.unwrap_or(at);
+                    break;
+                }
+                if matches!(c, '_' | '-' | '/') {
+                    between = Some(at + c.len_utf8());
+                }
+            }
+            let (line, behind) = rest.split_at(end);
+            lines.push(line.trim_end());
+            rest = behind.trim_start();
+        }
+        lines
     }
 
     /// Appends the outline of a line whose baseline begins at `(x, y)`.

@@ -11,6 +11,21 @@ pub(crate) fn program() -> std::process::Command {
     std::process::Command::new(env!("CARGO_BIN_EXE_rayset"))
 }
 
+/// Runs the program in a folder, which has its cache, too.
+pub(crate) fn run(folder: &std::path::Path, arguments: &[&str]) -> std::process::Output {
+    let mut command = program();
+    command.current_dir(folder).env("XDG_CACHE_HOME", folder.join("home"));
+    command.args(arguments).output().expect("the program runs")
+}
+
+/// What a run that succeeds says on standard error.
+pub(crate) fn succeeds(folder: &std::path::Path, arguments: &[&str]) -> String {
+    let output = run(folder, arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {said}");
+    said
+}
+
 /// `--memory` of so many mebibytes. A program that opens remote objects takes two more by itself, though it opens none.
 pub(crate) fn mebibytes(memory: f64) -> (String, f64) {
     let memory = if cfg!(feature = "far") { memory + 2.0 } else { memory };

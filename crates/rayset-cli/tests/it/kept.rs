@@ -6,23 +6,9 @@
 use std::fs::{self, File};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 use std::time::{Duration, UNIX_EPOCH};
 
-use crate::common::folder;
-
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
-    command.current_dir(folder).env("XDG_CACHE_HOME", folder.join("home"));
-    command.args(arguments).output().expect("the program runs")
-}
-
-fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = run(folder, arguments);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments:?}: {said}");
-    said
-}
+use crate::common::{folder, succeeds};
 
 /// Renders `input` small, with the cache in `kept`.
 fn render(folder: &Path, input: &str, more: &[&str]) -> String {
@@ -174,6 +160,41 @@ fn where_nothing_can_be_kept_the_picture_is_made_and_it_is_said() {
     let said = render(f, "a.xyz", &[]);
     assert!(said.contains("nothing is kept: ") && said.contains("--cache names another folder"), "{said}");
     assert!(picture(f) == first);
+}
+
+#[test]
+fn on_a_full_disk_the_picture_is_made_nothing_is_kept_and_it_is_said() {
+    let may_mount = std::process::Command::new("unshare").args(["-rm", "true"]).output();
+    if !may_mount.is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: no disk can be mounted here, as `unshare -rm` would");
+        return;
+    }
+    let folder = folder();
+    let f = folder.path();
+    write_points(&f.join("a.xyz"), 1);
+    succeeds(f, &["render", "a.xyz", "-o", "a.png", "--size", "24x24", "--no-cache"]);
+    let first = picture(f);
+    fs::create_dir(f.join("kept")).expect("a folder");
+    let (mut kept, mut not_kept) = (0, 0);
+    // It fills up before the first byte, while it is built, and behind its end.
+    for pages in [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 1024] {
+        let script = format!("mount -t tmpfs -o size={}k tmpfs kept && exec \"$0\" \"$@\"", 4 * pages);
+        let mut command = std::process::Command::new("unshare");
+        command.args(["-rm", "sh", "-c", &script, env!("CARGO_BIN_EXE_rayset")]);
+        command.args(["render", "a.xyz", "-o", "a.png", "--size", "24x24", "--cache", "kept"]);
+        let output = command.current_dir(f).output().expect("it runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{pages} pages: {said}");
+        assert!(picture(f) == first, "{pages} pages");
+        let [is_kept, is_not] = ["used again until", "nothing is kept: "].map(|words| said.contains(words));
+        assert!(is_kept != is_not, "{pages} pages: {said}");
+        assert!(
+            is_kept || said.contains("No space left") && said.contains("--cache names another folder"),
+            "{said}"
+        );
+        (kept, not_kept) = (kept + u32::from(is_kept), not_kept + u32::from(is_not));
+    }
+    assert!(kept > 0 && not_kept > 2, "{kept} of them were kept");
 }
 
 #[test]

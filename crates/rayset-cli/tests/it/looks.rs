@@ -3,23 +3,8 @@
 use std::fs;
 use std::io::Read;
 use std::path::Path;
-use std::process::{Command, Output};
 
-use crate::common::folder;
-
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
-    command.current_dir(folder).env("XDG_CACHE_HOME", folder.join("home"));
-    command.args(arguments).output().expect("the program runs")
-}
-
-/// What is said on standard error.
-fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = run(folder, arguments);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments:?}: {said}");
-    said
-}
+use crate::common::{folder, run, succeeds};
 
 /// A picture's width, height and pixels.
 fn picture(path: &Path) -> (usize, usize, Vec<[u8; 4]>) {

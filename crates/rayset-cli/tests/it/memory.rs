@@ -169,8 +169,8 @@ fn least(folder: &Path, scene: &str, output: &str) -> u64 {
     bytes.and_then(|bytes| bytes.parse().ok()).unwrap_or_else(|| panic!("a number of bytes in {message}"))
 }
 
-/// The smallest memory that is named suffices, and is not much more than what is used.
-fn check_least(name: &str, scene: &str, output: &str) {
+/// The smallest memory that is named suffices, and more than `share` of it is used.
+fn check_least(name: &str, scene: &str, output: &str, share: f64) {
     let folder = folder();
     std::fs::write(folder.path().join("scene.json"), scene).expect("the scene is written");
     let least = least(folder.path(), "scene.json", output);
@@ -181,7 +181,7 @@ fn check_least(name: &str, scene: &str, output: &str) {
     let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
     let (peak, least) = (number(&stats, "peak_rss_bytes") / MIB, least as f64 / MIB);
     assert!(peak <= least, "{name}: {peak:.1} MiB resident, where {least:.1} MiB are said to suffice");
-    assert!(peak > 0.65 * least, "{name}: {least:.1} MiB are demanded, and {peak:.1} MiB used");
+    assert!(peak > share * least, "{name}: {least:.1} MiB are demanded, and {peak:.1} MiB used");
 }
 
 #[test]
@@ -192,8 +192,8 @@ fn ambient_occlusion_of_tall_pictures_stays_within_the_least_memory_that_is_name
                 "root": {{"type": "sphere", "radius": 1}}}}"#
         )
     };
-    check_least("narrow", &scene(8, 1_048_576), "o.png");
-    check_least("wider", &scene(64, 131_072), "o.png");
+    check_least("narrow", &scene(8, 1_048_576), "o.png", 0.75);
+    check_least("wider", &scene(64, 131_072), "o.png", 0.75);
 }
 
 #[test]
@@ -204,9 +204,9 @@ fn wide_pictures_with_layers_need_no_more_memory_than_their_rows_take() {
                 "root": {{"type": "sphere", "radius": 1}}}}"#
         )
     };
-    check_least("eight rows", &scene(131_072, 8), "o.exr");
-    check_least("twenty rows", &scene(65_536, 20), "o.exr");
-    check_least("many rows", &scene(16_384, 100), "o.exr");
+    check_least("eight rows", &scene(131_072, 8), "o.exr", 0.75);
+    check_least("twenty rows", &scene(65_536, 20), "o.exr", 0.75);
+    check_least("many rows", &scene(16_384, 100), "o.exr", 0.75);
 }
 
 /// A row of things that are cut open, each with a cap.
@@ -229,7 +229,7 @@ fn capped(count: usize, cut: &str) -> String {
 #[test]
 fn caps_are_counted_one_after_another_in_the_memory_of_one() {
     // Of solids nothing is kept: they are no shells.
-    check_least("solids", &capped(20, r#"{"type": "sphere", "radius": 1}"#), "o.png");
+    check_least("solids", &capped(20, r#"{"type": "sphere", "radius": 1}"#), "o.png", 0.65);
 }
 
 #[test]

@@ -616,6 +616,40 @@ fn no_output_replaces_a_file_that_an_input_pulls_in() {
     let png = "NDims = 3\nDimSize = 8 8 8\nElementType = MET_UCHAR\nElementDataFile = w.png\n";
     fs::write(f.join("w.mhd"), png).expect("a write");
     refused(&["render", "w.mhd", "-o", "w.png", "--size", "8x8", "--no-cache"], "w.png");
+    // Voxels of OpenDX in a file of their own, and series of volumes, of which one is read.
+    let numbers: Vec<u8> = (0..27).flat_map(|i| (i as f32).to_le_bytes()).collect();
+    fs::write(f.join("numbers.png"), [&[0; 16], &numbers[..]].concat()).expect("a write");
+    let dx = "object 1 class gridpositions counts 3 3 3\n origin 0 0 0\n delta 1 0 0\n delta 0 1 0\n delta 0 0 1\n\
+        object 2 class gridconnections counts 3 3 3\nobject 3 class array type float rank 0 items 27 lsb ieee \
+        data file numbers.png,16\nattribute \"dep\" string \"positions\"\nobject \"f\" class field\n\
+        component \"positions\" value 1\ncomponent \"data\" value 3\nend\n";
+    fs::write(f.join("v.dx"), dx).expect("a write");
+    let render = ["render", "v.dx", "--size", "8x8", "--no-cache", "-o"];
+    refused(&["build", "v.dx", "-o", "numbers.png"], "numbers.png");
+    refused(&[&render[..], &["numbers.png"]].concat(), "numbers.png");
+    refused(&[&render[..], &["a.png", "--write-scene", "numbers.png"]].concat(), "numbers.png");
+    let header = "{'descr': '|u1', 'fortran_order': False, 'shape': (2, 5, 5, 5), }\n";
+    let npy =
+        [b"\x93NUMPY\x01\0", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &[9; 250]].concat();
+    fs::write(f.join("series.npy"), npy).expect("a write");
+    let mut nifti = vec![0_u8; 352 + 250];
+    nifti[0..4].copy_from_slice(&348_i32.to_le_bytes());
+    for (i, n) in [4_i16, 5, 5, 5, 2].into_iter().enumerate() {
+        nifti[40 + 2 * i..42 + 2 * i].copy_from_slice(&n.to_le_bytes());
+    }
+    nifti[70] = 2;
+    nifti[108..112].copy_from_slice(&352_f32.to_le_bytes());
+    nifti[344..348].copy_from_slice(b"n+1\0");
+    fs::write(f.join("series.nii"), nifti).expect("a write");
+    for series in ["series.npy", "series.nii"] {
+        refused(&["build", series, "-o", series, "--volume-index", "1"], series);
+        for option in ["--stats", "--write-scene"] {
+            let words =
+                ["render", series, "-o", "a.png", "--size", "8x8", "--volume-index", "1", option, series];
+            refused(&[&words[..], &["--no-cache"]].concat(), series);
+            refused(&[&words[..], &["--cache", "kept"]].concat(), series);
+        }
+    }
     for name in ["parts.0", "parts.1"] {
         fs::copy(parts.join(name), f.join(name)).expect("a snapshot");
     }

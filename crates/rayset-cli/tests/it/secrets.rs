@@ -109,6 +109,30 @@ fn everything(folder: &Path, found: &mut Vec<(PathBuf, Vec<u8>)>) {
     }
 }
 
+#[cfg(feature = "far")]
+#[test]
+fn an_object_that_is_signed_anew_is_the_one_that_was_built_before_and_one_that_has_changed_is_not() {
+    let (served, here) = (folder(), folder());
+    let points = |x: u32| (0..400).map(|i| format!("{} {} {x}\n", i % 20, i / 20)).collect::<String>();
+    fs::write(served.path().join("a.xyz"), points(10)).expect("a write");
+    fs::create_dir(here.path().join("temporary")).expect("a folder");
+    let port = serve(served.path());
+    let mut runs = Runs { folder: here.path().to_owned(), said: Vec::new() };
+    let mut info = |user: &str, signature: &str| {
+        let address = format!("http://{user}127.0.0.1:{port}/a.xyz?{signature}");
+        runs.good(&["info", &address, "--cache", "kept"]);
+        String::from_utf8_lossy(&runs.said.last().expect("it ran").1).into_owned()
+    };
+    assert!(info("me:hunter2@", "X-Amz-Signature=1").contains("used again until"));
+    for (user, signature) in [("me:hunter2@", "X-Amz-Signature=2"), ("you:hunter3@", "sig=3"), ("", "")] {
+        let said = info(user, signature);
+        assert!(said.contains("built before"), "{user}{signature}: {said}");
+    }
+    fs::write(served.path().join("a.xyz"), points(1000)).expect("a write");
+    let said = info("me:hunter2@", "X-Amz-Signature=1");
+    assert!(said.contains("used again until"), "{said}");
+}
+
 #[test]
 fn nothing_that_a_run_leaves_or_says_has_the_secrets_of_its_addresses() {
     let (served, here) = (folder(), folder());

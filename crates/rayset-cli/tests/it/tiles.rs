@@ -5,22 +5,9 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
-use crate::common::{Random, folder};
-
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
-    command.current_dir(folder).env("XDG_CACHE_HOME", folder.join("home"));
-    command.args(arguments).output().expect("the program runs")
-}
-
-fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = run(folder, arguments);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments:?}: {said}");
-    said
-}
+use crate::common::{Random, folder, run, succeeds};
 
 /// The points of tile `number`: fifty on a rough plane of ten by ten.
 fn points(number: usize) -> Vec<[f64; 3]> {

@@ -1,6 +1,7 @@
 //! How a file is told from the one that had its name before.
 
 use std::fmt::Write as _;
+use std::hash::{BuildHasher, RandomState};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -16,7 +17,8 @@ pub(super) enum Detail {
     Local,
 }
 
-/// A line that differs for files that may differ.
+/// A line that differs for files that may differ. Of an address it has no secrets, so that an object that is signed anew is the same.
+/// Where these could tell objects apart and the server says nothing that does, an entry of the cache is never found again.
 ///
 /// # Errors
 /// If the file cannot be looked at.
@@ -25,7 +27,15 @@ pub(super) fn of(path: &Path, detail: Detail) -> Result<String> {
     if address_of(path).is_some() {
         let object = storage::open(path, false).with_context(doing)?;
         let bytes = object.length().with_context(doing)?;
-        return Ok(format!("{path:?} {bytes} {:?}", object.version()));
+        let shown = storage::shown(path);
+        let version = object.version();
+        let is_told = version.is_some() || Path::new(&shown) == path;
+        return Ok(match detail {
+            _ if is_told => format!("{shown:?} {bytes} {version:?}"),
+            Detail::Shared => format!("{path:?} {bytes}"),
+            // As random as the keys of hash maps.
+            Detail::Local => format!("{shown:?} {bytes} {:016x}", RandomState::new().hash_one(bytes)),
+        });
     }
     let metadata = std::fs::metadata(path).with_context(doing)?;
     // A pipe has no path of its own.

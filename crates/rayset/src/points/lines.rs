@@ -25,13 +25,18 @@ pub(super) struct Lines {
     end: u8,
 }
 
-/// The byte that ends the lines of a text, by its first line end.
-fn line_end(start: &[u8]) -> u8 {
+/// The byte that ends the first line: a carriage return if no line feed follows it, as in old files of a Macintosh.
+pub(super) fn first_line_end(start: &[u8]) -> u8 {
     let first = start.iter().position(|byte| b"\r\n".contains(byte));
     let is_return =
         first.is_some_and(|at| start[at] == b'\r' && start.get(at + 1).is_some_and(|&b| b != b'\n'));
-    // Old files of a Macintosh have nothing else.
-    if is_return && !start.contains(&b'\n') { b'\r' } else { b'\n' }
+    if is_return { b'\r' } else { b'\n' }
+}
+
+/// The byte that ends the lines of a text, by all of its start.
+fn line_end(start: &[u8]) -> u8 {
+    // Files whose lines end with carriage returns have nothing else.
+    if start.contains(&b'\n') { b'\n' } else { first_line_end(start) }
 }
 
 impl Lines {
@@ -52,7 +57,7 @@ impl Lines {
 
     /// The lines of a stream, which may begin with a byte-order mark.
     pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
-        let mut lines = Self::after(input, 0);
+        let mut lines = Self::after(input, 0, b'\n');
         let path = lines.path().to_owned();
         let io = |source| ReadError::Io { path: path.clone(), source };
         let start = held(&mut lines.input).map_err(io)?;
@@ -66,9 +71,9 @@ impl Lines {
         Ok(lines)
     }
 
-    /// The lines after the first `number`, which have been read.
-    pub(super) fn after(input: Stream, number: u64) -> Self {
-        Self { input, number, ahead: VecDeque::new(), end: b'\n' }
+    /// The lines after the first `number`, which have been read; `end` is the byte that ends each.
+    pub(super) fn after(input: Stream, number: u64, end: u8) -> Self {
+        Self { input, number, ahead: VecDeque::new(), end }
     }
 
     /// The next lines, up to `most` of up to `bytes` together, which are read again. Ends before a line that is too long.

@@ -1,13 +1,14 @@
 //! PTX (Leica Cyclone): scans as text, each a grid of points with the pose of the instrument.
 //!
 //! A scan begins with its numbers of columns and of rows, the place of the instrument and its three axes, and a matrix of
-//! four by four, all on lines of their own; a line for each point of the grid follows, with x, y, z, intensity and perhaps
+//! four by four, all on lines of their own; a line for each point of the grid follows, with x, y, z, and perhaps intensity and
 //! red, green and blue. The matrix is applied to points as rows, so its last row is the translation. The place and the axes
 //! say the same once more, and are not used. Points at 0 0 0 are directions in which nothing was found: they are delivered as
 //! NaN, so that they are counted as invalid.
 //!
-//! The column `scan` has the numbers of the scans, from 0. Points of a scan without colours, among others that have them, have
-//! NaN as their colour.
+//! The column `scan` has the numbers of the scans, from 0. Points of a scan without colours or intensities, among others that
+//! have them, have NaN there. If the first point lacks either, the file is read through once more, to find whether others have
+//! it; a pipe cannot be, so there the first scan must have what the others have.
 
 use std::path::Path;
 
@@ -19,9 +20,32 @@ use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadErr
 const HEADER: [usize; 10] = [1, 1, 3, 3, 3, 3, 4, 4, 4, 4];
 /// Line of the header on which the matrix begins.
 const MATRIX: usize = 6;
-/// Numbers of a point without colours, and with.
-const PLAIN: usize = 4;
-const COLORED: usize = 7;
+/// Most numbers of a point: its place, an intensity and a colour.
+const MOST: usize = 7;
+
+/// What points have beside their places.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+struct Has {
+    intensity: bool,
+    color: bool,
+}
+
+impl Has {
+    /// What a point of so many numbers has; `None` if no point has so many.
+    fn of(numbers: usize) -> Option<Self> {
+        match numbers {
+            3 => Some(Self { intensity: false, color: false }),
+            4 => Some(Self { intensity: true, color: false }),
+            6 => Some(Self { intensity: false, color: true }),
+            MOST => Some(Self { intensity: true, color: true }),
+            _ => None,
+        }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self { intensity: self.intensity || other.intensity, color: self.color || other.color }
+    }
+}
 
 /// Whether a file that begins with these bytes is PTX: its first lines have as many numbers as a header has.
 pub(super) fn begins(head: &[u8]) -> bool {
@@ -44,7 +68,11 @@ pub(super) struct PtxSource {
     line: Vec<u8>,
     schema: Schema,
     selected: Vec<usize>,
-    has_color: bool,
+    /// What some points of the file have.
+    has: Has,
+    /// Columns of the schema: of the intensity, and of red.
+    intensity_at: Option<usize>,
+    color_at: Option<usize>,
     /// The first point was read for its width, and is still to be used.
     is_held: bool,
     /// Number of the current scan, from 0; the line on which it begins, the number of its points, and how many are left.
@@ -67,12 +95,46 @@ impl PtxSource {
 
     /// The points of a stream.
     pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
+        // What is read through twice: not a pipe.
+        let again = input.is_file().then(|| input.path().to_owned());
+        let mut source = Self::first(input)?;
+        if source.left > 0 {
+            if !source.next_line()? {
+                return Err(source.ends_early());
+            }
+            source.is_held = true;
+            // A point of a wrong number of words is an error when it is read.
+            source.has = Has::of(source.words()).unwrap_or(Has { intensity: true, color: false });
+            if let Some(path) = again.filter(|_| source.has != Has { intensity: true, color: true }) {
+                source.has = source.has.and(Self::of_all(&path));
+            }
+        }
+        let columns = &mut source.schema.columns;
+        if source.has.intensity {
+            source.intensity_at = Some(columns.len());
+            columns.push(ColumnInfo::new("intensity", ColumnType::F32));
+        }
+        if source.has.color {
+            source.color_at = Some(columns.len());
+            // Some scans may have no colours, which is NaN.
+            let color = |name: &str| ColumnInfo::new(name, ColumnType::F32);
+            columns.extend(["red", "green", "blue"].map(color));
+        }
+        columns.push(ColumnInfo::new("scan", ColumnType::U16).of_classes());
+        source.schema.description = "PTX".to_owned();
+        Ok(source)
+    }
+
+    /// A stream, read up to the header of the first scan that has points.
+    fn first(input: Stream) -> Result<Self, ReadError> {
         let mut source = Self {
             lines: Lines::of(input)?,
             line: Vec::new(),
             schema: Schema::new(Vec::new(), ColorDepth::Byte),
             selected: Vec::new(),
-            has_color: false,
+            has: Has::default(),
+            intensity_at: None,
+            color_at: None,
             is_held: false,
             scan: 0,
             scan_line: 0,
@@ -84,26 +146,34 @@ impl PtxSource {
             return Err(source.lines.fail("the file is empty, where a number of columns was expected"));
         }
         source.read_header()?;
-        // Scans that found nothing have no points that say how wide they are.
+        // Scans that found nothing have no points that say what they have.
         while source.left == 0 && source.next_line()? {
             source.next_scan()?;
         }
-        if source.left > 0 {
-            if !source.next_line()? {
-                return Err(source.ends_early());
-            }
-            let width = source.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count();
-            (source.has_color, source.is_held) = (width == COLORED, true);
-        }
-        source.schema.columns.push(ColumnInfo::new("intensity", ColumnType::F32));
-        if source.has_color {
-            // Some scans may have no colours, which is NaN.
-            let color = |name: &str| ColumnInfo::new(name, ColumnType::F32);
-            source.schema.columns.extend(["red", "green", "blue"].map(color));
-        }
-        source.schema.columns.push(ColumnInfo::new("scan", ColumnType::U16).of_classes());
-        source.schema.description = "PTX".to_owned();
         Ok(source)
+    }
+
+    /// What any point of a file has. Reads up to the first error, which is found again when the points are read.
+    fn of_all(path: &Path) -> Has {
+        let mut has = Has::default();
+        let Ok(mut source) = Stream::open(path).and_then(Self::first) else { return has };
+        while has != (Has { intensity: true, color: true }) && source.next_line().is_ok_and(|found| found) {
+            if source.left == 0 {
+                if source.next_scan().is_err() {
+                    break;
+                }
+                continue;
+            }
+            source.left -= 1;
+            has = has.and(Has::of(source.words()).unwrap_or_default());
+        }
+        has
+    }
+
+    /// The number of words on the current line, at most one more than a point has.
+    fn words(&self) -> usize {
+        let words = self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        words.take(MOST + 1).count()
     }
 
     /// Reads the next line that is not empty. Returns false at the end of the file.
@@ -143,7 +213,7 @@ impl PtxSource {
                 rows = self.size("rows")?;
                 continue;
             }
-            let mut numbers = [0.0; COLORED];
+            let mut numbers = [0.0; MOST];
             let found = self.numbers(&mut numbers)?;
             if found != wanted {
                 let what = format!(
@@ -188,7 +258,7 @@ impl PtxSource {
     }
 
     /// Parses the current line into `numbers`, and returns how many there are.
-    fn numbers(&self, numbers: &mut [f64; COLORED]) -> Result<usize, ReadError> {
+    fn numbers(&self, numbers: &mut [f64; MOST]) -> Result<usize, ReadError> {
         let text = std::str::from_utf8(&self.line)
             .map_err(|_| self.lines.fail("not text; expected numbers separated by blanks"))?;
         let mut count = 0;
@@ -213,39 +283,46 @@ impl PtxSource {
 
     /// Reads the point on the current line.
     fn append(&mut self, batch: &mut PointBatch) -> Result<(), ReadError> {
-        let mut numbers = [0.0; COLORED];
+        let mut numbers = [0.0; MOST];
         let found = self.numbers(&mut numbers)?;
-        if found != PLAIN && !(found == COLORED && self.has_color) {
-            let expected = if self.has_color { "4 or 7" } else { "4" };
-            let what = match found {
-                COLORED => {
-                    "a point with a colour after points without; move the scans with colours to the front, or to a \
-                     file of their own"
-                        .to_owned()
-                }
-                _ => format!("{found} numbers where {expected} were expected: x y z intensity, and red green blue"),
-            };
-            return Err(self.lines.fail(what));
+        let Some(has) = Has::of(found) else {
+            let what = "numbers where 3, 4, 6 or 7 were expected: x y z, perhaps intensity, and perhaps red green blue";
+            return Err(self.lines.fail(format!("{found} {what}")));
+        };
+        for (more, what) in [
+            (has.color && !self.has.color, "a colour"),
+            (has.intensity && !self.has.intensity, "an intensity"),
+        ] {
+            if more {
+                let what = format!(
+                    "a point with {what} behind points without, in a pipe, which is read once; write it to a file"
+                );
+                return Err(self.lines.fail(what));
+            }
         }
-        let [x, y, z, intensity, red, green, blue] = numbers;
-        let mut color = [red, green, blue];
-        if !color.iter().all(|v| (0.0..=255.0).contains(v) && v.fract() == 0.0) {
-            return Err(self
-                .lines
-                .fail(format!("a colour of {color:?}; expected whole numbers from 0 to 255")));
+        let [x, y, z, ..] = numbers;
+        let mut intensity = f64::NAN;
+        let mut color = [f64::NAN; 3];
+        if has.intensity {
+            intensity = numbers[3];
         }
-        if found == PLAIN {
-            color = [f64::NAN; 3];
+        if has.color {
+            color.copy_from_slice(&numbers[found - 3..found]);
+            if !color.iter().all(|v| (0.0..=255.0).contains(v) && v.fract() == 0.0) {
+                let what = format!("a colour of {color:?}; expected whole numbers from 0 to 255");
+                return Err(self.lines.fail(what));
+            }
         }
         let m = &self.pose;
         let place = |axis: usize| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis];
         let is_nothing = [x, y, z] == [0.0; 3];
         batch.position.push(if is_nothing { [f64::NAN; 3] } else { [0, 1, 2].map(place) });
         for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-            column.push(match index {
-                0 => intensity,
-                1..=3 if self.has_color => color[index - 1],
-                _ => self.scan.into(),
+            let of_color = self.color_at.and_then(|red| color.get(index.checked_sub(red)?));
+            column.push(match of_color {
+                Some(color) => *color,
+                None if self.intensity_at == Some(index) => intensity,
+                None => self.scan.into(),
             });
         }
         Ok(())

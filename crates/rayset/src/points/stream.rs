@@ -76,6 +76,15 @@ impl Stream {
         self.memory
     }
 
+    /// Whether it is a file, which can be read again, and no pipe.
+    pub(super) fn is_file(&self) -> bool {
+        let file = match &self.input {
+            Input::Plain(input) => input.get_ref(),
+            Input::Packed(input) => input.get_ref().input().get_ref(),
+        };
+        file.is_file()
+    }
+
     /// Whether bytes can be passed over without reading them.
     pub(super) fn can_seek(&self) -> bool {
         matches!(&self.input, Input::Plain(input) if input.get_ref().is_file())

@@ -37,9 +37,27 @@ fn without_secrets(text: &str, extent: Extent) -> Option<String> {
     while let Some(start) = Start::find(rest) {
         out.push_str(&rest[..start.at]);
         rest = &rest[start.at..];
-        if let Some(user) = end_of_user(rest, extent) {
-            rest = &rest[user + 1..];
-            changed = true;
+        match User::of(rest, extent) {
+            User::None => {}
+            User::Before(at) => {
+                rest = &rest[at + 1..];
+                changed = true;
+            }
+            User::Unclear { at, is_query } => {
+                let (_, end) = ends(rest, extent);
+                out.push('…');
+                if is_query {
+                    out.push_str(marks_of_a_sentence(&rest[..end]));
+                    rest = &rest[end..];
+                } else {
+                    out.push('@');
+                    rest = &rest[at + 1..];
+                }
+                changed = true;
+                if is_query {
+                    continue;
+                }
+            }
         }
         let (authority, end) = ends(rest, extent);
         if is_host(&rest[..authority]) {
@@ -75,19 +93,68 @@ fn ends(text: &str, extent: Extent) -> (usize, usize) {
     (text[..end].find(['/', '\\', '?', '#']).unwrap_or(end), end)
 }
 
-/// The place of the `@` before which user and password stand.
-fn end_of_user(text: &str, extent: Extent) -> Option<usize> {
-    let (authority, end) = ends(text, extent);
-    if let Some(at) = text[..authority].rfind('@') {
-        return Some(at);
+/// User and password of an address. A password may have letters in it that end hosts, and then an address can be read in two ways:
+/// `u:1/x@host/a` has a password, or is the file `x@host/a` of the host `u`. What is secret in either way is not shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum User {
+    None,
+    /// They stand before the `@` at this place.
+    Before(usize),
+    /// They may reach up to the last `@`, at this place; what is behind it may be of a query, which is secret, too.
+    Unclear {
+        at: usize,
+        is_query: bool,
+    },
+}
+
+impl User {
+    /// Of the address that a text begins with.
+    fn of(text: &str, extent: Extent) -> Self {
+        let (authority, end) = ends(text, extent);
+        // Up to the next address in it.
+        let bound = text.find("://").unwrap_or(text.len());
+        let last = text[..end.min(bound)].rfind('@');
+        let host = &text[..authority];
+        if let Some(at) = host.rfind('@') {
+            return match last {
+                Some(last) if last > at => Self::unclear(text, at, last),
+                _ => Self::Before(at),
+            };
+        }
+        if !is_host(host) {
+            // A password with a letter that ends hosts, or words.
+            let line = text.find('\n').unwrap_or(text.len());
+            let Some(last) = last.or_else(|| text[..line.min(bound)].rfind('@')) else { return Self::None };
+            let first = text.find('@').unwrap_or(last);
+            return match Self::unclear(text, first, last) {
+                Self::Unclear { is_query: false, .. } => Self::Before(last),
+                unclear => unclear,
+            };
+        }
+        match last {
+            Some(at) if has_port(host) && !is_surely_host(host, &text[at..end]) => {
+                Self::unclear(text, authority, at)
+            }
+            _ => Self::None,
+        }
     }
-    if is_host(&text[..authority]) {
-        return None;
+
+    fn unclear(text: &str, first: usize, at: usize) -> Self {
+        Self::Unclear { at, is_query: text[first..at].contains(['?', '#']) }
     }
-    // What looks like the host are a user and a password with a letter that ends hosts, or words.
-    let bound = text.find("://").unwrap_or(text.len());
-    let line = text.find('\n').unwrap_or(text.len());
-    text[..end.min(bound)].rfind('@').or_else(|| text[..line.min(bound)].rfind('@'))
+}
+
+/// Whether a host with a port is one, and no user with a password of digits; `behind` is what follows the last `@`.
+fn is_surely_host(text: &str, behind: &str) -> bool {
+    let (name, port) = text.rsplit_once(':').unwrap_or((text, ""));
+    let is_address = name.ends_with(']') || name.parse::<std::net::Ipv4Addr>().is_ok();
+    // Objects have a path behind their host.
+    let is_named = name.contains('.') && port.parse::<u16>().is_ok() && !behind.contains('/');
+    name == "localhost" || is_address || is_named
+}
+
+fn has_port(text: &str) -> bool {
+    text.rsplit_once(']').map_or(text, |(_, port)| port).contains(':')
 }
 
 /// The marks of the sentence that an address stands in, which are taken for its end.
@@ -147,6 +214,25 @@ mod tests {
             ("https://user:hunter2?hunter2@host/a", "https://host/a"),
             ("https://user:p@hunter2@host/a", "https://host/a"),
             ("https://user:hunter2", "https://user:…"),
+            // Passwords that begin with digits look like ports.
+            ("http://hunter2:1/hunter2@host/a.rset", "http://…@host/a.rset"),
+            ("http://hunter2:12345@hunter2/hunter2@host/a", "http://…@host/a"),
+            ("http://hunter2:1?hunter2@host/a", "http://…"),
+            ("http://hunter2:1#hunter2@host/a", "http://…"),
+            ("http://hunter2:1/hunter2@host", "http://…@host"),
+            ("http://me@hunter2.org:1/hunter2@host/a?sig=hunter2", "http://…@host/a"),
+            ("s3://hunter2:99/hunter2@bucket/a", "s3://…@bucket/a"),
+            // An @ of a signature, behind one of a password.
+            ("https://user:hunter2@host/a?sig=hunter2@hunter2", "https://…"),
+            ("https://user:hun/ter2@host/a?sig=hunter2@hunter2", "https://…"),
+            // Of paths and queries, without a password.
+            ("https://host/a@b.rset", "https://host/a@b.rset"),
+            ("https://host/a@b/c@d.rset?sig=hunter2@hunter2", "https://host/a@b/c@d.rset"),
+            ("http://localhost:8080/a@2/b.rset", "http://localhost:8080/a@2/b.rset"),
+            ("http://127.0.0.1:80/a@b/c?hunter2@x", "http://127.0.0.1:80/a@b/c"),
+            ("http://[::1]:80/a@b/c", "http://[::1]:80/a@b/c"),
+            ("https://host.org:81/a@b.rset?sig=hunter2", "https://host.org:81/a@b.rset"),
+            ("s3://bucket/a@b.rset", "s3://bucket/a@b.rset"),
             ("https://[::1]:80/a?hunter2", "https://[::1]:80/a"),
             ("https://[::1]/a", "https://[::1]/a"),
             // Addresses within addresses.

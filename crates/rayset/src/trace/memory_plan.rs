@@ -50,67 +50,77 @@ pub fn plan(
     process_bytes: u64,
     budget_bytes: u64,
 ) -> Result<MemoryPlan, u64> {
-    let within = |needs: &SceneNeeds, bytes| plan_with(needs, width, height, threads, process_bytes, bytes);
-    let Some(least_caps) = needs.with_least_caps() else { return within(needs, budget_bytes) };
-    let least_bytes = within(&least_caps, u64::MAX / 2)?.least_bytes;
-    let plan = within(needs, budget_bytes).or_else(|_| within(&least_caps, budget_bytes))?;
+    let picture = Picture { width, height, threads, process_bytes };
+    let Some(least_caps) = needs.with_least_caps() else { return picture.plan(needs, budget_bytes) };
+    let least_bytes = picture.plan(&least_caps, u64::MAX / 2)?.least_bytes;
+    let plan = picture.plan(needs, budget_bytes).or_else(|_| picture.plan(&least_caps, budget_bytes))?;
     Ok(MemoryPlan { least_bytes, ..plan })
 }
 
-fn plan_with(
-    needs: &SceneNeeds,
+/// What is rendered, and by what means.
+#[derive(Clone, Copy)]
+struct Picture {
     width: u32,
     height: u32,
     threads: usize,
     process_bytes: u64,
-    budget_bytes: u64,
-) -> Result<MemoryPlan, u64> {
-    let demand = Demand::of(&[needs], threads);
-    // Tiles are listed, 16 bytes each.
-    let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
-    let row = u64::from(width) * pixel + u64::from(width) / 2;
-    let least_rows = LEAST_BAND_ROWS.min(height);
-    // The picture's rows also pass through the encoder.
-    let encoder = if needs.writes_layers {
-        u64::from(width) * exr_bytes(height).saturating_sub(u64::from(least_rows) * EXR_PIXEL_BYTES)
-    } else {
-        8 * row
-    };
-    let kept_rows = if needs.ambient_occlusion { rows_kept(height) + ROWS_SENT.min(height) } else { 0 };
-    let fixed = process_bytes + demand.fixed + u64::from(kept_rows) * row + encoder;
-    let least_page_bytes = demand.least_page_bytes();
-    let least_bytes = fixed + u64::from(least_rows) * row + least_page_bytes;
-    if budget_bytes < least_bytes {
-        return Err(least_bytes);
+}
+
+impl Picture {
+    /// Divides a budget, or says which suffices.
+    fn plan(self, needs: &SceneNeeds, budget_bytes: u64) -> Result<MemoryPlan, u64> {
+        let Self { width, height, threads, process_bytes } = self;
+        let demand = Demand::of(&[needs], threads);
+        // Tiles are listed, 16 bytes each.
+        let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
+        let row = u64::from(width) * pixel + u64::from(width) / 2;
+        let least_rows = LEAST_BAND_ROWS.min(height);
+        // The picture's rows also pass through the encoder.
+        let encoder = if needs.writes_layers {
+            u64::from(width) * exr_bytes(height).saturating_sub(u64::from(least_rows) * EXR_PIXEL_BYTES)
+        } else {
+            8 * row
+        };
+        let kept_rows = if needs.ambient_occlusion { rows_kept(height) + ROWS_SENT.min(height) } else { 0 };
+        let fixed = process_bytes + demand.fixed + u64::from(kept_rows) * row + encoder;
+        let least_page_bytes = demand.least_page_bytes();
+        let least_bytes = fixed + u64::from(least_rows) * row + least_page_bytes;
+        if budget_bytes < least_bytes {
+            return Err(least_bytes);
+        }
+        // Up to a quarter of what is free goes to the picture, in whole rows of look-ahead tiles if at least one fits.
+        let free = budget_bytes - fixed - least_page_bytes;
+        let rows =
+            (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
+        let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
+        let band_rows = (rows as u32).min(height).max(1);
+        // For a grid, roughly a layer of bricks.
+        let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
+        let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * demand.page);
+        let comfortable_pages: u64 = columns.chain(layers).sum();
+        let (page_bytes, shadow_bytes) = demand.divide(budget_bytes - fixed - u64::from(band_rows) * row);
+        Ok(MemoryPlan {
+            largest_page_bytes: demand.page,
+            page_bytes,
+            shadow_bytes,
+            band_rows,
+            caps_bytes: needs.caps_bytes,
+            least_bytes,
+            comfortable_bytes: fixed
+                + u64::from(height.min(512)) * row
+                + comfortable_pages
+                + least_page_bytes,
+        })
     }
-    // Up to a quarter of what is free goes to the picture, in whole rows of look-ahead tiles if at least one fits.
-    let free = budget_bytes - fixed - least_page_bytes;
-    let rows =
-        (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
-    let rows = if rows < u64::from(height) && rows >= 32 { rows / 32 * 32 } else { rows };
-    let band_rows = (rows as u32).min(height).max(1);
-    // For a grid, roughly a layer of bricks.
-    let layers = needs.grids.iter().map(|g| g.header().pages().isqrt() * 8 * PAGE_BYTES as u64);
-    let columns = needs.clouds.iter().map(|cloud| comfortable_pages(cloud) * demand.page);
-    let comfortable_pages: u64 = columns.chain(layers).sum();
-    let (page_bytes, shadow_bytes) = demand.divide(budget_bytes - fixed - u64::from(band_rows) * row);
-    Ok(MemoryPlan {
-        largest_page_bytes: demand.page,
-        page_bytes,
-        shadow_bytes,
-        band_rows,
-        caps_bytes: needs.caps_bytes,
-        least_bytes,
-        comfortable_bytes: fixed + u64::from(height.min(512)) * row + comfortable_pages + least_page_bytes,
-    })
 }
 
 /// Bytes per column for what is being written to an OpenEXR file of `height` rows. Of its blocks of 16 rows one is filled, one
-/// waits, and one is compressed. The band that the first comes from is gone before that is compressed.
+/// waits, and one is compressed; the last has the rows that are left. The band that the first comes from is gone before that is
+/// compressed.
 pub(super) fn exr_bytes(height: u32) -> u64 {
-    let blocks = u64::from(height.div_ceil(16));
-    let held = EXR_COMPRESSING + blocks.saturating_sub(1).min(2);
-    held * u64::from(height.min(16)) * EXR_PIXEL_BYTES
+    let compressed = u64::from(height.min(16));
+    let others = u64::from(height.saturating_sub(16).min(32));
+    (EXR_COMPRESSING * compressed + others) * EXR_PIXEL_BYTES
 }
 
 /// A row of the picture crosses about √n of the n pages of a surface; this is counted for front and back, above and

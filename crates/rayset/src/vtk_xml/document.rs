@@ -44,7 +44,7 @@ pub(crate) struct Piece {
     /// What each point has, and each cell.
     pub(crate) points: Group,
     pub(crate) cells: Group,
-    /// Where points are.
+    /// Where points are: of each, or along each axis.
     pub(crate) coordinates: Group,
 }
 
@@ -240,7 +240,7 @@ impl Document {
         match path {
             [_, _, _, "PointData"] => Some(&mut piece.points),
             [_, _, _, "CellData"] => Some(&mut piece.cells),
-            [_, _, _, "Points"] => Some(&mut piece.coordinates),
+            [_, _, _, "Points" | "Coordinates"] => Some(&mut piece.coordinates),
             _ => None,
         }
     }

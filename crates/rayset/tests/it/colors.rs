@@ -99,8 +99,15 @@ fn a_scan_without_colours_in_a_ptx_file_is_grey_by_its_intensity() {
         format!("10\n5\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n{points}")
     };
     let folder = folder();
-    let file = write(folder.path(), "a.ptx", scan(1, " 200 100 50") + &scan(100, ""));
-    let (found, report) = colors(&[file]);
+    let [colored, grey] = [scan(1, " 200 100 50"), scan(100, "")];
+    for text in [format!("{colored}{grey}"), format!("{grey}{colored}")] {
+        a_scan_is_grey(&write(folder.path(), "a.ptx", text));
+    }
+}
+
+/// The first 50 points are of a colour, and the next 50 grey by their intensity, which is said.
+fn a_scan_is_grey(file: &Path) {
+    let (found, report) = colors(&[file.to_owned()]);
     assert!(found[..50].iter().all(|(_, color)| *color == [200.0, 100.0, 50.0]));
     let greys: Vec<f64> = found[50..].iter().map(|(_, color)| color[0]).collect();
     assert!(greys.is_sorted() && greys[3] < 60.0 && greys[46] > 195.0, "{greys:?}");

@@ -37,7 +37,7 @@ fn floats(count: u32, value: impl Fn(u32) -> f32) -> Vec<u8> {
 }
 
 /// An archive of arrays, as `numpy.savez` stores them.
-fn archive(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
+pub(crate) fn archive(arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let (mut bytes, mut directory) = (Vec::new(), Vec::new());
     for (name, data) in arrays {
         let mut sum = flate2::Crc::new();

@@ -47,13 +47,13 @@ fn volumes_that_are_not_read_are_refused_with_what_converts_them() {
         std::fs::write(f.join(name), bytes).expect("a write");
         f.join(name)
     };
-    refused(&written("a.vtk", &fixture("rectilinear.vtk")), &["RECTILINEAR_GRID", "Resample To Image"]);
+    refused(&written("a.vtk", &fixture("rectilinear.vtk")), &["evenly spaced along", "Resample To Image"]);
     refused(&written("b.vtk", &fixture("curved.vtk")), &["STRUCTURED_GRID", "Resample To Image"]);
     let dicom = [&[0; 128][..], b"DICM", &[0; 40]].concat();
     refused(&written("IM0001", &dicom), &["DICOM", "dcm2niix"]);
     refused(&written("stack.ome.tif", b"II*\0\x08\0\0\0"), &["TIFF", "tifffile"]);
     refused(&written("brain.img", &[0; 100]), &["Analyze", "nibabel"]);
-    refused(&written("flow.vtr", b"<?xml version=\"1.0\"?>"), &["ParaView"]);
+    refused(&written("flow.vts", b"<?xml version=\"1.0\"?>"), &["ParaView"]);
     refused(&written("c.nrrd.gz", &gzipped(&fixture("RAS.nrrd"))), &["gunzip"]);
     refused(&written("d.dx.gz", &gzipped(&fixture("plain.dx"))), &["gunzip"]);
     for (name, inside, words) in [
@@ -222,7 +222,9 @@ fn arrays_whose_last_axis_has_colours_or_coordinates_are_no_volumes_and_axes_of_
         ("(2, 2048, 3)", false),
         ("(4, 5, 3)", true),
         ("(1, 4, 5, 6, 1)", true),
-        ("(2, 4, 5, 6)", false),
+        // A series of volumes, and a film.
+        ("(2, 4, 5, 6)", true),
+        ("(2, 4, 5, 3)", false),
         ("(1, 4, 5)", false),
     ] {
         let header = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}\n");

@@ -50,6 +50,29 @@ fn pcd_is_known_by_its_content_and_read_alike_in_batches_of_any_size() {
 }
 
 #[test]
+fn pcd_reads_alike_whatever_ends_its_lines() {
+    for name in ENCODED {
+        let whole = bytes(name);
+        let is_text = name.starts_with("ascii");
+        let data = whole.windows(5).position(|window| window == b"\nDATA").expect("a line of its data") + 1;
+        let header = data + whole[data..].iter().position(|&byte| byte == b'\n').expect("its end") + 1;
+        let lines = if is_text { whole.len() } else { header };
+        let expected = outcome_of(name, &whole).expect("it reads");
+        // A first line that names the format, or none.
+        for begin in [&b"# .PCD v.7\n"[..], b""] {
+            for end in [&b"\r"[..], b"\r\n"] {
+                // The block of compressed points is found by the length of the header.
+                let text = [begin, &whole[..lines]].concat();
+                let text = text.split(|&byte| byte == b'\n').collect::<Vec<_>>().join(end);
+                let found = outcome_of("p", &[&text, &whole[lines..]].concat());
+                let found = found.unwrap_or_else(|error| panic!("{name}, {end:?}: {error}"));
+                assert!(are_same(&found.0, &expected.0) && found.1 == expected.1, "{name}, {end:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn colours_in_the_text_of_a_float_come_apart() {
     let float = f32::from_bits(0x00ff_8001);
     let rest = format!("SIZE 4 4 4 4\nTYPE F F F F\nWIDTH 1\nDATA ascii\n\n1 2 3 {float:e}\n");

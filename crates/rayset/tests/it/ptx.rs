@@ -65,13 +65,10 @@ fn malformed_ptx_is_an_error_that_names_line_and_value() {
         ("many\n".into(), "line 1: `many` where a number of columns was expected"),
         ("4\n4\n1 2 3\n".into(), "line 3: the file ends within the header of a scan, on line 1"),
         (scan(2, "1 2 3 0.5\n"), "line 1: the scan has 2 points, and 1 follow"),
-        (scan(1, "1 2 3\n"), "line 11: 3 numbers where 4 were expected"),
+        (scan(1, "1 2 3 0.5 1\n"), "line 11: 5 numbers where 3, 4, 6 or 7 were expected"),
+        (scan(1, "1 2 3 0.5 1 2 3 4\n"), "line 11: 8 numbers where 3, 4, 6 or 7 were expected"),
         (scan(1, "1 2 3 0.5 1 2 300\n"), "line 11: a colour of [1.0, 2.0, 300.0]"),
         (scan(1, "1 2 x 0.5\n"), "line 11: `x` is not a number"),
-        (
-            scan(1, "1 2 3 0.5\n") + &scan(1, "1 2 3 0.5 1 2 3\n"),
-            "line 22: a point with a colour after points without",
-        ),
         (scan(1, "1 2 3 0.5\n1 2 3 0.5\n"), "line 12: `1 2 3 0.5` where a number of columns was expected"),
         (scan(1, "1 2 3 0.5\n").replace("5 6 7 1\n", "5 6 7 2\n"), "line 10: row 4 of the matrix"),
         (scan(1, "1 2 3 0.5\n").replace("0 0 1\n", "0 0 1 9\n"), "line 6: 4 numbers where 3 were expected"),
@@ -80,6 +77,39 @@ fn malformed_ptx_is_an_error_that_names_line_and_value() {
     }
     let (position, _) = outcome_of("p.ptx", scan(1, "1 2 3 0.5").as_bytes()).expect("it reads");
     assert_eq!(position, [[6.0, 8.0, 10.0]]);
+}
+
+#[test]
+fn scans_of_a_ptx_file_have_intensities_and_colours_in_any_order_or_lack_them() {
+    let rows = ["1 2 3", "1 2 3 0.5", "1 2 3 10 20 30", "1 2 3 0.5 10 20 30"];
+    for (first, second) in (0..16).map(|i| (rows[i / 4], rows[i % 4])) {
+        let width = |row: &str| row.split(' ').count();
+        let has_intensity = [first, second].iter().any(|row| [4, 7].contains(&width(row)));
+        let has_color = [first, second].iter().any(|row| width(row) > 4);
+        let text = scan(1, &format!("{first}\n")) + &scan(1, &format!("{second}\n"));
+        let (position, columns) = outcome_of("p.ptx", text.as_bytes()).expect("it reads");
+        assert_eq!(position, [[6.0, 8.0, 10.0]; 2]);
+        let of = |row: &str, name: &str| {
+            let color = [("red", 10.0), ("green", 20.0), ("blue", 30.0)].iter().find(|color| color.0 == name);
+            match color {
+                Some((_, value)) if width(row) > 4 => *value,
+                None if name == "intensity" && [4, 7].contains(&width(row)) => 0.5,
+                _ => f64::NAN,
+            }
+        };
+        let names = ["intensity", "red", "green", "blue", "scan"];
+        let there = names.into_iter().filter(|&name| match name {
+            "intensity" => has_intensity,
+            "scan" => true,
+            _ => has_color,
+        });
+        assert!(there.clone().eq(columns.iter().map(|column| column.0.as_str())), "{columns:?}");
+        for (name, values) in &columns {
+            let expected =
+                if name == "scan" { vec![0.0, 1.0] } else { vec![of(first, name), of(second, name)] };
+            assert_eq!(format!("{values:?}"), format!("{expected:?}"), "{name} of `{first}`, `{second}`");
+        }
+    }
 }
 
 /// As PDAL reads them.

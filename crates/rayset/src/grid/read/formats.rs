@@ -42,7 +42,7 @@ const FORMATS: &[Format] = &[
         extensions: &["mha", "mhd"],
         begins: |head, _| Ok(head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = ")),
         zipped: false,
-        open: |path, index| alone(path, index, meta::open),
+        open: meta::open,
     },
     Format {
         extensions: &["nii", "nii.gz"],
@@ -57,12 +57,7 @@ const FORMATS: &[Format] = &[
         open: |path, index| alone(path, index, vdb::open),
     },
     // Arrays of other dimensions are no volumes, so the name does not tell.
-    Format {
-        extensions: &[],
-        begins: npy::is_volume,
-        zipped: false,
-        open: |path, index| alone(path, index, npy::open),
-    },
+    Format { extensions: &[], begins: npy::is_volume, zipped: false, open: npy::open },
     Format {
         extensions: &["slc"],
         begins: |head, _| Ok(slc::is_slc(head)),
@@ -83,7 +78,7 @@ const FORMATS: &[Format] = &[
         open: |path, index| alone(path, index, dx::open),
     },
     Format {
-        extensions: &["vti"],
+        extensions: &["vti", "vtr"],
         // Other files of VTK begin as this one does.
         begins: |head, _| {
             let has = |kind: &[u8]| head.windows(kind.len()).any(|w| w == kind);
@@ -95,11 +90,16 @@ const FORMATS: &[Format] = &[
 ];
 
 /// What is expected of a file that is no volume.
-const EXPECTED: &str = "expected NRRD, MetaImage, NIfTI, OpenVDB, VTI, legacy VTK of structured points, OpenDX, SLC, an \
+const EXPECTED: &str = "expected NRRD, MetaImage, NIfTI, OpenVDB, VTI, VTR, legacy VTK of structured points, OpenDX, SLC, an \
                         array of NumPy of three dimensions, or a --raw layout";
 
 const VDB_MAGIC: &[u8] = b" BDV\0\0\0\0";
-const VTI_TYPES: [&[u8]; 2] = [b"<VTKFile type=\"ImageData\"", b"<VTKFile type='ImageData'"];
+const VTI_TYPES: [&[u8]; 4] = [
+    b"<VTKFile type=\"ImageData\"",
+    b"<VTKFile type='ImageData'",
+    b"<VTKFile type=\"RectilinearGrid\"",
+    b"<VTKFile type='RectilinearGrid'",
+];
 
 /// Opens a volume of a format that has one in a file.
 fn alone(

@@ -1,11 +1,13 @@
-//! VTK's legacy files (`.vtk`) of a regular grid, `STRUCTURED_POINTS`: the first array of one number each of its points,
-//! otherwise of its cells at their centres; as text or big-endian.
+//! VTK's legacy files (`.vtk`) of a regular grid, `STRUCTURED_POINTS`, or a `RECTILINEAR_GRID` that is evenly spaced: the first
+//! array of one number each of its points, otherwise of its cells at their centres; as text or big-endian.
 
+use std::io::Read;
 use std::path::Path;
 
 use super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::error::ReadError;
 use super::fields::{Lines, counts, numbers};
+use super::rectilinear::{Coordinates, Even};
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 use crate::numbers::Stored;
@@ -13,15 +15,17 @@ use crate::text_numbers::{Behind, TextNumbers};
 
 const FIRST_LINE: &str = "# vtk DataFile Version";
 const REGULAR: &str = "STRUCTURED_POINTS";
+/// Grids with coordinates along each axis.
+const RECTILINEAR: &str = "RECTILINEAR_GRID";
 /// Grids of other shapes, which are recognized to be refused.
-const OTHERS: [&str; 2] = ["RECTILINEAR_GRID", "STRUCTURED_GRID"];
+const OTHER: &str = "STRUCTURED_GRID";
 
 /// Whether a file begins as one of VTK's that has a grid of voxels, regular or not.
 pub(super) fn is_grid(head: &[u8]) -> bool {
     let text = String::from_utf8_lossy(head).to_ascii_uppercase();
     let kind = text.lines().filter_map(|line| line.strip_prefix("DATASET ")).map(str::trim).next();
     head.starts_with(FIRST_LINE.as_bytes())
-        && kind.is_some_and(|kind| kind == REGULAR || OTHERS.contains(&kind))
+        && kind.is_some_and(|kind| [REGULAR, RECTILINEAR, OTHER].contains(&kind))
 }
 
 /// What arrays belong to.
@@ -48,8 +52,7 @@ struct File<'a> {
     lines: Lines,
     text: bool,
     size: Option<([u64; 3], String)>,
-    origin: DVec3,
-    spacing: DVec3,
+    even: Even,
     axes_place: String,
     group: Group,
     /// Tuples of each array of the group.
@@ -68,14 +71,15 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
         (None, None) => return Err(file.wrong("the file has no array of one number for each point or cell")),
     };
     let size = if of_cells { size.map(|n| n.saturating_sub(1)) } else { size };
-    let origin = file.origin + file.spacing * if of_cells { 0.5 } else { 0.0 };
+    let Even { first, spacing } = file.even;
+    let origin = first + spacing * if of_cells { 0.5 } else { 0.0 };
     let described = Described {
         size,
         stored: array.stored,
         big_endian: !file.text,
         scale: 1.0,
         offset: 0.0,
-        space_from_voxel: DAffine3::from_mat3_translation(DMat3::from_diagonal(file.spacing), origin),
+        space_from_voxel: DAffine3::from_mat3_translation(DMat3::from_diagonal(spacing), origin),
         size_place: size_place.clone(),
         axes_place: file.axes_place.clone(),
     };
@@ -124,8 +128,7 @@ impl<'a> File<'a> {
             lines,
             text,
             size: None,
-            origin: DVec3::ZERO,
-            spacing: DVec3::ONE,
+            even: Even { first: DVec3::ZERO, spacing: DVec3::ONE },
             axes_place: "SPACING".into(),
             group: Group::Dataset,
             tuples: 0,
@@ -156,11 +159,14 @@ impl<'a> File<'a> {
                 let size = counts(rest).ok_or_else(|| self.wrong("expected three numbers of points"))?;
                 self.size = Some((size, self.lines.place("DIMENSIONS")));
             }
-            "ORIGIN" => self.origin = three("ORIGIN")?,
+            "ORIGIN" => self.even.first = three("ORIGIN")?,
             "SPACING" | "ASPECT_RATIO" => {
-                self.spacing = three("SPACING")?;
+                self.even.spacing = three("SPACING")?;
                 self.axes_place = self.lines.place("SPACING");
             }
+            "X_COORDINATES" => self.coordinates(0, &words)?,
+            "Y_COORDINATES" => self.coordinates(1, &words)?,
+            "Z_COORDINATES" => self.coordinates(2, &words)?,
             "POINT_DATA" | "CELL_DATA" => {
                 self.tuples = number(0).ok_or_else(|| self.wrong("expected a number of points or cells"))?;
                 let points = key.eq_ignore_ascii_case("POINT_DATA");
@@ -188,14 +194,42 @@ impl<'a> File<'a> {
 
     fn dataset(&self, kind: &str) -> Result<(), ReadError> {
         let kind = kind.trim().to_ascii_uppercase();
-        if kind == REGULAR {
+        if [REGULAR, RECTILINEAR].contains(&kind.as_str()) {
             return Ok(());
         }
         let what = format!(
-            "the dataset is a {kind}, and {REGULAR} alone are read as volumes; resample it to a regular grid, as \
+            "the dataset is a {kind}, and {REGULAR} and evenly spaced {RECTILINEAR} are read as volumes; resample it to a regular grid, as \
              ParaView's filter Resample To Image does"
         );
         Err(self.wrong(&what))
+    }
+
+    /// Reads the coordinates of the points along an axis.
+    fn coordinates(&mut self, axis: usize, words: &[&str]) -> Result<(), ReadError> {
+        let count = words.first().and_then(|word| word.parse::<u64>().ok());
+        let kind = words.get(1).map(|kind| kind.to_ascii_lowercase()).unwrap_or_default();
+        let (Some(count), Some(stored)) = (count, stored(&kind)) else {
+            return Err(self.wrong("expected a number of coordinates and their type"));
+        };
+        let expected = self.size.as_ref().map(|(size, _)| size[axis]);
+        if expected != Some(count) || count == 0 {
+            let expected =
+                expected.map_or("no DIMENSIONS before".to_owned(), |n| format!("{n} in DIMENSIONS"));
+            return Err(self.wrong(&format!("{count} coordinates, and {expected}")));
+        }
+        let (place, path) = (self.lines.place(""), self.path);
+        let array = Array { stored, at: self.lines.bytes, count };
+        let is_text = self.text;
+        let coordinates = Coordinates { axis, stored, big_endian: !is_text, count };
+        // The file is checked to have all numbers before they are read.
+        self.skip(count, count.saturating_mul(stored.bytes() as u64))?;
+        let open = || -> Result<Box<dyn Read + Send>, ReadError> {
+            if is_text { Ok(text(path, &array)?.data) } else { Ok(Box::new(data_at(path, array.at)?)) }
+        };
+        let read = coordinates.read(&mut self.even, open)?;
+        read.map_err(|what| ReadError::header(path, &place, &what))?;
+        self.axes_place = place;
+        Ok(())
     }
 
     fn scalars(&mut self, words: &[&str]) -> Result<(), ReadError> {

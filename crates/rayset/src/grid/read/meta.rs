@@ -1,4 +1,5 @@
-//! MetaImage (ITK): `.mha` that contains its voxels, `.mhd` with the voxels in another file; plain or zlib.
+//! MetaImage (ITK): `.mha` that contains its voxels, `.mhd` with the voxels in another file; plain or zlib. Of more than three
+//! dimensions, the first three are those of space, and the others those of a series of volumes.
 //!
 //! As in ITK's own library, `HeaderSize` counts from the start of the file that holds the voxels, whichever that is, and −1
 //! means that the voxels are its last bytes. Compressed data end after `CompressedDataSize` bytes, or with the file if that
@@ -6,18 +7,26 @@
 //! may continue.
 
 use std::path::Path;
+use std::str::FromStr;
 
 use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes};
 use super::error::ReadError;
-use super::fields::{Lines, counts, numbers};
+use super::fields::Lines;
 use super::orientation::Orientation;
+use super::series::Series;
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 use crate::numbers::Stored;
 
+/// Most dimensions of a file.
+const MOST_DIMENSIONS: usize = 10;
+
 #[derive(Default)]
 struct Header {
-    size: Option<([u64; 3], String)>,
+    /// Numbers of each list of axes: `NDims`, which stands before the others.
+    dimensions: usize,
+    /// Of all dimensions, with its place.
+    size: Option<(Vec<u64>, String)>,
     stored: Option<Stored>,
     /// `ElementSpacing`, which takes precedence, and `ElementSize`.
     spacing: Option<[f64; 3]>,
@@ -34,9 +43,9 @@ struct Header {
     orientation: Orientation,
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let mut lines = Lines::open(path)?;
-    let mut header = Header { axes_place: "ElementSpacing".into(), ..Header::default() };
+    let mut header = Header { dimensions: 3, axes_place: "ElementSpacing".into(), ..Header::default() };
     let name = loop {
         let Some(line) = lines.next()? else {
             let what = "the header ends without ElementDataFile; is this a MetaImage?";
@@ -57,29 +66,44 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     }
     let described = header.described(path)?;
     let bytes = described.check(path)?;
+    let too_long = || ReadError::header(path, &described.size_place, "a series longer than any file");
+    let series = Series::new(path, header.volumes().ok_or_else(too_long)?, index)?;
+    let all = series.bytes(bytes).ok_or_else(too_long)?;
     let voxels = if name.eq_ignore_ascii_case("local") {
-        header.voxels(path, lines.bytes, bytes, Some(0))?
+        header.voxels(path, lines.bytes, all, Some(0))?
     } else {
-        header.voxels(&path.with_file_name(&name), 0, bytes, None)?
+        header.voxels(&path.with_file_name(&name), 0, all, None)?
     };
-    Ok(VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation))
+    let source = VolumeSource::new(&described, bytes, series.in_sequence(voxels, bytes)?);
+    Ok(source.with_orientation(header.orientation).of_series(series))
 }
 
 impl Header {
     fn take(&mut self, key: &str, value: &str, place: &str) -> Result<(), &'static str> {
-        let three = || numbers(value).ok_or("expected three finite numbers");
+        let three = || {
+            let all = self.finite(value, 1).ok_or("expected a finite number for each of NDims dimensions")?;
+            Ok::<_, &str>([all[0], all[1], all[2]])
+        };
         match key {
-            "NDims" if value != "3" => return Err("only volumes of three dimensions are read"),
+            "NDims" => {
+                let dimensions = value.parse().ok().filter(|n| (3..=MOST_DIMENSIONS).contains(n));
+                self.dimensions =
+                    dimensions.ok_or("only volumes of three dimensions are read, and series of them")?;
+            }
             "DimSize" => {
-                self.size =
-                    Some((counts(value).ok_or("expected three numbers of voxels")?, place.to_owned()));
+                let all = self.list(value, 1);
+                let all = all.ok_or("expected a number of voxels for each of NDims dimensions")?;
+                self.size = Some((all, place.to_owned()));
             }
             "ElementSpacing" => self.spacing = Some(three()?),
             "ElementSize" => self.element_size = Some(three()?),
             "Offset" | "Position" | "Origin" => self.offset = DVec3::from_array(three()?),
             "TransformMatrix" | "Rotation" | "Orientation" => {
-                let all: [f64; 9] = numbers(value).ok_or("expected nine finite numbers")?;
-                self.matrix = DMat3::from_cols_array(&all);
+                let all = self
+                    .finite(value, self.dimensions)
+                    .ok_or("expected as many finite numbers as a matrix of NDims dimensions has")?;
+                let of_axis = |axis: usize| DVec3::from_slice(&all[axis * self.dimensions..]);
+                self.matrix = DMat3::from_cols(of_axis(0), of_axis(1), of_axis(2));
             }
             "ElementNumberOfChannels" if value != "1" => return Err("only one number a voxel is read"),
             "BinaryData" if !truth(value)? => return Err("only binary voxels are read"),
@@ -111,9 +135,29 @@ impl Header {
         Ok(())
     }
 
+    /// A list of as many numbers as there are dimensions, `times` over.
+    fn list<T: FromStr>(&self, value: &str, times: usize) -> Option<Vec<T>> {
+        let count = self.dimensions * times;
+        let words = value.split_ascii_whitespace().take(count + 1);
+        let all: Option<Vec<T>> = words.map(|word| word.parse().ok()).collect();
+        all.filter(|all| all.len() == count)
+    }
+
+    /// As [`list`](Self::list), of finite numbers.
+    fn finite(&self, value: &str, times: usize) -> Option<Vec<f64>> {
+        self.list(value, times).filter(|all: &Vec<f64>| all.iter().all(|v| v.is_finite()))
+    }
+
+    /// The number of volumes: a product of sizes; `None` if no file has so many.
+    fn volumes(&self) -> Option<u64> {
+        let (sizes, _) = self.size.as_ref()?;
+        sizes[3..].iter().try_fold(1_u64, |all, n| all.checked_mul(*n))
+    }
+
     fn described(&self, path: &Path) -> Result<Described, ReadError> {
         let missing = |key: &str| ReadError::header(path, key, "missing");
-        let (size, size_place) = self.size.clone().ok_or_else(|| missing("DimSize"))?;
+        let (sizes, size_place) = self.size.as_ref().ok_or_else(|| missing("DimSize"))?;
+        let size = [sizes[0], sizes[1], sizes[2]];
         let spacing = DVec3::from_array(self.spacing.or(self.element_size).unwrap_or([1.0; 3]));
         let linear = self.matrix * DMat3::from_diagonal(spacing);
         Ok(Described {
@@ -123,7 +167,7 @@ impl Header {
             scale: 1.0,
             offset: 0.0,
             space_from_voxel: DAffine3::from_mat3_translation(linear, self.offset),
-            size_place,
+            size_place: size_place.clone(),
             axes_place: self.axes_place.clone(),
         })
     }

@@ -18,6 +18,7 @@ mod npy;
 mod nrrd;
 mod orientation;
 mod raw;
+mod rectilinear;
 mod refused;
 mod segments;
 mod series;
@@ -43,7 +44,7 @@ impl VolumeSource {
         formats::open(path, None)
     }
 
-    /// As [`open`](Self::open), of a file with a series of volumes, as NIfTI and NRRD of four dimensions are, that of an index,
+    /// As [`open`](Self::open), of a file with a series of volumes, as arrays of four dimensions are, that of an index,
     /// counted from 0; the first if `None`.
     ///
     /// # Errors

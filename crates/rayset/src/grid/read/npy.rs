@@ -1,13 +1,15 @@
-//! Arrays of NumPy of three dimensions (`.npy`), alone or in an archive (`.npz`).
+//! Arrays of NumPy of three dimensions (`.npy`), alone or in an archive (`.npz`), or of more, which are series of volumes.
 //!
-//! An array is indexed as `a[z, y, x]`, as imageio and scikit-image do. In an archive, the only array of three dimensions
-//! is read, or that of a usual name; axes of length one besides these three do not count; `spacing` or `sampling`, and `origin`, are three numbers in the order of its axes.
+//! An array is indexed as `a[z, y, x]`, as imageio and scikit-image do; axes before these three are those of a series, and axes
+//! of length one besides these three do not count. In an archive, the only array of three dimensions is read, or that of a
+//! usual name, otherwise a series; `spacing` or `sampling`, and `origin`, are three numbers in the order of the axes.
 
 use std::io::Read;
 use std::path::Path;
 
 use super::data::{Place, Voxels, data_at, io_error, regular_file_bytes};
 use super::error::ReadError;
+use super::series::Series;
 use super::source::{Described, VolumeSource};
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, is_archive, text_place};
 use crate::geometry::{DAffine3, DMat3, DVec3};
@@ -30,9 +32,7 @@ fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
 pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
     if is_archive(head) {
         return match Array::all(path) {
-            Ok(arrays) => {
-                Ok(!is_of_points(&arrays) && arrays.iter().any(|array| is_volume_array(&array.header)))
-            }
+            Ok(arrays) => Ok(has_volume(&arrays)),
             Err(Fault::Io(source)) if is_of_reading(&source) => Err(io_error(path)(source)),
             // Whoever reads it will say what is wrong with it.
             Err(_) => Ok(false),
@@ -50,46 +50,120 @@ fn is_of_points(arrays: &[Array]) -> bool {
     let rows = |array: &Array| array.header.shape.first().copied();
     let agrees = |array: &Array| arrays.iter().filter(|other| rows(other) == rows(array)).count() > 1;
     let is_usual = |array: &Array| USUAL_NAMES.contains(&array.member.name.as_str());
-    let has_volume = arrays.iter().any(|array| is_usual(array) && is_volume_array(&array.header));
+    let is_usual_volume = |array: &Array| is_usual(array) && is_volume_array(&array.header);
+    let has_volume = arrays.iter().any(|array| is_usual_volume(array) && !is_series(&array.header));
     let mut of_three = arrays.iter().filter(|array| matches!(*array.header.shape.as_slice(), [_, 3]));
     !has_volume && of_three.any(agrees)
 }
 
+/// Whether an array of an archive is its volume, or one of them. An archive with an array of three numbers a row has points,
+/// unless another is of three dimensions: arrays of more stand beside points, too.
+fn has_volume(arrays: &[Array]) -> bool {
+    let of_three = arrays.iter().any(|array| matches!(*array.header.shape.as_slice(), [_, 3]));
+    let is_one = |array: &Array| is_volume_array(&array.header) && !(of_three && is_series(&array.header));
+    !is_of_points(arrays) && arrays.iter().any(is_one)
+}
+
 /// One slice is a picture.
 fn is_volume_array(header: &Header) -> bool {
-    three_axes(header).is_some_and(|shape| shape.iter().all(|n| *n > 1) && !is_pictures(shape))
+    axes(header).is_some_and(|axes| axes.volume.iter().all(|n| *n > 1) && !axes.is_pictures())
         && stored(header).is_some()
 }
 
-/// The three axes of an array, which may have others of length one, as those of batches and channels are.
-fn three_axes(header: &Header) -> Option<[u64; 3]> {
-    let longer: Vec<u64> = header.shape.iter().copied().filter(|n| *n > 1).collect();
+fn is_series(header: &Header) -> bool {
+    axes(header).is_some_and(|axes| !axes.series.is_empty())
+}
+
+/// The axes of an array without those of length one, as those of batches and channels are.
+struct Axes {
+    /// Those before a volume, none of which is empty.
+    series: Vec<u64>,
+    volume: [u64; 3],
+}
+
+/// Most axes of a series.
+const MOST_SERIES_AXES: usize = 4;
+
+fn axes(header: &Header) -> Option<Axes> {
+    let longer: Vec<u64> = header.shape.iter().copied().filter(|n| *n != 1).collect();
     let shape = if header.shape.len() > 3 { longer } else { header.shape.clone() };
-    shape.try_into().ok()
+    let (series, volume) = shape.split_at_checked(shape.len().checked_sub(3)?)?;
+    let is_read = series.len() <= MOST_SERIES_AXES && !series.contains(&0);
+    Some(Axes { series: series.to_vec(), volume: volume.try_into().ok()? }).filter(|_| is_read)
 }
 
-/// Whether the last axis has colours or coordinates: the array is a picture, a grid of points, or several clouds.
-fn is_pictures([planes, rows, last]: [u64; 3]) -> bool {
-    last <= 4 && (planes > 16 || rows > 16)
+impl Axes {
+    /// Whether the last axis has colours or coordinates: the array is a picture, a film, a grid of points, or several clouds.
+    fn is_pictures(&self) -> bool {
+        let [planes, rows, last] = self.volume;
+        last <= 4 && (planes > 16 || rows > 16 || !self.series.is_empty())
+    }
+
+    /// The volume that is asked for, and in which of the places in the file it is: with Fortran's order the first axis is the
+    /// fastest.
+    fn series(
+        &self,
+        path: &Path,
+        header: &Header,
+        index: Option<u64>,
+    ) -> Result<(Series, Series), ReadError> {
+        let too_long = || ReadError::header(path, "its header", "a series longer than any file");
+        let volumes = self.series.iter().try_fold(1_u64, |all, n| all.checked_mul(*n));
+        let said = Series::new(path, volumes.ok_or_else(too_long)?, index)?;
+        let (mut place, mut left, mut stride) = (0, said.index, said.volumes);
+        for n in self.series.iter().rev() {
+            stride /= n;
+            place += left % n * stride;
+            left /= n;
+        }
+        Ok((said, Series { index: if header.fortran { place } else { said.index }, ..said }))
+    }
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let mut magic = Vec::new();
     data_at(path, 0)?.take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io_error(path))?;
     if is_archive(&magic) {
-        return open_archive(path);
+        return open_archive(path, index);
     }
     let array = Array::open(path, Member::whole(regular_file_bytes(path)?)).map_err(of_fault(path))?;
-    let described = described(&array.header, "its header", [1.0; 3], [0.0; 3]);
-    let described = described.map_err(|what| ReadError::header(path, "its header", &what))?;
-    let bytes = described.check(path)?;
-    let voxels = Place { path, start: array.header.bytes, bytes, rest: Some(0) }.plain()?;
-    Ok(VolumeSource::new(&described, bytes, voxels))
+    volume(path, &array, "its header", [[1.0; 3], [0.0; 3]], index, |all| {
+        Place { path, start: array.header.bytes, bytes: all, rest: Some(0) }.plain()
+    })
 }
 
-fn open_archive(path: &Path) -> Result<VolumeSource, ReadError> {
+/// The volume of an array, of which `voxels` opens all bytes. `spacing` and `origin` are in the order of its axes.
+fn volume(
+    path: &Path,
+    array: &Array,
+    place: &str,
+    [spacing, origin]: [[f64; 3]; 2],
+    index: Option<u64>,
+    voxels: impl FnOnce(u64) -> Result<Voxels, ReadError>,
+) -> Result<VolumeSource, ReadError> {
+    let header = &array.header;
+    let wrong = |what: &str| ReadError::header(path, place, what);
+    let described = described(header, place, spacing, origin).map_err(|what| wrong(&what))?;
+    let bytes = described.check(path)?;
+    let (said, series) = match axes(header) {
+        Some(axes) => axes.series(path, header, index)?,
+        None => (Series::new(path, 1, index)?, Series::new(path, 1, None)?),
+    };
+    let voxels = voxels(series.bytes(bytes).ok_or_else(|| wrong("a series longer than any file"))?)?;
+    let voxels = if header.fortran && series.volumes > 1 {
+        series.interleaved(voxels, bytes, described.stored.bytes()).map_err(|what| wrong(&what))?
+    } else {
+        series.in_sequence(voxels, bytes)?
+    };
+    Ok(VolumeSource::new(&described, bytes, voxels).of_series(said))
+}
+
+fn open_archive(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let arrays = Array::all(path).map_err(of_fault(path))?;
-    let volumes: Vec<&Array> = arrays.iter().filter(|array| is_volume_array(&array.header)).collect();
+    let mut volumes: Vec<&Array> = arrays.iter().filter(|array| is_volume_array(&array.header)).collect();
+    if volumes.iter().any(|array| !is_series(&array.header)) {
+        volumes.retain(|array| !is_series(&array.header));
+    }
     let called = |name: &str| volumes.iter().find(|array| array.member.name == name);
     let usual = || USUAL_NAMES.iter().find_map(|name| called(name)).copied();
     let chosen = if let [one] = volumes[..] { Some(one) } else { usual() };
@@ -109,21 +183,18 @@ fn open_archive(path: &Path) -> Result<VolumeSource, ReadError> {
         let found = arrays.iter().find(|array| names.contains(&array.member.name.as_str()));
         found.map_or(Ok([default; 3]), |array| three(path, array))
     };
-    let (spacing, origin) = (triple(&SPACINGS, 1.0)?, triple(&[ORIGIN], 0.0)?);
-    let described = described(header, &place, spacing, origin);
-    let described = described.map_err(|what| ReadError::header(path, &place, &what))?;
-    let bytes = described.check(path)?;
-    if member.bytes != header.bytes + bytes {
-        let what = format!(
-            "it has {} bytes, and {} were expected from its shape",
-            member.bytes - header.bytes.min(member.bytes),
-            bytes
-        );
-        return Err(ReadError::header(path, &place, &what));
-    }
-    let data = member.open(path, header.bytes).map_err(io_error(path))?;
-    let voxels = Voxels { path: path.to_owned(), data, rest: Some(0) };
-    let source = VolumeSource::new(&described, bytes, voxels);
+    let space = [triple(&SPACINGS, 1.0)?, triple(&[ORIGIN], 0.0)?];
+    let source = volume(path, array, &place, space, index, |all| {
+        if member.bytes != header.bytes + all {
+            let what = format!(
+                "it has {} bytes, and {all} were expected from its shape",
+                member.bytes - header.bytes.min(member.bytes)
+            );
+            return Err(ReadError::header(path, &place, &what));
+        }
+        let data = member.open(path, header.bytes).map_err(io_error(path))?;
+        Ok(Voxels { path: path.to_owned(), data, rest: Some(0) })
+    })?;
     if volumes.len() == 1 {
         return Ok(source);
     }
@@ -143,7 +214,7 @@ fn three(path: &Path, array: &Array) -> Result<[f64; 3], ReadError> {
     let mut data = member.open(path, header.bytes).map_err(io_error(path))?;
     let mut all = [0.0; 3];
     for one in &mut all {
-        let (mut from, mut to) = ([0; 8], [0; 4]);
+        let mut from = [0; 8];
         let from = &mut from[..stored.bytes()];
         data.read_exact(from).map_err(|error| match is_of_reading(&error) {
             true => io_error(path)(error),
@@ -152,13 +223,7 @@ fn three(path: &Path, array: &Array) -> Result<[f64; 3], ReadError> {
         if big_endian {
             from.reverse();
         }
-        let kind = stored.kind();
-        if let (Stored::F64, Ok(bytes)) = (stored, <[u8; 8]>::try_from(&*from)) {
-            // Single precision would round it.
-            *one = f64::from_le_bytes(bytes);
-        } else if stored.convert(from, &mut to[..kind.bytes()]) {
-            *one = f64::from(kind.value(&to[..kind.bytes()]));
-        }
+        *one = stored.number(from);
     }
     Ok(all)
 }
@@ -169,7 +234,8 @@ fn described(header: &Header, place: &str, spacing: [f64; 3], origin: [f64; 3]) 
         let kind = if header.is_structured { "records" } else { header.descr.as_str() };
         format!("elements of the type `{kind}`; numbers of i1 to i8, u1 to u8 and f2 to f8 are read")
     })?;
-    let [nz, ny, nx] = three_axes(header)
+    let [nz, ny, nx] = axes(header)
+        .map(|axes| axes.volume)
         .ok_or_else(|| format!("an array of the shape {:?}; a volume has three dimensions", header.shape))?;
     let [dz, dy, dx] = spacing;
     let [x, y, z] = [DVec3::X * dx, DVec3::Y * dy, DVec3::Z * dz];

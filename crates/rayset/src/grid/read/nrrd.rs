@@ -8,7 +8,6 @@
 //! skip` of −1 means that the voxels are at the end of the data, and −n − 1 that n bytes follow them. Nothing else may
 //! follow voxels in the file of the header, or in compressed data; a separate file of plain data may continue.
 
-use std::io::{self, Read};
 use std::path::Path;
 
 use super::data::{Begin, Compression, Place, Voxels, regular_file_bytes, skip_lines};
@@ -16,7 +15,7 @@ use super::error::ReadError;
 use super::fields::Lines;
 use super::orientation::Orientation;
 use super::segments::Segments;
-use super::series::{Interleaved, Series};
+use super::series::Series;
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 use crate::numbers::Stored;
@@ -74,32 +73,18 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
     let volumes = axis.and_then(|axis| header.sizes.as_ref()?.get(axis).copied()).unwrap_or(1);
     let series = Series::new(path, volumes, index)?;
     let too_long = || ReadError::header(path, &header.place("sizes"), "a series longer than any file");
-    let all = bytes.checked_mul(series.volumes).ok_or_else(too_long)?;
-    let mut voxels = header.voxels(path, lines.bytes, all)?;
-    match axis {
-        Some(0) => {
-            if series.volumes > MOST_INTERLEAVED {
-                let what = format!("a series of more than {MOST_INTERLEAVED} volumes, voxel by voxel");
-                return Err(ReadError::header(path, &header.place("sizes"), &what));
-            }
-            let width = described.stored.bytes();
-            let count = bytes / width as u64;
-            voxels.data = Box::new(Interleaved::new(voxels.data, series, width, count));
-        }
-        Some(3) => {
-            let before = bytes * series.index;
-            let passed = io::copy(&mut (&mut voxels.data).take(before), &mut io::sink());
-            passed.map_err(super::data::io_error(path))?;
-            voxels.rest = voxels.rest.map(|rest| rest + all - before - bytes);
-        }
-        _ => {}
-    }
+    let all = series.bytes(bytes).ok_or_else(too_long)?;
+    let voxels = header.voxels(path, lines.bytes, all)?;
+    let voxels = match axis {
+        Some(0) => series
+            .interleaved(voxels, bytes, described.stored.bytes())
+            .map_err(|what| ReadError::header(path, &header.place("sizes"), &what))?,
+        Some(3) => series.in_sequence(voxels, bytes)?,
+        _ => voxels,
+    };
     let source = VolumeSource::new(&described, bytes, voxels).with_orientation(header.orientation);
     Ok(source.of_series(series).with_labels(header.segments.of_layer(series.index)))
 }
-
-/// Most volumes of a series that are stored voxel by voxel.
-const MOST_INTERLEAVED: u64 = 1 << 16;
 
 impl Header {
     /// The place of a key in the header; the key itself if it is missing.

@@ -55,7 +55,7 @@ const REFUSED: [Refused; 5] = [
                `nibabel.Nifti1Image.from_image(nibabel.load(\"FILE\")).to_filename(\"volume.nii.gz\")` makes one",
     },
     Refused {
-        extensions: &["vtr", "vts", "pvti", "pvtr", "pvts"],
+        extensions: &["vts", "pvti", "pvtr", "pvts"],
         begins: |_| false,
         what: "this is a grid of VTK that is not regular, or in several files; ParaView's filter Resample To Image makes a \
                regular one, and `.vti` of one piece is read",

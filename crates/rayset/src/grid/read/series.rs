@@ -3,6 +3,7 @@
 use std::io::{self, Read};
 use std::path::Path;
 
+use super::data::{Voxels, io_error};
 use super::error::ReadError;
 
 /// The volumes of a file.
@@ -31,6 +32,31 @@ impl Series {
         Err(ReadError::Format { path: path.to_owned(), what: format!("--volume-index {index}: {there}") })
     }
 
+    /// The bytes of all volumes, of `bytes` each; `None` if no file has so many.
+    pub(super) fn bytes(self, bytes: u64) -> Option<u64> {
+        bytes.checked_mul(self.volumes)
+    }
+
+    /// Of `voxels`, those of all volumes one after another, those of the one that is read. `bytes` are those of a volume.
+    pub(super) fn in_sequence(self, voxels: Voxels, bytes: u64) -> Result<Voxels, ReadError> {
+        let Voxels { path, mut data, rest } = voxels;
+        let before = bytes * self.index;
+        let passed = io::copy(&mut (&mut data).take(before), &mut io::sink());
+        passed.map_err(io_error(&path))?;
+        let behind = (self.volumes - self.index - 1) * bytes;
+        Ok(Voxels { path, data, rest: rest.map(|rest| rest + behind) })
+    }
+
+    /// Of `voxels`, those of all volumes voxel by voxel, those of the one that is read. `bytes` are those of a volume, and
+    /// `width` those of a voxel.
+    pub(super) fn interleaved(self, voxels: Voxels, bytes: u64, width: usize) -> Result<Voxels, String> {
+        if self.volumes > MOST_INTERLEAVED {
+            return Err(format!("a series of more than {MOST_INTERLEAVED} volumes, voxel by voxel"));
+        }
+        let data = Box::new(Interleaved::new(voxels.data, self, width, bytes / width as u64));
+        Ok(Voxels { data, ..voxels })
+    }
+
     /// What to say of a series; `None` if there is nothing to choose.
     pub(super) fn about(self) -> Option<String> {
         let Self { volumes, index } = self;
@@ -43,9 +69,12 @@ impl Series {
     }
 }
 
+/// Most volumes of a series that are stored voxel by voxel.
+const MOST_INTERLEAVED: u64 = 1 << 16;
+
 /// The voxels of one volume of a series whose volumes are interleaved, voxel by voxel; behind its last voxel, all that
 /// follows.
-pub(super) struct Interleaved<R> {
+struct Interleaved<R> {
     data: R,
     series: Series,
     /// Bytes of a voxel.
@@ -61,7 +90,7 @@ pub(super) struct Interleaved<R> {
 const RECORDS: usize = 1024;
 
 impl<R: Read> Interleaved<R> {
-    pub(super) fn new(data: R, series: Series, width: usize, voxels: u64) -> Self {
+    fn new(data: R, series: Series, width: usize, voxels: u64) -> Self {
         Self { data, series, width, left: voxels, voxels: Vec::new(), at: 0 }
     }
 

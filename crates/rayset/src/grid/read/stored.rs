@@ -14,6 +14,26 @@ impl Stored {
         }
     }
 
+    /// The value of one number, little-endian. Integers of 64 bits are rounded.
+    pub(in crate::grid) fn number(self, from: &[u8]) -> f64 {
+        let two = || [from[0], from[1]];
+        let four = || [from[0], from[1], from[2], from[3]];
+        let eight = || [from[0], from[1], from[2], from[3], from[4], from[5], from[6], from[7]];
+        match self {
+            Self::I8 => f64::from(from[0] as i8),
+            Self::U8 => f64::from(from[0]),
+            Self::I16 => f64::from(i16::from_le_bytes(two())),
+            Self::U16 => f64::from(u16::from_le_bytes(two())),
+            Self::I32 => f64::from(i32::from_le_bytes(four())),
+            Self::U32 => f64::from(u32::from_le_bytes(four())),
+            Self::I64 => i64::from_le_bytes(eight()) as f64,
+            Self::U64 => u64::from_le_bytes(eight()) as f64,
+            Self::F16 => f64::from(half::from_le_bytes(two())),
+            Self::F32 => f64::from(f32::from_le_bytes(four())),
+            Self::F64 => f64::from_le_bytes(eight()),
+        }
+    }
+
     /// Converts one number; `from` and `to` are little-endian. Infinities and NaN become 0. Returns false if a finite number
     /// is out of the range of single precision.
     pub(in crate::grid) fn convert(self, from: &[u8], to: &mut [u8]) -> bool {

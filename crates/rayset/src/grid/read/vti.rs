@@ -1,15 +1,21 @@
-//! VTK ImageData in XML (`.vti`) of one piece: the scalars of its points, otherwise those of its cells at their centres; as
-//! text, inline or appended, raw or base64, plain or zlib.
+//! VTK ImageData in XML (`.vti`) of one piece, and a RectilinearGrid (`.vtr`) that is evenly spaced: the scalars of its points,
+//! otherwise those of its cells at their centres; as text, inline or appended, raw or base64, plain or zlib.
 
+use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::data::{Place, Voxels, regular_file_bytes};
+use super::data::{Place, Voxels, data_at, regular_file_bytes};
 use super::error::ReadError;
 use super::fields::{numbers, parsed};
+use super::rectilinear::{Coordinates, Even};
 use super::source::{Described, VolumeSource};
 use crate::geometry::{DAffine3, DMat3, DVec3};
 use crate::numbers::Stored;
 use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Opened, Piece, Tag, Words};
+
+/// The elements of grids that are read.
+const IMAGE: &str = "ImageData";
+const RECTILINEAR: &str = "RectilinearGrid";
 
 fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
     move |fault| match fault {
@@ -42,9 +48,13 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
         big_endian: words.big_endian,
         scale: 1.0,
         offset: 0.0,
-        space_from_voxel: place(path, &document.data, &extent, of_cells)?,
+        space_from_voxel: if document.data.name == RECTILINEAR {
+            even(path, &document, piece, &extent, file_bytes, of_cells)?
+        } else {
+            place(path, &document.data, &extent, of_cells)?
+        },
         size_place: document.data.place("WholeExtent"),
-        axes_place: document.data.place("Spacing"),
+        axes_place: document.data.place(if document.data.name == RECTILINEAR { "" } else { "Spacing" }),
     };
     let bytes = described.check(path)?;
     let count = bytes / described.stored.bytes() as u64;
@@ -65,11 +75,16 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
 
 /// The piece of the image.
 fn only_piece<'d>(path: &Path, document: &'d Document) -> Result<&'d Piece, ReadError> {
-    if document.file.attribute("type").is_some_and(|kind| kind != "ImageData") {
-        return Err(wrong(path, &document.file, "type", "only ImageData is read"));
+    let is_read = |kind: &str| [IMAGE, RECTILINEAR].contains(&kind);
+    if document.file.attribute("type").is_some_and(|kind| !is_read(kind)) {
+        return Err(wrong(path, &document.file, "type", "only ImageData and RectilinearGrid are read"));
     }
-    if document.data.name != "ImageData" {
-        return Err(ReadError::header(path, "ImageData", "missing; only image data are read"));
+    if !is_read(&document.data.name) {
+        return Err(ReadError::header(
+            path,
+            IMAGE,
+            "missing; only image data and rectilinear grids are read",
+        ));
     }
     match document.pieces.as_slice() {
         [piece] => Ok(piece),
@@ -154,4 +169,45 @@ fn place(path: &Path, image: &Tag, extent: &[i64; 6], of_cells: bool) -> Result<
     let first = DVec3::new(extent[0] as f64, extent[2] as f64, extent[4] as f64);
     let first = first + if of_cells { 0.5 } else { 0.0 };
     Ok(DAffine3::from_mat3_translation(linear, origin + linear * first))
+}
+
+/// The space of a rectilinear grid, of whose points the coordinates along each axis are evenly spaced.
+fn even(
+    path: &Path,
+    document: &Document,
+    piece: &Piece,
+    extent: &[i64; 6],
+    file_bytes: u64,
+    of_cells: bool,
+) -> Result<DAffine3, ReadError> {
+    let words = Words::of(&document.file).map_err(of_fault(path))?;
+    let arrays = &piece.coordinates.arrays;
+    if arrays.len() != 3 {
+        let what = format!("{} DataArrays in its Coordinates, where 3 were expected", arrays.len());
+        return Err(wrong(path, &piece.tag, "", &what));
+    }
+    let mut even = Even::default();
+    for (axis, tag) in arrays.iter().enumerate() {
+        let stored = stored(path, tag)?;
+        let count = extent[2 * axis + 1].checked_sub(extent[2 * axis]).and_then(|n| n.checked_add(1));
+        let count = count.and_then(|n| u64::try_from(n).ok()).filter(|n| *n > 0);
+        let bytes = count.and_then(|count| count.checked_mul(stored.bytes() as u64));
+        let (Some(count), Some(bytes)) = (count, bytes) else {
+            return Err(wrong(path, &piece.tag, "Extent", "has no points, or more than any file"));
+        };
+        let array = DataArray { path, document, tag, words, count, bytes, file_bytes };
+        let open = || array.open(stored).map_err(of_fault(path));
+        let is_text = matches!(open()?, Opened::Stream { is_text: true, .. });
+        let big_endian = words.big_endian && !is_text;
+        let numbers = || -> Result<Box<dyn Read + Send>, ReadError> {
+            Ok(match open()? {
+                Opened::Plain(start) => Box::new(data_at(path, start)?),
+                Opened::Stream { data, .. } => Box::new(BufReader::new(data)),
+            })
+        };
+        let coordinates = Coordinates { axis, stored, big_endian, count };
+        coordinates.read(&mut even, numbers)?.map_err(|what| wrong(path, tag, "", &what))?;
+    }
+    let origin = even.first + even.spacing * if of_cells { 0.5 } else { 0.0 };
+    Ok(DAffine3::from_mat3_translation(DMat3::from_diagonal(even.spacing), origin))
 }

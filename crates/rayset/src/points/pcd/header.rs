@@ -2,8 +2,10 @@
 
 use std::io::{BufRead, Read};
 
+use crate::points::lines::first_line_end;
 use crate::points::stream::Stream;
 use crate::points::{ColumnType, Place, ReadError, roles};
+use crate::regular_file::held;
 
 /// Longest header in bytes.
 const HEADER_LIMIT: u64 = 256 << 10;
@@ -46,6 +48,8 @@ pub(super) struct Header {
     /// Length of the header in bytes and in lines.
     pub(super) bytes: u64,
     pub(super) lines: u64,
+    /// The byte that ends its lines, and those of points as text.
+    pub(super) line_end: u8,
 }
 
 /// The lines of a header by their first words; `None` if there is none.
@@ -69,13 +73,16 @@ impl Header {
         let (mut bytes, mut number) = (0, 0);
         let mut lines = Lines::default();
         let mut line = Vec::new();
+        // What follows the header may be binary, so its first line decides.
+        let start = held(input).map_err(|source| ReadError::Io { path: path.clone(), source })?;
+        let line_end = first_line_end(start);
         loop {
             line.clear();
-            let read = input.by_ref().take(HEADER_LIMIT - bytes).read_until(b'\n', &mut line);
+            let read = input.by_ref().take(HEADER_LIMIT - bytes).read_until(line_end, &mut line);
             bytes += read.map_err(|source| ReadError::Io { path: path.clone(), source })? as u64;
             number += 1;
             let fail = |what: String| ReadError::malformed(&path, Place::Line(number), what);
-            if line.last() != Some(&b'\n') {
+            if line.last() != Some(&line_end) {
                 return Err(fail(if bytes == HEADER_LIMIT {
                     format!("a header of more than {HEADER_LIMIT} bytes")
                 } else {
@@ -99,6 +106,7 @@ impl Header {
                 viewpoint: if is_origin { String::new() } else { viewpoint },
                 bytes,
                 lines: number,
+                line_end,
             });
         }
     }

@@ -3,7 +3,8 @@
 //! Fields keep their names and types. A field of several numbers becomes as many columns, as in `fpfh_0`; colours packed
 //! into `rgb` or `rgba`, whatever their type, become `red`, `green`, `blue` and `alpha`, of a byte each; fields called `_`
 //! are padding. Points of grids that are NaN are delivered as such. As in PCL itself, the viewpoint is not applied: points
-//! are where the file says, and the description says from where they were seen.
+//! are where the file says, and the description says from where they were seen. Lines end with LF, CR LF, or
+//! CR alone.
 
 mod columns;
 mod header;
@@ -26,7 +27,8 @@ const BLOCK_BYTES: usize = 128 << 10;
 /// Whether a file that begins with these bytes is PCD. Some writers leave out the comment that names it.
 pub(super) fn begins(head: &[u8]) -> bool {
     let words = |text: &[u8]| head.windows(text.len()).any(|window| window == text);
-    head.starts_with(b"# .PCD") || (head.starts_with(b"VERSION") && words(b"\nFIELDS") && words(b"\nDATA"))
+    let lines = |first: &[u8]| [b'\n', b'\r'].iter().any(|end| words(&[&[*end], first].concat()));
+    head.starts_with(b"# .PCD") || (head.starts_with(b"VERSION") && lines(b"FIELDS") && lines(b"DATA"))
 }
 
 /// The points of a PCD file.
@@ -77,7 +79,7 @@ impl PcdSource {
         let rows = (BLOCK_BYTES / stride).max(1);
         let mut memory = input.memory_needed() + (rows * stride) as u64;
         let body = match (header.data, input.packing()) {
-            (Data::Ascii, _) => Body::Ascii(Lines::after(input, header.lines)),
+            (Data::Ascii, _) => Body::Ascii(Lines::after(input, header.lines, header.line_end)),
             (Data::Binary, _) => Body::Binary(input),
             (Data::Compressed, None) => {
                 memory = Transposed::memory_needed(&header.fields, rows);

@@ -67,6 +67,29 @@ pub(super) fn positions(file: &File, group: &Group) -> Result<Table, ReadError> 
     Ok(table)
 }
 
+/// The unit of the masses of a file, which is one: that of a dataset of masses of any type, otherwise that of the whole snapshot.
+fn unit_of_masses(file: &File) -> Result<String, ReadError> {
+    for kind in 0..MOST_TYPES {
+        let Some(group) = group_of(file, kind)? else { continue };
+        let (_, names) = file.names(&group)?;
+        for name in MASSES.iter().filter(|name| names.iter().any(|found| found == *name)) {
+            let Some(table) = Table::open(file, &group, name)? else { continue };
+            let unit = units::of(&table.attributes(file)?);
+            if !unit.is_empty() {
+                return Ok(unit);
+            }
+        }
+    }
+    for name in ["Units", "Parameters", "Header"] {
+        let Some(group) = file.group(name)? else { continue };
+        let unit = units::of_masses(&file.attributes(&group)?);
+        if !unit.is_empty() {
+            return Ok(unit);
+        }
+    }
+    Ok(String::new())
+}
+
 /// Where the radii of the particles of a type come from.
 #[derive(Clone, PartialEq)]
 pub(super) enum Radius {
@@ -120,6 +143,8 @@ pub(super) struct TypeLayout {
     tables: Vec<Stored>,
     /// The dataset with masses; otherwise the mass of all.
     pub(super) mass: Option<Result<String, f64>>,
+    /// Of the masses, wherever they are. Empty if none is stated.
+    mass_unit: String,
     pub(super) radius: Option<Radius>,
     pub(super) position_unit: String,
     /// Bytes of the largest chunk, and of the blocks of all datasets.
@@ -134,6 +159,7 @@ impl TypeLayout {
             kind,
             tables: Vec::new(),
             mass: None,
+            mass_unit: String::new(),
             radius: None,
             position_unit: String::new(),
             largest_chunk: 0,
@@ -163,6 +189,11 @@ impl TypeLayout {
             .or_else(|| find(&VOLUMES).map(Radius::Volume))
             .or_else(|| find(&DENSITIES).filter(|_| mass.is_some()).map(Radius::Density));
         (layout.mass, layout.radius) = (mass, radius);
+        if layout.mass.is_some() {
+            let own = layout.mass_tables().first().and_then(|name| layout.table(name));
+            let own = own.map(|table| table.unit.clone()).filter(|unit| !unit.is_empty());
+            layout.mass_unit = own.map_or_else(|| unit_of_masses(file), Ok)?;
+        }
         Ok(layout)
     }
 
@@ -218,10 +249,7 @@ pub(super) fn columns(types: &[TypeLayout]) -> Vec<(ColumnInfo, Supply)> {
         if with_radius {
             columns.push((ColumnInfo::new("weight", ColumnType::F64), Supply::Weight));
         }
-        let unit =
-            first.mass_tables().first().and_then(|name| first.table(name)).map(|table| table.unit.clone());
-        let info =
-            ColumnInfo::new("mass", common(TypeLayout::kind_of_mass)).with_unit(unit.unwrap_or_default());
+        let info = ColumnInfo::new("mass", common(TypeLayout::kind_of_mass)).with_unit(&first.mass_unit);
         columns.push((info, Supply::Mass));
     }
     if types.len() > 1 {

@@ -24,6 +24,17 @@ const CODES: [Names; 3] = [
     },
 ];
 
+/// The unit of masses of a whole snapshot, by the attributes of a group about its units or the parameters of its run. Empty if they
+/// state none.
+pub(super) fn of_masses(attributes: &Attributes) -> String {
+    // GADGET and its kin have masses over the Hubble parameter, SWIFT has not.
+    let names = [("UnitMass_in_g", " h^-1"), ("Unit mass in cgs (U_M)", "")];
+    let stated = names.iter().find_map(|(name, over)| Some((attributes.number(name)?, over)));
+    stated
+        .filter(|(factor, _)| *factor > 0.0)
+        .map_or_else(String::new, |(factor, over)| format!("{factor:e} cgs{over}"))
+}
+
 /// The unit of a dataset as text, such as `3.085678e21 cgs a h^-1`: the factor to CGS units, and the powers of the scale
 /// factor a and of the Hubble parameter h by which a number is multiplied as well. Empty if none is stated.
 pub(super) fn of(attributes: &Attributes) -> String {
