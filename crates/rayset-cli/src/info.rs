@@ -49,6 +49,8 @@ struct Info {
     weight_max: f32,
     position_error: f64,
     position_error_radii: f64,
+    /// The step of the coordinates that were read, if the inputs say so.
+    step: Option<[f64; 3]>,
     color: bool,
     attributes: Vec<Attribute>,
     crs: String,
@@ -193,6 +195,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         weight_max: h.weight.max(),
         position_error: h.position_error,
         position_error_radii: h.position_error_radii,
+        step: h.step,
         color: h.has_color,
         attributes: h.attributes.iter().map(Attribute::of).collect(),
         crs: h.crs.clone(),
@@ -322,8 +325,11 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
     histogram("radius");
     report::say(format_args!("weight      {}", column(weight)));
     histogram("weight");
+    let steps = info.step.map_or_else(String::new, |step| {
+        format!(", which have steps of {}", step.map(report::number).join(", "))
+    });
     report::say(format_args!(
-        "positions   within {:.3e} of those read, {:.3e} of a radius",
+        "positions   within {:.3e} of those read{steps}, {:.3e} of a radius",
         info.position_error, info.position_error_radii
     ));
     report::say(format_args!("colours     {}", if info.color { "yes" } else { "no" }));

@@ -82,3 +82,18 @@ fn voxels_have_a_histogram_and_an_orientation_too() {
     assert_eq!(report["histogram"]["counts"], serde_json::json!([384, 0, 0, 0, 0, 128]));
     assert_eq!((&report["look"], &report["up"]), (&"volume".into(), &"z".into()));
 }
+
+#[test]
+fn positions_are_told_with_the_step_of_the_coordinates_that_were_read() {
+    let folder = folder();
+    let f = folder.path();
+    plate(f);
+    assert!(!info(f, "C", &["p.txt"]).contains("steps of"));
+    let rows = (0..400).map(|i| format!("{}.25 {}.50 {}.125\n", 400_000 + i % 20, i / 20, i % 7));
+    fs::write(f.join("fixed.xyz"), rows.collect::<String>()).expect("a write");
+    let said = info(f, "C", &["fixed.xyz"]);
+    assert!(said.contains("of those read, which have steps of 0.01, 0.01, 0.001, "), "{said}");
+    let report: serde_json::Value =
+        serde_json::from_str(&info(f, "C", &["fixed.xyz", "--json"])).expect("a report");
+    assert_eq!(report["step"], serde_json::json!([0.01, 0.01, 0.001]));
+}
