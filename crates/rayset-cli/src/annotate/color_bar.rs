@@ -106,15 +106,19 @@ impl Shown {
         let title = layout.font.wrapped(&self.title, em, room, TITLE_LINES);
         let below = lower - upper - row - title.drop();
         let most = (((0.7 * layout.height()).min(below) / row) as usize).max(1);
-        let mut rows: Vec<(Option<Color>, String)> = (classes.iter().take(most))
+        let (listed, of_name) = (classes.iter().take(most), room - 1.6 * em);
+        let sizes = [1.0, 0.9, 0.8].map(|part| part * em);
+        let fits = |size: &f32| listed.clone().all(|class| layout.font.width(&class.name, *size) <= of_name);
+        let size = sizes.into_iter().find(fits).unwrap_or(sizes[2]);
+        let mut rows: Vec<(Option<Color>, String)> = listed
             .map(|Class { value, name, .. }| {
-                (Some(color_at(&self.map, *value)), layout.font.shortened(name, em, room - 1.6 * em))
+                (Some(color_at(&self.map, *value)), layout.font.shortened_within(name, size, of_name))
             })
             .collect();
         if classes.len() > most {
             rows.push((None, format!("and {} more", classes.len() - most)));
         }
-        let widest = rows.iter().map(|(_, text)| layout.font.width(text, em)).fold(0.0, f32::max);
+        let widest = rows.iter().map(|(_, text)| layout.font.width(text, size)).fold(0.0, f32::max);
         let widest = (widest + 1.6 * em).max(title.width(&layout.font));
         let left = (layout.width() - margin - widest).max(margin).round();
         let height = row * (rows.len() + 1) as f32 + title.drop();
@@ -130,7 +134,7 @@ impl Shown {
                 piece.shapes.push(layout.halo(&swatch));
                 piece.shapes.push(Drawn::Fill { path: swatch, color: *color });
             }
-            layout.font.write(name, em, (left + 1.6 * em, y + 0.95 * em), &mut text);
+            layout.font.write(name, size, (left + 1.6 * em, y + 0.95 * em), &mut text);
         }
         layout.write(&mut piece, text);
         piece

@@ -68,6 +68,22 @@ impl Font {
         format!("{}…", kept.trim_end())
     }
 
+    /// Both ends of a line that is at most `width` wide, with an ellipsis in between if anything is left out: of names that are
+    /// alike, the ends tell which is which.
+    pub(super) fn shortened_within(&self, text: &str, em: f32, width: f32) -> String {
+        if self.width(text, em) <= width {
+            return text.to_owned();
+        }
+        let letters: Vec<char> = text.chars().collect();
+        let without = |left_out: usize| -> String {
+            let kept = letters.len() - left_out;
+            let (begin, end) = letters.split_at(kept.div_ceil(2));
+            [begin, &['…'], &end[left_out..]].concat().into_iter().collect()
+        };
+        let fits = |line: &String| self.width(line, em) <= width;
+        (1..=letters.len()).map(without).find(fits).unwrap_or_default()
+    }
+
     /// A text in at most `most` lines that are at most `width` wide: in the size of an em if it fits, otherwise in smaller ones. What
     /// does not fit even so is left out, with an ellipsis.
     pub(super) fn wrapped(&self, text: &str, em: f32, width: f32, most: usize) -> Wrapped {

@@ -32,6 +32,8 @@ pub(super) struct Circumstances {
     pub(super) points: Option<u64>,
     /// Whether the look was chosen here, so that options of looks apply.
     pub(super) chosen: bool,
+    /// Whether all that is seen is solid by intent, as labels are.
+    pub(super) is_solid: bool,
     pub(super) rays_per_pixel: u64,
     pub(super) cropped: bool,
 }
@@ -94,7 +96,7 @@ impl Census {
                 format!(
                     "{whole} is empty: all that rays meet is transparent, or far smaller than a pixel; try {}",
                     or(
-                        // Voxels have one look alone.
+                        // No other look of voxels shows more.
                         if of.points.is_none() {
                             "--opacity extinction:10"
                         } else {
@@ -122,6 +124,7 @@ impl Census {
         }
         let rays = self.seen * of.rays_per_pixel;
         if of.chosen
+            && !of.is_solid
             && rays > 0
             && counts.nonzero_samples as f64 / (rays as f64) < FIRST_SAMPLE
             && share(self.pixels) < 20.0
@@ -156,7 +159,8 @@ mod tests {
     fn said(census: &Census, samples: u64, nonzero_samples: u64, chosen: bool) -> Option<String> {
         let mut counts = RenderCounts::default();
         (counts.samples, counts.nonzero_samples) = (samples, nonzero_samples);
-        let of = Circumstances { points: Some(9), chosen, rays_per_pixel: 1, cropped: false };
+        let of =
+            Circumstances { points: Some(9), chosen, is_solid: false, rays_per_pixel: 1, cropped: false };
         census.complaint(&counts, &of)
     }
 
@@ -172,7 +176,13 @@ mod tests {
         assert!(said(&census(BACKDROP, 0.0), 100, 60, true).expect("a remark").contains("--exposure 6"));
         assert!(said(&census([0.0; 3], 0.0), 100, 60, true).expect("a remark").contains("black"));
         assert!(said(&census([0.5; 3], 2.0), 100, 60, true).expect("a remark").contains("white"));
-        let of = Circumstances { points: Some(0), chosen: true, rays_per_pixel: 1, cropped: false };
+        let of = Circumstances {
+            points: Some(0),
+            chosen: true,
+            is_solid: false,
+            rays_per_pixel: 1,
+            cropped: false,
+        };
         let empty = grey.complaint(&RenderCounts::default(), &of).expect("a remark");
         assert!(empty.contains("no point"), "{empty}");
         let mut counts = RenderCounts::default();

@@ -34,7 +34,7 @@ pub(super) struct Shot {
     /// The scene that was chosen for a cloud or grid.
     pub(super) chosen: Option<String>,
     /// The name of the look that was chosen.
-    look: Option<&'static str>,
+    pub(super) look: Option<&'static str>,
     /// The sheet that the picture has its place on, beside its annotations.
     pub(super) sheet: Option<Sheet>,
     /// What the cameras of a turntable turn about.

@@ -289,11 +289,13 @@ impl GridLook {
             {"type": "headlight", "intensity": 0.5},
             {"type": "directional", "direction": sun, "intensity": 0.5, "shadow": false}
         ]);
-        // A label hides what is behind it within half a voxel.
-        let unit = if shows_labels { 0.5 * self.voxel } else { self.diagonal / 200.0 };
+        // A label hides what is behind it within a quarter of a voxel.
+        let unit = if shows_labels { 0.25 * self.voxel } else { self.diagonal / 200.0 };
         scene["rendering"]["unitDistance"] = json!(unit.max(1e-17));
         if shows_labels {
             scene["rendering"]["ambientOcclusion"] = json!(0.7);
+            // Steps of a quarter of a voxel: a first sample that lies deeper may have the shading of another side.
+            scene["rendering"]["stepFraction"] = json!(0.125);
         }
     }
 
