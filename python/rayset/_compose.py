@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -80,14 +80,19 @@ def camera_words(view: Any, direction: Any, up: Any, fovy: Any, orthographic: bo
     return said
 
 
-def look_of(held: Cloud | Grid, said: list[str], size: tuple[int, int]) -> tuple[dict[str, Any], str]:
-    """The scene that a cloud or grid is rendered as, and what is said of it. Errors name arguments, not options."""
+#: A place on the axis that the cameras of a turntable turn about, and its direction.
+About = tuple[Sequence[float], Sequence[float]]
+
+
+def look_of(held: Cloud | Grid, said: list[str], size: tuple[int, int], turns: bool = False) -> tuple[dict[str, Any], str, About | None]:
+    """The scene that a cloud or grid is rendered as, what is said of it, and with `turns` what the cameras of a turntable turn about, of
+    which its camera is the first. Errors name arguments, not options."""
     try:
-        text, line, _, _ = held._file.look(said, size)
+        text, line, _, _, about = held._file.look(said, size, turns)
     except SceneError as error:
         words = re.sub(r"'?--([a-z-]+)(?: <[A-Z_]+>)?'?", lambda found: found[1].replace("-", "_"), str(error))
         raise SceneError(words.replace(", for which `help` lists the others", "")) from None
-    return json.loads(text), line
+    return json.loads(text), line, about
 
 
 def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthographic: bool, size: Any) -> Camera:
@@ -97,7 +102,7 @@ def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthograp
     data = _framed(target)
     if data is None:
         raise ValueError("Camera.fit: there are no points or voxels to frame; say position and look_at")
-    chosen, _ = look_of(data, camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
+    chosen, _, _ = look_of(data, camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
     middle = tuple(0.5 * (a + b) for a, b in zip(*data.bounds))
     return replace(Camera.from_json(chosen["camera"]), about=middle)
 
@@ -126,7 +131,7 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
     for name, held in leaves.items():
         # What is said of a look is for the first; a grid beside a cloud has none of it.
         own = said if not chosen or isinstance(held, Cloud) else []
-        chosen[name], said_of_it = look_of(held, [*own, *camera_said], size)
+        chosen[name], said_of_it, _ = look_of(held, [*own, *camera_said], size)
         line = line or said_of_it
     if not chosen:
         if said:
@@ -145,6 +150,18 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
     if camera is not None:
         scene["camera"] = camera.to_json()
     return Composed(scene, target._data, line)
+
+
+def first_of_turntable(
+    target: Object, options: Mapping[str, Any], size: tuple[int, int], camera_said: list[str]
+) -> tuple[dict[str, Any], About] | None:
+    """The first camera of a turntable whose cameras all see the only cloud or grid of an object, and what they turn about; ``None`` of
+    objects whose bounds are to be framed."""
+    if not _is_framed_by_first(target):
+        return None
+    (held,) = target._data.values()
+    chosen, _, about = look_of(held, [*words(options), *camera_said], size, turns=True)
+    return None if about is None else (chosen["camera"], about)
 
 
 def _is_framed_by_first(target: Object) -> bool:

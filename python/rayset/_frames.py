@@ -45,7 +45,7 @@ def render_frames(
     cameras
         From where. Without any, and without `turntable`, those of the animation of the scene, frame by frame.
     turntable
-        How many pictures from all around: the camera (`camera`, or the one that frames the target) turns about the middle of the scene.
+        How many pictures from all around: the camera turns about the middle of what is seen. Without a `camera`, all of them see all of it.
     executor
         A client of ``dask.distributed``. Its workers render several frames at a time; those that are done early wait here, and no more are begun
         than two for each thread of a worker and two more, ahead of the one that is waited for.
@@ -66,7 +66,7 @@ def render_frames(
     changes = {key: options.pop(key, None) for key in keys}
     scene = _scene_of(target, {**changes, "size": size, "samples": samples, "camera": camera}, view, up, options)
     job = scene._job(crop, layers)
-    scenes = _seen_from(scene, job, cameras, turntable)
+    scenes = _seen_from(scene, crop, layers, cameras, turntable)
     budget, threads, patience = _arguments.memory_bytes(memory), _arguments.thread_count(threads), _arguments.seconds(timeout)
     if executor is None:
         engine = session if session is not None else _session.shared(budget, threads)
@@ -77,7 +77,7 @@ def render_frames(
     return _there(pictures.frames(executor, scenes, job["crop"], layers, budget, patience, told.told), scenes, told)
 
 
-def _seen_from(scene: Scene, job: dict[str, Any], cameras: Iterable[Camera] | None, turntable: int | None) -> list[Scene]:
+def _seen_from(scene: Scene, crop: Any, layers: bool, cameras: Iterable[Camera] | None, turntable: int | None) -> list[Scene]:
     if cameras is not None:
         found = list(cameras)
         for one in found:
@@ -85,7 +85,8 @@ def _seen_from(scene: Scene, job: dict[str, Any], cameras: Iterable[Camera] | No
                 raise TypeError(f"cameras: {one!r} where a Camera was expected")
         return [scene.with_camera(one) for one in found]
     turns = None if turntable is None else _arguments.whole(turntable, "turntable", 1, 1_000_000)
-    return [scene.with_camera(_camera(numbers)) for numbers in _native.cameras(job, turns)]
+    first, about = (scene, None) if turns is None else scene._first_of_turntable()
+    return [scene.with_camera(_camera(numbers)) for numbers in _native.cameras(first._job(crop, layers), turns, about)]
 
 
 def _camera(numbers: dict[str, list[float]]) -> Camera:

@@ -24,6 +24,7 @@ def open(
     *,
     cache: bool | _arguments.PathLike = True,
     columns: Sequence[str] | None = None,
+    volume_index: int | None = None,
     memory: int | str | None = None,
     threads: int | None = None,
     progress: Progress = False,
@@ -40,6 +41,8 @@ def open(
         Where what is built is kept: ``True`` for the user's folder for caches, a folder, or ``False`` for a temporary file.
     columns
         Names of the columns of text files and of arrays, as in ``["x", "y", "z", "-", "intensity"]``; ``"-"`` leaves one out.
+    volume_index
+        Which volume is read of a file with a series of them, counted from 0, as arrays of four dimensions are; the first by default.
     memory, threads, temp_dir
         What a build may use; 1 GiB by default.
 
@@ -48,7 +51,7 @@ def open(
     Cloud, Grid or Scene
     """
     if isinstance(source, (bytes, bytearray, memoryview)):
-        return _of_bytes(bytes(source), columns, memory, threads, progress, temp_dir)
+        return _of_bytes(bytes(source), columns, volume_index, memory, threads, progress, temp_dir)
     files = [source] if isinstance(source, (str, os.PathLike)) else source
     if not isinstance(files, Sequence):
         raise TypeError(f"open: expected a path, a list of paths or bytes, and got {type(source).__name__}")
@@ -62,8 +65,10 @@ def open(
     if isinstance(columns, str):
         raise TypeError(f"columns={columns!r}: expected a list of names, as in [\"x\", \"y\", \"z\"]")
     names = None if columns is None else [str(name) for name in columns]
+    index = None if volume_index is None else _arguments.whole(volume_index, "volume_index", 0, 2**63 - 1)
+    number = _arguments.thread_count(threads)
     with Told(progress) as told:
-        found, remarks = _native.open_files(paths, folder, keeps, names, folder_of_others, budget, _arguments.thread_count(threads), told)
+        found, remarks = _native.open_files(paths, folder, keeps, names, index, folder_of_others, budget, number, told)
     for remark in remarks:
         _log.info("%s", remark)
     if isinstance(found, _native.CloudFile):
@@ -78,7 +83,7 @@ def _is_built(paths: list[str], found: Any) -> bool:
     return paths == [found.address]
 
 
-def _of_bytes(data: bytes, columns: Any, memory: Any, threads: Any, progress: Progress, temp_dir: Any) -> Any:
+def _of_bytes(data: bytes, columns: Any, volume_index: Any, memory: Any, threads: Any, progress: Progress, temp_dir: Any) -> Any:
     found = _native.open_bytes(data)
     if isinstance(found, _native.CloudFile):
         return Cloud(found)
@@ -87,5 +92,14 @@ def _of_bytes(data: bytes, columns: Any, memory: Any, threads: Any, progress: Pr
     # Readers take files: this one is gone when the cloud or grid is built.
     raw = TemporaryFile(".raw")
     Path(raw.name).write_bytes(data)
-    return open(raw.name, cache=False, columns=columns, memory=memory, threads=threads, progress=progress, temp_dir=temp_dir)
+    return open(
+        raw.name,
+        cache=False,
+        columns=columns,
+        volume_index=volume_index,
+        memory=memory,
+        threads=threads,
+        progress=progress,
+        temp_dir=temp_dir,
+    )
 

@@ -61,6 +61,8 @@ class Scene:
         self._json = made.scene
         self._data = made.data
         self._folder = os.getcwd()
+        #: What the camera was chosen for, unless somebody has said where it is.
+        self._framed: tuple[Object, dict[str, Any], list[str]] | None = (root, look_options, said) if camera is None else None
         #: What was chosen for the look, and why.
         self.line = made.line
         self._override(None, lights, background, None, samples, exposure, tone_mapping, rendering)
@@ -79,6 +81,7 @@ class Scene:
         made._json = copy.deepcopy(dict(scene))
         names = {str(node["file"]) for node in _nodes(made._json) if str(node.get("file", "")).startswith("memory:")}
         made._data = {name: held_in_memory(name) for name in names}
+        made._framed = None
         made._folder = os.getcwd() if folder is None else _arguments.file(folder, "folder")
         made.line = ""
         return made
@@ -133,7 +136,23 @@ class Scene:
         """The same scene, seen from elsewhere; what is compiled of it is used again."""
         other = copy.copy(self)
         other._json = {**self._json, "camera": camera.to_json()}
+        other._framed = None
         return other
+
+    def _first_of_turntable(self) -> tuple[Scene, _compose.About | None]:
+        """The same scene, seen as by the first camera of a turntable, and what its cameras turn about; ``None`` if the camera is one that
+        somebody has said, or frames the whole scene."""
+        if self._framed is None:
+            return self, None
+        root, options, said = self._framed
+        size = _arguments.size(self._json.get("image", {}).get("size", (512, 512)))
+        found = _compose.first_of_turntable(root, options, size, said)
+        if found is None:
+            return self, None
+        camera, about = found
+        other = copy.copy(self)
+        other._json = {**self._json, "camera": camera}
+        return other, about
 
     def _override(
         self, size: Any, lights: Any, background: Any, camera: Camera | None, samples: Any, exposure: Any, tone_mapping: Any, rendering: Any
@@ -157,6 +176,7 @@ class Scene:
             self._json["background"] = _arguments.color(background, "background")
         if camera is not None:
             self._json["camera"] = camera.to_json()
+            self._framed = None
         if rendering is not None:
             self._json["rendering"] = {**self._json.get("rendering", {}), **rendering}
 

@@ -151,9 +151,17 @@ impl CloudFile {
     }
 
     /// The scene that it is rendered as if nobody says more than `words`, options of the program: the scene as JSON, what is
-    /// said of it, the name of the look, and what is up.
-    fn look(&self, py: Python<'_>, words: Vec<String>, size: (u32, u32)) -> PyResult<ChosenLook> {
-        let words = looks::parse(py, words)?;
+    /// said of it, the name of the look, and what is up; with `turns` also what the cameras of a turntable turn about, of which its
+    /// camera is the first.
+    #[pyo3(signature = (words, size, turns = false))]
+    fn look(
+        &self,
+        py: Python<'_>,
+        words: Vec<String>,
+        size: (u32, u32),
+        turns: bool,
+    ) -> PyResult<ChosenLook> {
+        let words = looks::parse(py, words, turns)?;
         let chosen = py.detach(|| looks::texts(self.looks()?.chosen(&words.look, &words.camera, size)?));
         looks::chosen(py, chosen)
     }
@@ -228,8 +236,15 @@ impl GridFile {
     }
 
     /// As [`CloudFile::look`].
-    fn look(&self, py: Python<'_>, words: Vec<String>, size: (u32, u32)) -> PyResult<ChosenLook> {
-        let words = looks::parse(py, words)?;
+    #[pyo3(signature = (words, size, turns = false))]
+    fn look(
+        &self,
+        py: Python<'_>,
+        words: Vec<String>,
+        size: (u32, u32),
+        turns: bool,
+    ) -> PyResult<ChosenLook> {
+        let words = looks::parse(py, words, turns)?;
         let chosen = py.detach(|| looks::texts(look::of_grid(&self.grid, &words.look, &words.camera, size)?));
         looks::chosen(py, chosen)
     }
@@ -322,6 +337,7 @@ pub(crate) fn open_files(
     cache: Option<PathBuf>,
     keep: bool,
     columns: Option<Vec<String>>,
+    volume_index: Option<u64>,
     temp_dir: Option<PathBuf>,
     memory: u64,
     threads: Option<usize>,
@@ -329,7 +345,7 @@ pub(crate) fn open_files(
 ) -> PyResult<(AnyFile, Vec<String>)> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let cache = if keep { CacheArgs::in_folder(cache) } else { CacheArgs::none() };
-    let cache = cache.with_columns(columns);
+    let cache = cache.with_columns(columns).with_volume_index(volume_index);
     let host = Package { remarks: Mutex::default(), progress: &progress, cancel: &cancel, folder: temp_dir };
     rayset::storage::look_again();
     let work = || rayset_inputs::open(&paths, &cache, Resources { memory, threads, host: &host });

@@ -10,8 +10,12 @@ use rayset_inputs::values;
 use crate::errors::{self, Kind};
 use crate::room;
 
-/// A scene as JSON, what is said of it, the name of the look, and what is up.
-pub(crate) type ChosenLook = (String, String, String, String);
+/// A place on the axis that the cameras of a turntable turn about, and its direction.
+pub(crate) type TurnsAbout = ([f64; 3], [f64; 3]);
+
+/// A scene as JSON, what is said of it, the name of the look, what is up, and of the first picture of a turntable what its cameras
+/// turn about.
+pub(crate) type ChosenLook = (String, String, String, String, Option<TurnsAbout>);
 
 /// Options of the program that say what something looks like.
 #[derive(Parser)]
@@ -23,8 +27,13 @@ pub(crate) struct Words {
     pub(crate) camera: CameraArgs,
 }
 
-pub(crate) fn parse(py: Python<'_>, words: Vec<String>) -> PyResult<Words> {
-    Words::try_parse_from(words).map_err(|error| {
+/// What was said; `turns` if it is of the first picture of a turntable.
+pub(crate) fn parse(py: Python<'_>, words: Vec<String>, turns: bool) -> PyResult<Words> {
+    let parsed = Words::try_parse_from(words).map(|mut words| {
+        words.camera.turns = turns;
+        words
+    });
+    parsed.map_err(|error| {
         let text = error.to_string();
         // Without how the program is used.
         let lines: Vec<&str> =
@@ -36,7 +45,8 @@ pub(crate) fn parse(py: Python<'_>, words: Vec<String>) -> PyResult<Words> {
 
 /// What was chosen, as texts.
 pub(crate) fn texts(chosen: Chosen) -> anyhow::Result<ChosenLook> {
-    Ok((chosen.scene.to_string(), chosen.line, chosen.look.to_owned(), chosen.up))
+    let about = chosen.turntable.map(|about| (about.center.to_array(), about.axis.to_array()));
+    Ok((chosen.scene.to_string(), chosen.line, chosen.look.to_owned(), chosen.up, about))
 }
 
 pub(crate) fn chosen(py: Python<'_>, chosen: anyhow::Result<ChosenLook>) -> PyResult<ChosenLook> {

@@ -11,10 +11,11 @@ use rayset::parts::{Joined, Part, PartOptions, Share};
 use rayset::scene::{Camera, Projection};
 use rayset::storage::{self, MemoryStorage, Storage};
 use rayset::{CancelToken, Region, SimdLevel};
-use rayset_inputs::look::turned;
+use rayset_inputs::look::{Turntable, standing_back};
 
 use crate::errors;
 use crate::image::Picture;
+use crate::looks::TurnsAbout;
 use crate::render::{self, Failure, Job, PIXEL_BYTES, Session};
 use crate::room;
 use crate::wait::{self, Progress};
@@ -178,12 +179,15 @@ fn numbers(camera: &Camera) -> HashMap<&'static str, Vec<f64>> {
 /// What the numbers of a camera take, with their keys.
 const CAMERA_BYTES: u64 = 1024;
 
-/// The cameras of a turntable of so many pictures, or else of the animation of the scene: of all its frames.
+/// The cameras of a turntable of so many pictures, or else of the animation of the scene: of all its frames. `about` is what the
+/// cameras of a turntable turn about, if the camera of the scene was chosen to be the first; otherwise it is the middle of the scene,
+/// and a camera that frames it stands back until all of them see it.
 #[pyfunction]
 pub(crate) fn cameras(
     py: Python<'_>,
     job: Job,
     turntable: Option<u32>,
+    about: Option<TurnsAbout>,
 ) -> PyResult<Vec<HashMap<&'static str, Vec<f64>>>> {
     let wanted = job.without_python();
     let parse = || {
@@ -193,7 +197,15 @@ pub(crate) fn cameras(
     let file = py.detach(parse).map_err(|failure| render::raised(py, failure))?;
     if let Some(turns) = turntable {
         room::check(u64::from(turns), CAMERA_BYTES, "the list of the cameras", "ask for fewer pictures")?;
-        let turn = |k| turned(&file.camera, &file.scene, f64::from(k) / f64::from(turns));
+        let aspect = f64::from(file.settings.width) / f64::from(file.settings.height);
+        let (first, about) = match about {
+            Some((center, axis)) => (file.camera, Turntable { center: center.into(), axis: axis.into() }),
+            None => {
+                let first = standing_back(&file.camera, &file.scene, aspect);
+                (first, Turntable::of_scene(&file.scene, &first))
+            }
+        };
+        let turn = |k| about.turned(&first, f64::from(k) / f64::from(turns));
         return Ok((0..turns).map(|k| numbers(&turn(k))).collect());
     }
     let path = file.path.ok_or_else(|| {

@@ -77,7 +77,7 @@ def _built(
             tasks.submit(None, "the merge", worker.merge, job, str(output))
             _, merged = tasks.next()
             _tell(told, "merge", 1, 1)
-    built, _ = _native.open_files([str(output)], None, True, None, None, 1 << 30, None, None)
+    built, _ = _native.open_files([str(output)], None, True, None, None, None, 1 << 30, None, None)
     if not isinstance(built, _native.CloudFile):
         raise InputError(f"{output}: another process has put something else in the place of the cloud")
     return built, merged.value, remarks

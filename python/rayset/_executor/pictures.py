@@ -206,7 +206,7 @@ def looking(picture: worker.Picture) -> Callable[[], Sequence[str]]:
 
     def look() -> Sequence[str]:
         scene = Scene.from_json(picture.scene, picture.folder)
-        _native.cameras(scene._job(None, False), 1)
+        _native.cameras(scene._job(None, False), 1, None)
         return sorted({_arguments.beside(picture.folder, node["file"]) for node in _nodes(scene.to_json()) if isinstance(node.get("file"), str)})
 
     return look

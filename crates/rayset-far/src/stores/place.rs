@@ -66,7 +66,10 @@ impl Place {
         let _ = (name.set_password(None), name.set_username(""));
         name.set_query(None);
         name.set_fragment(None);
-        Some(Self { keeper: Keeper::Web(host.into()), path, name: name.into() })
+        // A password may have been taken for a part of the path.
+        let shown = shown(std::path::Path::new(address));
+        let name = if shown.contains('…') { shown } else { name.into() };
+        Some(Self { keeper: Keeper::Web(host.into()), path, name })
     }
 }
 
@@ -81,6 +84,9 @@ mod tests {
         let place = Place::new("https://u:p@host:81/a%20b.rset?token=x").expect("an address");
         assert_eq!(place.keeper, Keeper::Web("https://u:p@host:81/?token=x".into()));
         assert_eq!(place.name, "https://host:81/a%20b.rset");
+        for unclear in ["http://u:12345@hunter2/hunter2@host/a", "http://u:1/hunter2@host/a"] {
+            assert_eq!(Place::new(unclear).expect("an address").name, "http://…@host/a");
+        }
         for wrong in
             ["s3://bucket", "s3://bucket/", "s3://bucket/a/", "s3:///a", "ftp://host/a", "https://host/"]
         {

@@ -80,6 +80,13 @@ impl CacheArgs {
         Self { choices: BuildChoices::of_columns(columns), ..self }
     }
 
+    /// The same, with the volume that is read of a series; `None` for the first.
+    #[must_use]
+    pub fn with_volume_index(mut self, index: Option<u64>) -> Self {
+        self.choices.volume_index = index;
+        self
+    }
+
     /// The options as one would type them: those that decide what is built, and where it is kept.
     #[must_use]
     pub fn words(&self) -> Vec<String> {

@@ -21,6 +21,9 @@ pub fn redacted(text: &str) -> Cow<'_, str> {
     without_secrets(text, Extent::Word).map_or(Cow::Borrowed(text), Cow::Owned)
 }
 
+/// Stands for what may be a user and a password.
+const HIDDEN_USER: &str = "…@";
+
 /// Up to where an address goes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Extent {
@@ -37,6 +40,11 @@ fn without_secrets(text: &str, extent: Extent) -> Option<String> {
     while let Some(start) = Start::find(rest) {
         out.push_str(&rest[..start.at]);
         rest = &rest[start.at..];
+        // What was shown once stays as it is.
+        if rest.starts_with(HIDDEN_USER) {
+            out.push_str(HIDDEN_USER);
+            rest = &rest[HIDDEN_USER.len()..];
+        }
         match User::of(rest, extent) {
             User::None => {}
             User::Before(at) => {
@@ -45,18 +53,15 @@ fn without_secrets(text: &str, extent: Extent) -> Option<String> {
             }
             User::Unclear { at, is_query } => {
                 let (_, end) = ends(rest, extent);
-                out.push('…');
-                if is_query {
-                    out.push_str(marks_of_a_sentence(&rest[..end]));
-                    rest = &rest[end..];
-                } else {
-                    out.push('@');
-                    rest = &rest[at + 1..];
-                }
                 changed = true;
                 if is_query {
+                    out.push('…');
+                    out.push_str(marks_of_a_sentence(&rest[..end]));
+                    rest = &rest[end..];
                     continue;
                 }
+                out.push_str(HIDDEN_USER);
+                rest = &rest[at + 1..];
             }
         }
         let (authority, end) = ends(rest, extent);
@@ -247,6 +252,7 @@ mod tests {
         ] {
             assert_eq!(shown(Path::new(text)), expected, "{text}");
             assert_eq!(redacted(text), expected, "{text}");
+            assert_eq!(redacted(expected), expected, "it is shown once more");
             let within = format!("cannot read \"{text}\": of `{text}` ({text}); {text}, <{text}>");
             let without =
                 format!("cannot read \"{expected}\": of `{expected}` ({expected}); {expected}, <{expected}>");
