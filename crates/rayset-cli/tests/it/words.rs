@@ -155,7 +155,7 @@ fn a_file_of_another_kind_is_told_what_it_is_and_what_to_do_with_it() {
         (&["render", "c.rset", "p.ply", "-o", "x.png"], &["c.rset", "has been built", "docs/scene.md"]),
         (
             &["render", "g.rset", "--look", "surface", "-o", "x.png"],
-            &["is for points", "the input has voxels, whose look is volume"],
+            &["is for points", "the input has voxels, whose looks are volume and labels"],
         ),
         (&["render", "c.rset", "--look", "classes", "-o", "x.png"], &["stores no classes"]),
         (&["render", "absent*.laz", "-o", "x.png"], &["no file matches absent*.laz"]),

@@ -15,8 +15,12 @@ pub(super) const MOST_BYTES: u64 = 4 << 20;
 /// What the extensions, the bytes from 352 up to the voxels, say of labels. Damaged ones say nothing: they are no part of the
 /// volume.
 pub(super) fn of_extensions(mut extensions: &[u8], big_endian: bool) -> NamedLabels {
-    let number =
-        |bytes: [u8; 4]| if big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) };
+    let number = |mut bytes: [u8; 4]| {
+        if big_endian {
+            bytes.reverse();
+        }
+        u32::from_le_bytes(bytes)
+    };
     let mut labels = NamedLabels::default();
     while let Some((&[size, code], _)) = extensions.as_chunks().0.split_first_chunk::<2>() {
         let Some(data) = extensions.get(8..number(size) as usize) else { break };
