@@ -100,6 +100,19 @@ def body(path):
     path.write_bytes(head.encode() + struct.pack(f"<{len(values)}h", *values))
 
 
+def segments(path):
+    """Two organs, side by side, as 3D Slicer writes segments; the second has no name."""
+    sizes = (32, 24, 20)
+    head = (f"NRRD0004\ntype: unsigned char\ndimension: 3\nsizes: {' '.join(map(str, sizes))}\nencoding: raw\nspacings: 1 1 1\n"
+            "Segment0_Name:=liver\nSegment0_LabelValue:=3\nSegment0_Color:=0.8 0.2 0\n\n")
+
+    def label(x, y, z):
+        return 0 if math.dist((x, y, z), (16, 12, 10)) > 9 else 3 if x < 16 else 200
+
+    values = [label(x, y, z) for z in range(sizes[2]) for y in range(sizes[1]) for x in range(sizes[0])]
+    path.write_bytes(head.encode() + bytes(values))
+
+
 def splats(path):
     """A few Gaussian splats, longer than wide."""
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
@@ -116,7 +129,7 @@ def ball(path):
 
 
 def make_inputs(folder):
-    written = {"sheet.ply": sheet, "field.las": field, "ball.json": ball, "slope.nrrd": nrrd, "splats.ply": splats, "body.nrrd": body,
+    written = {"sheet.ply": sheet, "field.las": field, "ball.json": ball, "slope.nrrd": nrrd, "splats.ply": splats, "body.nrrd": body, "organs.seg.nrrd": segments,
                "centimetres.las": centimetres, "millimetres.las": millimetres, "centimetres.xyz": text_of_centimetres}
     for name, write in written.items():
         write(folder / name)

@@ -80,6 +80,36 @@ def the_colours_of_a_ct_scan_are_not_called_by_the_name_of_a_map(browser, server
     person.well()
 
 
+@test("organs.seg.nrrd")
+def labels_are_listed_by_name_in_their_colours(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.converged()
+    assert person.evaluate("rayset.view.legend.look") == "labels"
+    listed = person.page.locator("ul.classes li")
+    assert listed.all_text_contents() == ["liver", "200"]
+    swatch = person.evaluate("getComputedStyle(document.querySelector('.classes .swatch')).backgroundColor")
+    assert swatch == "rgb(204, 51, 0)", swatch
+    assert not person.page.locator("canvas.bar").is_visible() and not person.page.get_by_label("Logarithmic").is_visible()
+    listed.first.scroll_into_view_if_needed()
+    person.shot("labels")
+    # Values in colours of a map have a bar.
+    person.page.get_by_label("Look", exact=True).select_option("volume")
+    person.wait("rayset.view.legend?.look === 'volume'")
+    person.converged()
+    assert person.page.locator("canvas.bar").is_visible() and listed.count() == 0
+    person.well()
+
+
+@test("field.las")
+def classes_are_listed_by_name(browser, server, _folder):
+    person = Person(browser, server, width=720, height=480)
+    person.page.get_by_label("Look", exact=True).select_option("classes")
+    person.wait("rayset.view.legend?.look === 'classes'")
+    person.converged()
+    assert person.page.locator("ul.classes li").all_text_contents() == ["ground", "building"]
+    person.well()
+
+
 @test("field.las")
 def a_pick_has_the_unit_and_the_digits_of_its_file(browser, server, _folder):
     person = Person(browser, server)
