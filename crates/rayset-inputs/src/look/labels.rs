@@ -41,10 +41,10 @@ impl LabelLook {
     /// `None` if the voxels have many values, or values that are not whole.
     pub(super) fn of(header: &GridHeader) -> Option<Self> {
         let known = &header.labels;
-        let voxels: u64 = known.values.iter().map(|label| label.voxels).sum();
+        let voxels: f64 = known.values.iter().map(|label| label.voxels as f64).sum();
         let common = known.values.iter().max_by_key(|label| label.voxels)?;
         let has_zero = known.values.iter().any(|label| label.value == 0.0);
-        let is_common = common.voxels as f64 > MOST_COMMON * voxels as f64;
+        let is_common = common.voxels as f64 > MOST_COMMON * voxels;
         let background = if has_zero { Some(0.0) } else { is_common.then_some(common.value) };
         let mut shown: Vec<Label> = Vec::new();
         for label in known.values.iter().filter(|label| Some(label.value) != background) {

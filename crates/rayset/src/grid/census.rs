@@ -30,7 +30,7 @@ struct Found {
 
 impl Census {
     /// The most memory that it takes, in bytes.
-    pub(super) const BYTES: u64 = (MOST_VALUES * (size_of::<Found>() + size_of::<(f32, usize)>())) as u64;
+    pub(super) const BYTES: u64 = 2 * (MOST_VALUES * (size_of::<Found>() + size_of::<(f32, usize)>())) as u64;
 
     pub(super) fn new(row_voxels: u64) -> Self {
         Self { row_voxels, in_row: 0, latest: 0, found: Vec::new(), by_number: Vec::new(), given_up: false }

@@ -46,8 +46,10 @@ impl GridLabels {
     #[must_use]
     pub fn mean_run_without(&self, background: Option<f64>) -> f64 {
         let others = self.values.iter().filter(|label| Some(label.value) != background);
-        let (voxels, runs) = others.fold((0, 0), |(v, r), label| (v + label.voxels, r + label.runs));
-        voxels as f64 / (runs as f64).max(1.0)
+        // A file may say any numbers.
+        let (voxels, runs) =
+            others.fold((0.0, 0.0), |(v, r), label| (v + label.voxels as f64, r + label.runs as f64));
+        voxels / f64::max(runs, 1.0)
     }
 
     /// The section's bytes; `None` if there is nothing to keep.
