@@ -50,6 +50,7 @@ pub(crate) struct Behaviour {
 }
 
 /// What happens when a number of requests have come.
+#[derive(Clone)]
 pub(crate) enum Event {
     /// The server behaves otherwise.
     Behave(Behaviour),
