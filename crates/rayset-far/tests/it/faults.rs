@@ -138,7 +138,7 @@ impl Far {
     }
 
     /// From about the middle on it goes wrong, and one of these words is said of it.
-    fn goes_wrong(&self, event: Event, words: &[&str]) {
+    fn goes_wrong(&self, event: &Event, words: &[&str]) {
         // The first requests open it. A busy machine joins more of the others: then fewer of them are half of all.
         let parts = [2, 3, 4, 6, 8, 16].map(|part| (self.requests / part).max(2));
         let found = parts.into_iter().find_map(|requests| {
@@ -165,12 +165,12 @@ impl Far {
     /// Everything that is wrong for good.
     fn everything_goes_wrong(&self) {
         let refused = |code| Event::Behave(Behaviour { refuses: Some(code), ..Behaviour::default() });
-        self.goes_wrong(refused(403), &["access is denied"]);
-        self.goes_wrong(refused(404), &["there is no such object"]);
-        self.goes_wrong(Event::Behave(odd("silent")), &["no answer within"]);
+        self.goes_wrong(&refused(403), &["access is denied"]);
+        self.goes_wrong(&refused(404), &["there is no such object"]);
+        self.goes_wrong(&Event::Behave(odd("silent")), &["no answer within"]);
         // As long as the first, so that its length tells nothing.
         let other = Event::Put(self.name.to_owned(), self.file.clone());
-        self.goes_wrong(other, &["another object has taken its place"]);
+        self.goes_wrong(&other, &["another object has taken its place"]);
         for lie in ["short", "long", "too-few", "other-range"] {
             self.lies_are_not_believed(lie);
         }
