@@ -262,7 +262,8 @@ fn gaussian<S: Simd>(q: f32x8<S>) -> f32x8<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fearless_simd::{Level, dispatch};
+    use crate::field::dispatch;
+    use fearless_simd::Level;
 
     #[inline(always)]
     fn lanes<S: Simd, K: LaneKernel>(simd: S, q: [f32; 8]) -> ([f32; 8], [f32; 8]) {

@@ -28,4 +28,5 @@ pub use ray_columns::{Crossing, RayColumns};
 pub use run::{AttributeColumns, DecodedRun, RunDecoder, linear_from_srgb};
 pub use samples::{Channels, FieldSamples, LeastAbsorption, RayEnds, SampleRow};
 pub use simd::SimdLevel;
+pub(crate) use simd::dispatch;
 pub use splat::Splatter;

@@ -1,10 +1,10 @@
 //! Up to sixty-four rays, tested against boxes together.
 
+use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
-use fearless_simd::{dispatch, f32x16};
 
 use super::packet::LANES;
-use super::simd::SimdLevel;
+use super::simd::{SimdLevel, dispatch};
 use crate::geometry::{Aabb, DVec3, Ray};
 
 /// Rays stored by columns, prepared for tests against boxes.

@@ -1,11 +1,11 @@
 //! A run of points, decoded for the inner loop.
 
+use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
-use fearless_simd::{dispatch, f32x8};
 
 use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
 use super::kernel::Kernel;
-use super::simd::SimdLevel;
+use super::simd::{SimdLevel, dispatch};
 use crate::geometry::DVec3;
 use crate::octree::format::Header;
 use crate::octree::layout::{RUN_POINTS, RootCell};

@@ -1,4 +1,8 @@
 //! The vector instruction set in use, chosen at run time.
+//!
+//! Inner loops are compiled for what every processor has and for what makes them faster by much: on x86-64 SSE2, AVX2 and AVX-512.
+//! SSE4.2 would take 3 % off pictures of points, and a third off those of grids, on processors older than AVX2; every set more has all of them
+//! compiled once more.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,11 +19,20 @@ pub struct SimdLevel(Level);
 impl Default for SimdLevel {
     /// The best instruction set of this processor.
     fn default() -> Self {
-        Self(Level::new())
+        Self::of(Level::new())
     }
 }
 
 impl SimdLevel {
+    /// The best set that loops are compiled for of those that a level includes.
+    fn of(level: Level) -> Self {
+        match level {
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            Level::Sse4_2(_) => Self::baseline(),
+            level => Self(level),
+        }
+    }
+
     /// The instruction set that every processor of the architecture has: SSE2 on x86-64, NEON on 64-bit ARM, otherwise
     /// scalar code.
     #[must_use]
@@ -30,13 +43,10 @@ impl SimdLevel {
     /// All instruction sets of this processor, the best first.
     #[must_use]
     pub fn available() -> Vec<Self> {
-        let best = Level::new();
-        let mut levels = vec![Self(best)];
+        let best = Self::default();
+        let mut levels = vec![best];
         #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
-        {
-            let lower = [best.as_avx2().map(Level::Avx2), best.as_sse4_2().map(Level::Sse4_2)];
-            levels.extend(lower.into_iter().flatten().map(Self));
-        }
+        levels.extend(best.0.as_avx2().map(|avx2| Self(Level::Avx2(avx2))));
         levels.push(Self::baseline());
         levels.dedup_by_key(|l| l.name());
         levels
@@ -51,9 +61,7 @@ impl SimdLevel {
             #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
             Level::Avx2(_) => "avx2",
             #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
-            Level::Sse4_2(_) => "sse4.2",
-            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
-            Level::Sse2(_) => "sse2",
+            Level::Sse4_2(_) | Level::Sse2(_) => "sse2",
             #[cfg(target_arch = "aarch64")]
             Level::Neon(_) => "neon",
             _ => "scalar",
@@ -71,6 +79,35 @@ impl SimdLevel {
         self.0
     }
 }
+
+/// Calls a function that is generic over `Simd`, compiled for an instruction set: `dispatch!(level, simd => call)`. What is called has to be
+/// inlined (`#[inline(always)]`) to be compiled for it. As the macro of `fearless_simd`, which also compiles for SSE4.2.
+#[cfg(all(any(target_arch = "x86", target_arch = "x86_64"), target_feature = "sse2"))]
+macro_rules! dispatch {
+    (@with $token:expr, $simd:pat => $call:expr) => {{
+        let token = $token;
+        let $simd = token;
+        ::fearless_simd::Simd::vectorize(
+            token,
+            #[inline(always)]
+            || $call,
+        )
+    }};
+    ($level:expr, $simd:pat => $call:expr) => {
+        match $level {
+            ::fearless_simd::Level::Avx512(token) => $crate::field::dispatch!(@with token, $simd => $call),
+            ::fearless_simd::Level::Avx2(token) => $crate::field::dispatch!(@with token, $simd => $call),
+            level => match level.as_sse2() {
+                Some(token) => $crate::field::dispatch!(@with token, $simd => $call),
+                None => unreachable!("what is compiled for SSE2 runs where it is"),
+            },
+        }
+    };
+}
+#[cfg(all(any(target_arch = "x86", target_arch = "x86_64"), target_feature = "sse2"))]
+pub(crate) use dispatch;
+#[cfg(not(all(any(target_arch = "x86", target_arch = "x86_64"), target_feature = "sse2")))]
+pub(crate) use fearless_simd::dispatch;
 
 impl fmt::Display for SimdLevel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -10,7 +10,6 @@
 //! - a sample receives contributions in the order of the points in the file;
 //! - culling only leaves out pairs whose contribution is exactly zero, and samples behind the end of their ray.
 
-use fearless_simd::dispatch;
 use fearless_simd::prelude::*;
 
 use super::batch::{BatchedRun, MOST_RUNS, RunBatch};
@@ -22,7 +21,7 @@ use super::lane_ray::LaneRay;
 use super::packet::{BLOCK_SAMPLES, BLOCKS, BlockRange, LANES, Packet, SLAB_SAMPLES, Slab};
 use super::pairs::BlockLimits;
 use super::samples::{Channels, FieldSamples, RayEnds, SplatJob};
-use super::simd::SimdLevel;
+use super::simd::{SimdLevel, dispatch};
 use super::splat_wide::splat_wide;
 use super::sums::{ANY, COLOR, Place, Sums};
 

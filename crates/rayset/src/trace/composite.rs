@@ -1,12 +1,12 @@
 //! Front-to-back compositing: from the optical depths of samples to the contribution of each sample to its ray.
 
+use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
-use fearless_simd::{dispatch, f32x8};
 
 use super::cloud::Remaining;
 use super::math::{absorbed, ln};
 use super::node_samples::{NodeSamples, Rows, each_lane};
-use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab, dispatch};
 
 /// What a ray has accumulated so far.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,10 +4,8 @@
 //! boundary of an object that is subtracted. So samples and lanes that cannot matter may hold any values, and skipping
 //! them changes no bit of the picture.
 
-use fearless_simd::dispatch;
-
 use super::math::{exp_minus, ln};
-use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel};
+use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
 use crate::geometry::DVec3;
 use crate::scene::MAX_OPACITY;
 

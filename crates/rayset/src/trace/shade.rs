@@ -1,13 +1,11 @@
 //! Shading of samples: groups of eight with a contributing sample are gathered and lit many at a time (`surfaces`); those that
 //! contribute are added to their rays front to back.
 
-use fearless_simd::dispatch;
-
 use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
 use super::node_samples::{Constants, NodeSamples, each_lane, numbers};
 use super::surfaces::{BATCH, Group, LightSource, Row, Surfaces, eight};
-use crate::field::{BLOCK_SAMPLES, LANES, Packet, SampleRow, SimdLevel, Slab};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SampleRow, SimdLevel, Slab, dispatch};
 use crate::scene::Lighting;
 
 /// The lights of a scene, and the outputs that all samples share.

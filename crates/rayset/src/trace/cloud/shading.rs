@@ -3,11 +3,9 @@
 
 use std::sync::Arc;
 
-use fearless_simd::dispatch;
-
 use crate::field::{
     AttributeColumns, Channels, FieldSamples, Kernel, LeastAbsorption, RunDecoder, SLAB_SAMPLES, SampleRow,
-    SimdLevel,
+    SimdLevel, dispatch,
 };
 use crate::geometry::{DAffine3, DMat3};
 use crate::octree::format::Header;

@@ -1,9 +1,15 @@
 //! Samples of one brick, evaluated many at a time.
+//!
+//! Reading is compiled for each kind of voxel, arithmetic once for all.
+
+use fearless_simd::f32x16;
+use fearless_simd::prelude::*;
 
 use super::places::{OfSamples, Places};
 use super::shape::BrickShape;
-use super::voxels::Voxel;
+use super::voxels::{Voxel, with_voxel};
 use crate::field::BLOCK_SAMPLES;
+use crate::grid::format::VoxelKind;
 
 /// Samples that are evaluated together.
 pub(super) const BATCH: usize = 32;
@@ -58,176 +64,194 @@ pub(super) fn at_sample<T: Copy>(of_samples: &OfSamples<T>, at: u16) -> T {
     of_samples[usize::from(at) % of_samples.len()]
 }
 
-/// Pairs of voxels of a batch, as they are stored: one row for each place relative to a cell.
-struct Pairs<V: Voxel, const ROWS: usize>([[V::Pair; BATCH]; ROWS]);
+/// The voxels of a brick.
+#[derive(Clone, Copy)]
+pub(super) struct Brick<'a> {
+    pub(super) kind: VoxelKind,
+    pub(super) shape: BrickShape,
+    pub(super) voxels: &'a [u8],
+}
 
-impl<V: Voxel, const ROWS: usize> Pairs<V, ROWS> {
-    /// Reads pairs at `offsets` voxels (`farthest` is the largest) from the voxel `before` voxels in front of each cell's
-    /// first.
+/// Numbers of pairs of voxels, neighbours along x: a row for each place relative to a cell.
+pub(super) type Pairs<const ROWS: usize> = [[Row; 2]; ROWS];
+
+/// Where pairs lie, in voxels from the voxel `before` voxels in front of a cell's first.
+struct Window<const ROWS: usize> {
+    before: usize,
+    offsets: [usize; ROWS],
+    /// The largest of `offsets`.
+    farthest: usize,
+}
+
+/// The numbers of voxels around a batch of samples.
+pub(super) struct Around {
+    /// Of the corners of cells: pairs that follow each other along y, then along z.
+    pub(super) corners: Pairs<4>,
+    /// Of the voxels within one of the corners along an axis, in the order that [`gradients`] takes.
+    pub(super) surroundings: Pairs<16>,
+}
+
+impl Around {
+    pub(super) fn new() -> Self {
+        Self { corners: [[[0.0; BATCH]; 2]; 4], surroundings: [[[0.0; BATCH]; 2]; 16] }
+    }
+
+    /// Reads the stored numbers of the corners of cells, less `base`.
     #[inline(always)]
-    fn read(brick: &[u8], cells: &Cells, before: usize, offsets: [usize; ROWS], farthest: usize) -> Self {
-        let mut rows = [[V::Pair::default(); BATCH]; ROWS];
-        for (i, &voxel) in cells.voxel.iter().enumerate() {
-            let from = usize::from(voxel).wrapping_sub(before).wrapping_mul(V::BYTES);
-            // One test for each cell: its pairs then need none.
-            let around = &brick[from..][..(farthest + 2) * V::BYTES];
-            for (row, offset) in rows.iter_mut().zip(offsets) {
-                row[i] = V::pair(around, offset);
-            }
+    pub(super) fn read_corners<S: Simd>(&mut self, simd: S, brick: Brick<'_>, cells: &Cells, base: f32) {
+        let (y, z) = brick.shape.strides();
+        let window = Window { before: 0, offsets: [0, y, z, z + y], farthest: z + y };
+        brick.read(simd, cells, base, &window, &mut self.corners);
+    }
+
+    /// Reads the stored numbers of what surrounds cells, less `base`.
+    #[inline(always)]
+    pub(super) fn read_surroundings<S: Simd>(&mut self, simd: S, brick: Brick<'_>, cells: &Cells, base: f32) {
+        let (y, z) = brick.shape.strides();
+        // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
+        // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
+        let before = [z - 1, z + y - 1, 2 * z - 1, 2 * z + y - 1];
+        let beside_y = [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y];
+        let beside_z = [0, 3 * z, y, y + 3 * z];
+        let mut offsets = [0; 16];
+        for row in 0..4 {
+            (offsets[row], offsets[4 + row]) = (before[row], before[row] + 2);
+            (offsets[8 + row], offsets[12 + row]) = (beside_y[row], beside_z[row]);
         }
-        Self(rows)
+        let window = Window { before: z, offsets, farthest: y + 3 * z };
+        brick.read(simd, cells, base, &window, &mut self.surroundings);
     }
+}
 
-    /// A row of pairs as two rows of numbers.
+impl Brick<'_> {
+    /// Reads the pairs of a window of each cell, less `base`.
     #[inline(always)]
-    fn numbers(&self, row: usize) -> [Row; 2] {
-        let (mut low, mut high) = ([0.0; BATCH], [0.0; BATCH]);
-        for (i, &pair) in self.0[row].iter().enumerate() {
-            [low[i], high[i]] = V::numbers(pair);
-        }
-        [low, high]
+    fn read<S: Simd, const ROWS: usize>(
+        self,
+        simd: S,
+        cells: &Cells,
+        base: f32,
+        window: &Window<ROWS>,
+        pairs: &mut Pairs<ROWS>,
+    ) {
+        with_voxel!(self.kind, V => simd.vectorize(
+            #[inline(always)]
+            || read::<V, ROWS>(self.voxels, cells, base, window, pairs),
+        ));
     }
 }
 
+/// Reads pairs as [`Brick::read`] does.
 #[inline(always)]
-fn lerp(a: &Row, b: &Row, f: &Row) -> Row {
-    let mut out = [0.0; BATCH];
-    for i in 0..BATCH {
-        out[i] = a[i] + (b[i] - a[i]) * f[i];
-    }
-    out
-}
-
-#[inline(always)]
-fn less(a: &Row, b: &Row) -> Row {
-    let mut out = [0.0; BATCH];
-    for i in 0..BATCH {
-        out[i] = a[i] - b[i];
-    }
-    out
-}
-
-/// What of a voxel is interpolated.
-pub(super) trait Quantity {
-    /// Of rows of stored numbers, what is interpolated.
-    fn of(&self, numbers: [Row; 2]) -> [Row; 2];
-}
-
-/// Stored numbers, of which nothing is subtracted.
-struct Stored;
-
-impl Quantity for Stored {
-    #[inline(always)]
-    fn of(&self, numbers: [Row; 2]) -> [Row; 2] {
-        numbers
-    }
-}
-
-/// Stored numbers less one.
-struct Less(f32);
-
-impl Quantity for Less {
-    #[inline(always)]
-    fn of(&self, mut numbers: [Row; 2]) -> [Row; 2] {
-        for row in &mut numbers {
-            for number in row {
-                *number -= self.0;
-            }
-        }
-        numbers
-    }
-}
-
-/// The stored numbers of the corners of cells less `base`: rows of two that follow each other along x, then along y, then along z.
-#[inline(always)]
-pub(super) fn corners<V: Voxel, B: BrickShape>(
-    shape: B,
-    brick: &[u8],
+fn read<V: Voxel, const ROWS: usize>(
+    voxels: &[u8],
     cells: &Cells,
     base: f32,
-) -> [[Row; 2]; 4] {
-    let (y, z) = shape.strides::<V>();
-    let pairs = Pairs::<V, 4>::read(brick, cells, 0, [0, y, z, z + y], z + y);
-    [0, 1, 2, 3].map(|row| Less(base).of(pairs.numbers(row)))
-}
-
-/// The trilinear values of a batch, in stored numbers less `base`.
-#[inline(always)]
-pub(super) fn values<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells, base: f32) -> Row {
-    interpolated::<V, B>(shape, brick, cells, &Less(base))
-}
-
-/// The trilinear values of a quantity.
-#[inline(always)]
-pub(super) fn interpolated<V: Voxel, B: BrickShape>(
-    shape: B,
-    brick: &[u8],
-    cells: &Cells,
-    quantity: &impl Quantity,
-) -> Row {
-    let (y, z) = shape.strides::<V>();
-    let pairs = Pairs::<V, 4>::read(brick, cells, 0, [0, y, z, z + y], z + y);
-    let [fx, fy, fz] = &cells.within;
-    let mut along_x = [[0.0; BATCH]; 4];
-    for (row, out) in along_x.iter_mut().enumerate() {
-        let [a, b] = quantity.of(pairs.numbers(row));
-        *out = lerp(&a, &b, fx);
+    window: &Window<ROWS>,
+    pairs: &mut Pairs<ROWS>,
+) {
+    let mut stored = [[V::Pair::default(); BATCH]; ROWS];
+    for (i, &voxel) in cells.voxel.iter().enumerate() {
+        let from = usize::from(voxel).wrapping_sub(window.before).wrapping_mul(V::BYTES);
+        // One test for each cell: its pairs then need none.
+        let around = &voxels[from..][..(window.farthest + 2) * V::BYTES];
+        for (row, offset) in stored.iter_mut().zip(window.offsets) {
+            row[i] = V::pair(around, offset);
+        }
     }
-    let low = lerp(&along_x[0], &along_x[1], fy);
-    let high = lerp(&along_x[2], &along_x[3], fy);
-    lerp(&low, &high, fz)
-}
-
-/// The gradients of a batch in stored numbers a voxel: half the difference of the trilinear values one voxel on either
-/// side, with the weights of the same cell.
-#[inline(always)]
-pub(super) fn gradients<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells) -> [Row; 3] {
-    gradients_of::<V, B>(shape, brick, cells, &Stored)
-}
-
-/// The gradients of a quantity, as [`gradients`] are those of stored numbers.
-#[inline(always)]
-pub(super) fn gradients_of<V: Voxel, B: BrickShape>(
-    shape: B,
-    brick: &[u8],
-    cells: &Cells,
-    quantity: &impl Quantity,
-) -> [Row; 3] {
-    let (y, z) = shape.strides::<V>();
-    let f = &cells.within;
-    // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
-    // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
-    let before = [z - 1, z + y - 1, 2 * z - 1, 2 * z + y - 1];
-    let beside_y = [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y];
-    let beside_z = [0, 3 * z, y, y + 3 * z];
-    let mut offsets = [0; 16];
-    for row in 0..4 {
-        (offsets[row], offsets[4 + row]) = (before[row], before[row] + 2);
-        (offsets[8 + row], offsets[12 + row]) = (beside_y[row], beside_z[row]);
+    for ([low, high], stored) in pairs.iter_mut().zip(&stored) {
+        for i in 0..BATCH {
+            let [a, b] = V::numbers(stored[i]);
+            (low[i], high[i]) = (a - base, b - base);
+        }
     }
-    let pairs = Pairs::<V, 16>::read(brick, cells, z, offsets, y + 3 * z);
+}
+
+// Vectors are written out: what is left to the compiler becomes, across rows, loads and stores of single numbers.
+
+/// Vectors of a row.
+#[inline(always)]
+fn vectors<S: Simd>(simd: S, row: &Row) -> [f32x16<S>; BATCH / 16] {
+    let [a, b] = row.as_chunks::<16>().0 else { unreachable!("a row has as many numbers") };
+    [f32x16::from_slice(simd, a), f32x16::from_slice(simd, b)]
+}
+
+#[inline(always)]
+fn row<S: Simd>(vectors: [f32x16<S>; BATCH / 16]) -> Row {
+    let mut row = [0.0; BATCH];
+    for (out, vector) in row.as_chunks_mut::<16>().0.iter_mut().zip(vectors) {
+        vector.store_slice(out);
+    }
+    row
+}
+
+#[inline(always)]
+fn lerp<S: Simd>(simd: S, a: &Row, b: &Row, f: &Row) -> Row {
+    let ([a0, a1], [b0, b1], [f0, f1]) = (vectors(simd, a), vectors(simd, b), vectors(simd, f));
+    row([a0 + (b0 - a0) * f0, a1 + (b1 - a1) * f1])
+}
+
+#[inline(always)]
+fn less<S: Simd>(simd: S, a: &Row, b: &Row) -> Row {
+    let ([a0, a1], [b0, b1]) = (vectors(simd, a), vectors(simd, b));
+    row([a0 - b0, a1 - b1])
+}
+
+/// Between the differences of pairs of rows, along y, then along z.
+#[inline(always)]
+fn lerp_less<S: Simd>(simd: S, [a, b, c, d]: [[&Row; 2]; 4], [_, fy, fz]: &[Row; 3]) -> Row {
+    let low = lerp(simd, &less(simd, a[0], a[1]), &less(simd, b[0], b[1]), fy);
+    let high = lerp(simd, &less(simd, c[0], c[1]), &less(simd, d[0], d[1]), fy);
+    lerp(simd, &low, &high, fz)
+}
+
+/// The corners of cells among what surrounds them, in the order of [`Around::corners`].
+#[inline(always)]
+pub(super) fn corners_of(surroundings: &Pairs<16>) -> Pairs<4> {
+    // The pair of the middle of each row through the cell: what its first pair ends with, and what its second begins with.
+    [0, 1, 2, 3].map(|row| [surroundings[row][1], surroundings[4 + row][0]])
+}
+
+/// The trilinear values of a batch.
+#[inline(always)]
+pub(super) fn trilinear<S: Simd>(simd: S, [a, b, c, d]: &Pairs<4>, [fx, fy, fz]: &[Row; 3]) -> Row {
+    let low = lerp(simd, &lerp(simd, &a[0], &a[1], fx), &lerp(simd, &b[0], &b[1], fx), fy);
+    let high = lerp(simd, &lerp(simd, &c[0], &c[1], fx), &lerp(simd, &d[0], &d[1], fx), fy);
+    lerp(simd, &low, &high, fz)
+}
+
+/// The gradients of a batch, a voxel: half the difference of the trilinear values one voxel on either side, with the weights of the
+/// same cell.
+#[inline(always)]
+pub(super) fn gradients<S: Simd>(simd: S, surroundings: &Pairs<16>, within: &[Row; 3]) -> [Row; 3] {
+    let [fx, fy, fz] = within;
     let (mut along_x, mut through, mut outer) = ([[0.0; BATCH]; 4], [[0.0; BATCH]; 4], [[0.0; BATCH]; 8]);
     for row in 0..4 {
-        let ([a, b], [c, d]) = (quantity.of(pairs.numbers(row)), quantity.of(pairs.numbers(4 + row)));
-        along_x[row] = lerp(&less(&c, &a), &less(&d, &b), &f[0]);
-        through[row] = lerp(&b, &c, &f[0]);
+        let ([a, b], [c, d]) = (&surroundings[row], &surroundings[4 + row]);
+        along_x[row] = lerp(simd, &less(simd, c, a), &less(simd, d, b), fx);
+        through[row] = lerp(simd, b, c, fx);
     }
-    for row in 0..4 {
-        let ([a, b], [c, d]) = (quantity.of(pairs.numbers(8 + row)), quantity.of(pairs.numbers(12 + row)));
-        outer[row] = lerp(&a, &b, &f[0]);
-        outer[4 + row] = lerp(&c, &d, &f[0]);
+    for row in 0..8 {
+        let [a, b] = &surroundings[8 + row];
+        outer[row] = lerp(simd, a, b, fx);
     }
-    let dx = lerp(&lerp(&along_x[0], &along_x[1], &f[1]), &lerp(&along_x[2], &along_x[3], &f[1]), &f[2]);
-    let dy = lerp(
-        &lerp(&less(&through[1], &outer[0]), &less(&outer[1], &through[0]), &f[1]),
-        &lerp(&less(&through[3], &outer[2]), &less(&outer[3], &through[2]), &f[1]),
-        &f[2],
-    );
-    let dz = lerp(
-        &lerp(&less(&through[2], &outer[4]), &less(&through[3], &outer[6]), &f[1]),
-        &lerp(&less(&outer[5], &through[0]), &less(&outer[7], &through[1]), &f[1]),
-        &f[2],
-    );
+    let low = lerp(simd, &along_x[0], &along_x[1], fy);
+    let high = lerp(simd, &along_x[2], &along_x[3], fy);
+    let dx = lerp(simd, &low, &high, fz);
+    let beside_y = [
+        [&through[1], &outer[0]],
+        [&outer[1], &through[0]],
+        [&through[3], &outer[2]],
+        [&outer[3], &through[2]],
+    ];
+    let dy = lerp_less(simd, beside_y, within);
+    let beside_z = [
+        [&through[2], &outer[4]],
+        [&through[3], &outer[6]],
+        [&outer[5], &through[0]],
+        [&outer[7], &through[1]],
+    ];
+    let dz = lerp_less(simd, beside_z, within);
     let mut halves = [dx, dy, dz];
     for row in &mut halves {
         for d in row {
@@ -242,9 +266,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::grid::format::VoxelKind;
-    use crate::trace::grid::shape::Cube;
-    use crate::trace::grid::voxels::with_voxel;
+    use crate::field::{SimdLevel, dispatch};
+    use crate::trace::grid::volume::tests::header;
 
     /// Trilinear interpolation by its definition, in `f64`, with the cell moved by some voxels.
     fn moved<V: Voxel>(brick: &[f32], cell: [usize; 3], f: [f32; 3], by: [isize; 3]) -> f64 {
@@ -287,8 +310,14 @@ mod tests {
             }
         }
         let cells = Cells::of_samples(&of_samples, &samples);
-        let values = values::<V, Cube>(Cube, &bytes, &cells, 3.0);
-        let gradients = gradients::<V, Cube>(Cube, &bytes, &cells);
+        let brick = Brick { kind, shape: BrickShape::of(&header([100; 3], kind)), voxels: &bytes };
+        let (values, gradients) = dispatch!(SimdLevel::default().level(), simd => {
+            let mut around = Around::new();
+            around.read_corners(simd, brick, &cells, 3.0);
+            around.read_surroundings(simd, brick, &cells, 0.0);
+            let Around { corners, surroundings } = &around;
+            (trilinear(simd, corners, &cells.within), gradients(simd, surroundings, &cells.within))
+        });
         for i in 0..places.len() {
             let (cell, f) = places[i];
             let cell = cell.map(|c| 1 + c % (n - 3));

@@ -3,24 +3,21 @@
 use fearless_simd::prelude::*;
 
 use super::batch::{
-    BATCH, BATCH_GROUPS, Cells, Row, at_sample, gradients, gradients_of, interpolated, values,
+    Around, BATCH, BATCH_GROUPS, Brick, Cells, Row, at_sample, corners_of, gradients, trilinear,
 };
 use super::field::{Color, GridField, GridRequest};
-use super::labels::{Shown, labels};
+use super::labels::{labels, show};
 use super::places::{GROUPS, GROUPS_OF_LANE, OfSamples, Places};
-use super::shape::BrickShape;
 use super::spans::Segment;
 use super::visible::Blocks;
-use super::voxels::Voxel;
 use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES, SampleRow};
 use crate::trace::node_samples::{NodeSamples, numbers};
 
 /// The samples of a slab in one brick.
-pub(super) struct BrickSamples<'a, B> {
-    pub(super) shape: B,
+pub(super) struct BrickSamples<'a> {
+    pub(super) brick: Brick<'a>,
     pub(super) field: &'a GridField,
     pub(super) request: &'a GridRequest<'a>,
-    pub(super) voxels: &'a [u8],
     pub(super) places: &'a Places,
     /// The blocks that show anything.
     pub(super) blocks: Blocks,
@@ -37,11 +34,19 @@ pub(super) struct Groups {
     samples: [u8; GROUPS],
     /// Stored numbers less the base; valid for evaluated samples.
     number: OfSamples<f32>,
+    /// Samples one by one: lane · 32 + sample.
+    listed: [u16; GROUPS * BLOCK_SAMPLES],
 }
 
 impl Groups {
     pub(super) fn new() -> Self {
-        Self { len: 0, at: [0; GROUPS], samples: [0; GROUPS], number: [[0.0; BLOCK_SAMPLES]; GROUPS] }
+        Self {
+            len: 0,
+            at: [0; GROUPS],
+            samples: [0; GROUPS],
+            number: [[0.0; BLOCK_SAMPLES]; GROUPS],
+            listed: [0; GROUPS * BLOCK_SAMPLES],
+        }
     }
 
     /// Adds a group, if it has any samples.
@@ -49,6 +54,21 @@ impl Groups {
     fn push(&mut self, at: u8, samples: u8) {
         (self.at[self.len % GROUPS], self.samples[self.len % GROUPS]) = (at, samples);
         self.len += usize::from(samples != 0);
+    }
+
+    /// Lists the samples one by one. Returns how many there are.
+    #[inline(always)]
+    fn list(&mut self) -> usize {
+        let mut count = 0;
+        for (at, mut samples) in self.at.into_iter().zip(self.samples).take(self.len) {
+            while samples != 0 {
+                self.listed[count % (GROUPS * BLOCK_SAMPLES)] =
+                    u16::from(at) * BLOCK_SAMPLES as u16 + samples.trailing_zeros() as u16;
+                samples &= samples - 1;
+                count += 1;
+            }
+        }
+        count
     }
 
     /// The groups, with a bit for each sample.
@@ -70,38 +90,40 @@ fn eight(row: &mut SampleRow, block: usize) -> &mut [f32; BLOCK_SAMPLES] {
     &mut row.0.as_chunks_mut().0[block]
 }
 
-impl<B: BrickShape> BrickSamples<'_, B> {
+impl BrickSamples<'_> {
     /// Fills the samples of some segments, all in this brick. `seen` is, for each lane, the number of samples after
     /// which its ray is known to have ended.
     #[inline(always)]
-    pub(super) fn fill<S: Simd, V: Voxel>(
+    pub(super) fn fill<S: Simd>(
         &self,
         simd: S,
         segments: impl Iterator<Item = Segment>,
         seen: &mut [usize; LANES],
         groups: &mut Groups,
+        around: &mut Around,
         out: &mut NodeSamples,
     ) {
         let required = self.request.required;
         self.find_visible(segments, seen, groups);
-        self.opacities::<S, V>(simd, groups, out);
+        self.opacities(simd, groups, around, out);
         self.drop_hidden(seen, groups, out);
         if required.color || required.attributes != 0 {
             self.colors(groups, out);
         }
         if required.normal || required.boundary {
-            self.normals::<S, V>(simd, groups, out);
+            self.normals(simd, groups, around, out);
         }
     }
 
     /// What a batch of samples is, in stored numbers less the base.
     #[inline(always)]
-    fn numbers<V: Voxel>(&self, cells: &Cells) -> Row {
-        let base = self.field.values.base;
+    fn numbers<S: Simd>(&self, simd: S, cells: &Cells, around: &mut Around) -> Row {
+        around.read_corners(simd, self.brick, cells, self.field.values.base);
+        let corners = &around.corners;
         if self.field.labels {
-            labels::<V, B>(self.shape, self.voxels, cells, base)
+            labels(corners, &cells.within)
         } else {
-            values::<V, B>(self.shape, self.voxels, cells, base)
+            trilinear(simd, corners, &cells.within)
         }
     }
 
@@ -137,7 +159,7 @@ impl<B: BrickShape> BrickSamples<'_, B> {
 
     /// Evaluates groups of samples; those that are not transparent are kept, and their opacities stored.
     #[inline(always)]
-    fn opacities<S: Simd, V: Voxel>(&self, simd: S, groups: &mut Groups, out: &mut NodeSamples) {
+    fn opacities<S: Simd>(&self, simd: S, groups: &mut Groups, around: &mut Around, out: &mut NodeSamples) {
         let GridRequest { measure, required, .. } = *self.request;
         let evaluated = std::mem::take(&mut groups.len);
         for first in (0..evaluated).step_by(BATCH_GROUPS) {
@@ -146,7 +168,7 @@ impl<B: BrickShape> BrickSamples<'_, B> {
             batch[..count].copy_from_slice(&groups.at[first..first + count]);
             samples[..count].copy_from_slice(&groups.samples[first..first + count]);
             let cells = Cells::of_groups(self.places, &batch);
-            let numbers = self.numbers::<V>(&cells);
+            let numbers = self.numbers(simd, &cells, around);
             let opacities = self.field.opacities.of(simd, &numbers, measure);
             for i in 0..BATCH_GROUPS {
                 let (numbers, opacities) = (&numbers.as_chunks().0[i], &opacities.as_chunks().0[i]);
@@ -227,34 +249,25 @@ impl<B: BrickShape> BrickSamples<'_, B> {
     }
 
     #[inline(always)]
-    fn normals<S: Simd, V: Voxel>(&self, simd: S, groups: &Groups, out: &mut NodeSamples) {
-        let (mut batch, mut len) = ([0; BATCH], 0);
-        for (at, mut samples) in groups.iter() {
-            while samples != 0 {
-                batch[len % BATCH] = u16::from(at) * BLOCK_SAMPLES as u16 + samples.trailing_zeros() as u16;
-                samples &= samples - 1;
-                len += 1;
-                if len == BATCH {
-                    self.normals_of_batch::<S, V>(simd, &batch, len, groups, out);
-                    len = 0;
-                }
-            }
-        }
-        if len > 0 {
-            let first = batch[0];
-            batch[len..].fill(first);
-            self.normals_of_batch::<S, V>(simd, &batch, len, groups, out);
+    fn normals<S: Simd>(&self, simd: S, groups: &mut Groups, around: &mut Around, out: &mut NodeSamples) {
+        let listed = groups.list();
+        for first in (0..listed).step_by(BATCH) {
+            let count = (listed - first).min(BATCH);
+            let mut batch = [groups.listed[first]; BATCH];
+            batch[..count].copy_from_slice(&groups.listed[first..first + count]);
+            self.normals_of_batch(simd, &batch, count, groups, around, out);
         }
     }
 
     /// Stores shading vectors and boundaries of the first `len` samples of a batch.
     #[inline(always)]
-    fn normals_of_batch<S: Simd, V: Voxel>(
+    fn normals_of_batch<S: Simd>(
         &self,
         simd: S,
         batch: &[u16; BATCH],
         len: usize,
         groups: &Groups,
+        around: &mut Around,
         out: &mut NodeSamples,
     ) {
         let required = self.request.required;
@@ -263,13 +276,15 @@ impl<B: BrickShape> BrickSamples<'_, B> {
             *number = at_sample(&groups.number, at);
         }
         let cells = Cells::of_samples(self.places, batch);
-        let gradients = if self.field.labels {
-            let shown = Shown::around(simd, &numbers, &self.field.opacities, self.field.values.base);
-            numbers = interpolated::<V, B>(self.shape, self.voxels, &cells, &shown);
-            gradients_of::<V, B>(self.shape, self.voxels, &cells, &shown)
-        } else {
-            gradients::<V, B>(self.shape, self.voxels, &cells)
-        };
+        // Differences of numbers are exact without a base; labels are looked up with it.
+        let base = if self.field.labels { self.field.values.base } else { 0.0 };
+        around.read_surroundings(simd, self.brick, &cells, base);
+        let surroundings = &mut around.surroundings;
+        if self.field.labels {
+            show(simd, &self.field.opacities, &numbers, surroundings);
+            numbers = trilinear(simd, &corners_of(surroundings), &cells.within);
+        }
+        let gradients = gradients(simd, surroundings, &cells.within);
         let (normal, boundary) = self.field.gradients.of(&numbers, &gradients);
         for (i, &at) in batch.iter().enumerate().take(len) {
             let (lane, j) = (usize::from(at) / SLAB_SAMPLES % LANES, usize::from(at) % SLAB_SAMPLES);

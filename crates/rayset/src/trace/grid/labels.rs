@@ -2,26 +2,23 @@
 
 use fearless_simd::prelude::*;
 
-use super::batch::{BATCH, Cells, Quantity, Row, corners};
+use super::batch::{BATCH, Pairs, Row};
 use super::opacity::Opacities;
-use super::shape::BrickShape;
-use super::voxels::Voxel;
 use crate::trace::node_samples::Measure;
 
-/// The labels of a batch, in stored numbers less `base`: of those around each sample the one with the most trilinear weight,
-/// the larger of two with as much.
+/// The labels of a batch: of those at the corners around each sample the one with the most trilinear weight, the larger of two with as
+/// much.
 #[inline(always)]
-pub(super) fn labels<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Cells, base: f32) -> Row {
-    let numbers = corners::<V, B>(shape, brick, cells, base);
-    let mut most = numbers[0][0];
-    if is_uniform(&numbers) {
+pub(super) fn labels(corners: &Pairs<4>, within: &[Row; 3]) -> Row {
+    let mut most = corners[0][0];
+    if is_uniform(corners) {
         return most;
     }
-    let weights = weights(&cells.within);
+    let weights = weights(within);
     let mut of_most = [0.0; BATCH];
-    for candidate in numbers.as_flattened() {
+    for candidate in corners.as_flattened() {
         let mut weight = [0.0; BATCH];
-        for (number, of_corner) in numbers.as_flattened().iter().zip(&weights) {
+        for (number, of_corner) in corners.as_flattened().iter().zip(&weights) {
             for i in 0..BATCH {
                 weight[i] += if number[i] == candidate[i] { of_corner[i] } else { 0.0 };
             }
@@ -38,17 +35,17 @@ pub(super) fn labels<V: Voxel, B: BrickShape>(shape: B, brick: &[u8], cells: &Ce
 
 /// Whether every sample is among voxels of one label.
 #[inline(always)]
-fn is_uniform(numbers: &[[Row; 2]; 4]) -> bool {
+fn is_uniform(corners: &Pairs<4>) -> bool {
     let mut different = 0_u32;
-    for corner in numbers.as_flattened() {
+    for corner in corners.as_flattened() {
         for i in 0..BATCH {
-            different |= u32::from(corner[i] != numbers[0][0][i]);
+            different |= u32::from(corner[i] != corners[0][0][i]);
         }
     }
     different == 0
 }
 
-/// The trilinear weights of the corners, in the order of [`corners`].
+/// The trilinear weights of the corners, in the order of [`Around::corners`](super::batch::Around::corners).
 #[inline(always)]
 fn weights([fx, fy, fz]: &[Row; 3]) -> [Row; 8] {
     let mut weights = [[0.0; BATCH]; 8];
@@ -63,39 +60,23 @@ fn weights([fx, fy, fz]: &[Row; 3]) -> [Row; 8] {
     weights
 }
 
-/// 1 for voxels that are at least as opaque as the sample that they surround, or that show at all if it does not; 0 for others.
-/// Its mean is one half where what shows ends.
-pub(super) struct Shown<'a, S> {
+/// Replaces the labels of voxels: 1 for those that are at least as opaque as the sample that they surround, or that show at all if it does
+/// not; 0 for others. The mean is one half where what shows ends. All labels are stored numbers less the base.
+#[inline(always)]
+pub(super) fn show<S: Simd, const ROWS: usize>(
     simd: S,
-    opacities: &'a Opacities,
-    base: f32,
-    least: Row,
-}
-
-impl<'a, S: Simd> Shown<'a, S> {
-    /// Around samples of the given labels, which are numbers less `base`.
-    #[inline(always)]
-    pub(super) fn around(simd: S, labels: &Row, opacities: &'a Opacities, base: f32) -> Self {
-        let mut least = opacities.of(simd, labels, Measure::Opacity);
-        for opacity in &mut least {
-            *opacity = opacity.max(f32::MIN_POSITIVE);
-        }
-        Self { simd, opacities, base, least }
+    opacities: &Opacities,
+    labels: &Row,
+    voxels: &mut Pairs<ROWS>,
+) {
+    let mut least = opacities.of(simd, labels, Measure::Opacity);
+    for opacity in &mut least {
+        *opacity = opacity.max(f32::MIN_POSITIVE);
     }
-}
-
-impl<S: Simd> Quantity for Shown<'_, S> {
-    #[inline(always)]
-    fn of(&self, mut numbers: [Row; 2]) -> [Row; 2] {
-        for row in &mut numbers {
-            for number in &mut *row {
-                *number -= self.base;
-            }
-            let opacities = self.opacities.of(self.simd, row, Measure::Opacity);
-            for i in 0..BATCH {
-                row[i] = if opacities[i] >= self.least[i] { 1.0 } else { 0.0 };
-            }
+    for row in voxels.as_flattened_mut() {
+        let opacities = opacities.of(simd, row, Measure::Opacity);
+        for i in 0..BATCH {
+            row[i] = if opacities[i] >= least[i] { 1.0 } else { 0.0 };
         }
-        numbers
     }
 }

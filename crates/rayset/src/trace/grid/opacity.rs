@@ -267,10 +267,10 @@ fn shown(rule: &OpacityRule) -> Vec<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use fearless_simd::dispatch;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::field::dispatch;
 
     fn rules() -> impl Strategy<Value = OpacityRule> {
         let point = (0_i32..60, prop_oneof![Just(0.0), 0.0_f64..=1.0]);

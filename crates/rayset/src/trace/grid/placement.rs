@@ -1,6 +1,6 @@
 //! Where a grid and its bricks are.
 
-use super::shape::Cuboid;
+use super::shape::BrickShape;
 use crate::geometry::{Aabb, DAffine3};
 use crate::grid::format::GridHeader;
 
@@ -17,13 +17,12 @@ pub(super) struct Placement {
 pub(super) struct Bricks {
     /// Along each axis.
     pub(super) count: [u32; 3],
-    /// Their shape, if they are not cubes.
-    pub(super) cuboid: Option<Cuboid>,
+    pub(super) shape: BrickShape,
 }
 
 impl Bricks {
     pub(super) fn new(header: &GridHeader) -> Self {
-        Self { count: header.bricks().map(|count| count as u32), cuboid: Cuboid::of(header) }
+        Self { count: header.bricks().map(|count| count as u32), shape: BrickShape::of(header) }
     }
 
     /// The number of the brick at a place among the bricks, x fastest.

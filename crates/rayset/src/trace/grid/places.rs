@@ -2,8 +2,7 @@
 
 use super::placement::Placement;
 use super::rays::GridRay;
-use super::shape::{BLOCK_CELLS, BrickShape};
-use super::voxels::Voxel;
+use super::shape::BLOCK_CELLS;
 use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES};
 
 /// One number for each sample of a slab, lane by lane, in groups of eight samples that follow each other on a ray.
@@ -37,13 +36,8 @@ impl Places {
     /// at 1 in the last cell. The difference between a position and its cell is between numbers within a cell of each other,
     /// so it is not rounded until it becomes single precision.
     #[inline(always)]
-    pub(super) fn locate<V: Voxel, B: BrickShape>(
-        &mut self,
-        shape: B,
-        grid: &Placement,
-        ray: &GridRay,
-        lane: usize,
-    ) -> [u32; SLAB_SAMPLES] {
+    pub(super) fn locate(&mut self, grid: &Placement, ray: &GridRay, lane: usize) -> [u32; SLAB_SAMPLES] {
+        let shape = grid.bricks.shape;
         let mut t = [0.0; SLAB_SAMPLES];
         for (j, t) in t.iter_mut().enumerate() {
             *t = ((ray.first + j as u64) as f64 + ray.offset) * ray.step;
@@ -51,7 +45,7 @@ impl Places {
         let (mut bricks, mut voxels, mut blocks) =
             ([0_u32; SLAB_SAMPLES], [0_u32; SLAB_SAMPLES], [0_u32; SLAB_SAMPLES]);
         for axis in [2, 1, 0] {
-            let cells_of_brick = shape.cells::<V>(axis) as f64;
+            let cells_of_brick = shape.cells(axis) as f64;
             let (origin, direction) = (ray.origin[axis], ray.direction[axis]);
             let (last, count) = (grid.bounds_voxel.max[axis] - 1.0, grid.bricks.count[axis]);
             let within = row(&mut self.within[axis], lane);
@@ -63,8 +57,8 @@ impl Places {
                 let brick = ((cell + 0.5) * (1.0 / cells_of_brick)).floor();
                 let cell = whole(cell - brick * cells_of_brick);
                 bricks[j] = bricks[j].wrapping_mul(count).wrapping_add(whole(brick));
-                voxels[j] = voxels[j].wrapping_mul(shape.voxels::<V>(axis) as u32).wrapping_add(cell + 1);
-                let along = shape.blocks::<V>(axis) as u32;
+                voxels[j] = voxels[j].wrapping_mul(shape.voxels(axis) as u32).wrapping_add(cell + 1);
+                let along = shape.blocks(axis) as u32;
                 blocks[j] = blocks[j].wrapping_mul(along).wrapping_add(cell / BLOCK_CELLS as u32);
             }
         }
@@ -95,9 +89,7 @@ mod tests {
     use crate::geometry::{Aabb, DAffine3, DVec3};
     use crate::grid::format::VoxelKind;
     use crate::trace::grid::placement::Bricks;
-    use crate::trace::grid::shape::Cube;
     use crate::trace::grid::volume::tests::header;
-    use crate::trace::grid::voxels::with_voxel;
 
     #[test]
     fn a_place_is_in_its_own_cell_and_in_one_that_its_brick_has() {
@@ -120,7 +112,7 @@ mod tests {
                 for x in places.filter(|x| (0.0..=last).contains(x)) {
                     let (origin, direction) = (DVec3::new(x, 0.0, 0.0), DVec3::ZERO);
                     let ray = GridRay { origin, direction, offset: 0.0, first: 0, step: 1.0 };
-                    let bricks = with_voxel!(kind, V => found.locate::<V, Cube>(Cube, &grid, &ray, 3));
+                    let bricks = found.locate(&grid, &ray, 3);
                     let at = 3 * SLAB_SAMPLES + 31;
                     let (brick, voxel) = (bricks[31] as i32, i32::from(found.voxel.as_flattened()[at]));
                     let (within, first) = (found.within[0].as_flattened()[at], voxel % side);

@@ -3,8 +3,6 @@
 use super::placement::Placement;
 use super::places::Places;
 use super::rays::GridRays;
-use super::shape::BrickShape;
-use super::voxels::Voxel;
 use crate::field::{SLAB_SAMPLES, Slab};
 use crate::geometry::DVec3;
 use crate::trace::node_samples::Live;
@@ -61,9 +59,8 @@ impl MetBricks {
     /// Finds where the samples of a slab are, and groups those in `live` that are inside the grid by brick; bricks by
     /// their first sample on any ray.
     #[inline(always)]
-    pub(super) fn find<V: Voxel, B: BrickShape>(
+    pub(super) fn find(
         &mut self,
-        shape: B,
         grid: &Placement,
         rays: &GridRays,
         slab: Slab,
@@ -79,7 +76,7 @@ impl MetBricks {
             lanes &= lanes - 1;
             let (first, end) = rays.within(lane, slab);
             if first < end {
-                let bricks = places.locate::<V, B>(shape, grid, &rays.ray(lane, slab), lane);
+                let bricks = places.locate(grid, &rays.ray(lane, slab), lane);
                 self.add_ray(&bricks, lane, (first, end), live.0[lane]);
             }
         }
@@ -151,13 +148,7 @@ impl MetBricks {
 /// The bricks that the samples of a slab lie in, or some more: the first and the last along each axis. `None` if no
 /// sample is inside the grid.
 #[inline(always)]
-pub(super) fn bricks_met<V: Voxel, B: BrickShape>(
-    shape: B,
-    grid: &Placement,
-    rays: &GridRays,
-    slab: Slab,
-    lanes: u64,
-) -> Option<[[u32; 2]; 3]> {
+pub(super) fn bricks_met(grid: &Placement, rays: &GridRays, slab: Slab, lanes: u64) -> Option<[[u32; 2]; 3]> {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     let mut lanes = lanes;
     while lanes != 0 {
@@ -175,7 +166,7 @@ pub(super) fn bricks_met<V: Voxel, B: BrickShape>(
     }
     let last_cell = grid.bounds_voxel.max - 1.0;
     let brick = |place: f64, axis: usize| {
-        place.floor().max(0.0).min(last_cell[axis]) as u32 / shape.cells::<V>(axis) as u32
+        place.floor().max(0.0).min(last_cell[axis]) as u32 / grid.bricks.shape.cells(axis) as u32
     };
     Some([0, 1, 2].map(|axis| [brick(low[axis], axis), brick(high[axis], axis)]))
 }
@@ -194,9 +185,7 @@ mod tests {
     use crate::geometry::{Aabb, DAffine3, Ray};
     use crate::grid::format::VoxelKind;
     use crate::trace::grid::placement::Bricks;
-    use crate::trace::grid::shape::Cube;
     use crate::trace::grid::volume::tests::header;
-    use crate::trace::grid::voxels;
 
     #[test]
     fn segments_hold_every_live_sample_in_the_grid_once_nearest_bricks_first() {
@@ -222,7 +211,7 @@ mod tests {
         let in_voxels = GridRays::new(&grid, &packet);
         for number in 0..5 {
             let slab = Slab { first: 32 * number, samples: SLAB_SAMPLES };
-            found.find::<voxels::F32, Cube>(Cube, &grid, &in_voxels, slab, &live, &mut places);
+            found.find(&grid, &in_voxels, slab, &live, &mut places);
             let mut covered = [0_u32; 64];
             for brick in found.bricks() {
                 for segment in found.segments(brick) {
@@ -243,7 +232,7 @@ mod tests {
                     assert_eq!(covered[lane] >> j & 1 == 1, expected, "lane {lane}, sample {j}");
                 }
             }
-            if let Some(met) = bricks_met::<voxels::F32, Cube>(Cube, &grid, &in_voxels, slab, live.lanes()) {
+            if let Some(met) = bricks_met(&grid, &in_voxels, slab, live.lanes()) {
                 let at = |number: u32| [number % 6, number / 6 % 5, number / 30];
                 let holds =
                     |brick| at(brick).iter().zip(met).all(|(&b, [low, high])| (low..=high).contains(&b));

@@ -1,7 +1,7 @@
 //! Which parts of a brick show anything through the opacity rule: cubes of 4 × 4 × 4 cells.
 
 use super::opacity::{Opacities, Values};
-use super::shape::{BLOCK_CELLS, BrickShape, Cuboid};
+use super::shape::{BLOCK_CELLS, BrickShape};
 use super::voxels::Voxel;
 use crate::grid::format::VoxelKind;
 
@@ -33,20 +33,20 @@ impl Blocks {
 
     /// The blocks of a brick that is no cube that show anything.
     pub(super) fn of_cuboid<V: Voxel>(
-        shape: Cuboid,
+        shape: BrickShape,
         brick: &[u8],
         values: &Values,
         opacities: &Opacities,
     ) -> Self {
         let mut blocks = Self([0; _]);
-        let (y_stride, z_stride) = shape.strides::<V>();
-        let count = [0, 1, 2].map(|axis| shape.blocks::<V>(axis));
+        let (y_stride, z_stride) = shape.strides();
+        let count = [0, 1, 2].map(|axis| shape.blocks(axis));
         for number in 0..count.iter().product() {
             let block = [number % count[0], number / count[0] % count[1], number / count[0] / count[1]];
             // The corners of its cells, of which the last of the brick are one voxel before its end.
             let corners = |axis: usize| {
                 let first = 1 + block[axis] * BLOCK_CELLS;
-                first..(first + CORNERS).min(shape.voxels::<V>(axis) - 1)
+                first..(first + CORNERS).min(shape.voxels(axis) - 1)
             };
             let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
             for z in corners(2) {

@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use fearless_simd::dispatch;
-
+use super::batch::{Around, Brick};
 use super::brick::{BrickSamples, Groups};
 use super::field::{Color, GridField, GridMarch, GridRequest};
 use super::gradients::Gradients;
@@ -11,12 +10,11 @@ use super::opacity::{Opacities, Values};
 use super::placement::{Bricks, Placement};
 use super::places::Places;
 use super::rays::GridRays;
-use super::shape::with_bricks;
 use super::spans::{MetBricks, bricks_met};
 use super::visible::{Blocks, KnownBlocks};
 use super::voxels::with_voxel;
 use crate::container::PAGE_HEAD_BYTES;
-use crate::field::{LANES, Packet, SLAB_SAMPLES};
+use crate::field::{LANES, Packet, SLAB_SAMPLES, dispatch};
 use crate::geometry::{Aabb, DAffine3, DVec3, Ray};
 use crate::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, largest_stretch};
@@ -40,14 +38,14 @@ const MOST_BRICKS: u32 = 64;
 /// Scratch memory shared by all grids of a thread.
 pub(in crate::trace) struct GridScratch {
     met: MetBricks,
-    samples: Option<Box<(Places, Groups)>>,
+    samples: Option<Box<(Places, Groups, Around)>>,
     blocks: KnownBlocks,
 }
 
 impl GridScratch {
     /// The most that it takes.
     pub(in crate::trace) const BYTES: usize = KnownBlocks::BYTES
-        + size_of::<(Places, Groups)>()
+        + size_of::<(Places, Groups, Around)>()
         + 2 * LANES * SLAB_SAMPLES * MetBricks::BYTES_OF_SAMPLE;
 
     pub(in crate::trace) fn new() -> Self {
@@ -178,13 +176,13 @@ impl GridVolume {
         out.touched = 0;
         let GridRequest { access, march: GridMarch(rays), slab, live, simd, .. } = *request;
         let GridScratch { met, samples, blocks } = scratch;
-        let (places, groups) = &mut **samples.get_or_insert_with(|| Box::new((Places::new(), Groups::new())));
-        let (kind, cuboid) = (self.object.grid.header().kind, self.field.placement.bricks.cuboid);
+        let (places, groups, around) =
+            &mut **samples.get_or_insert_with(|| Box::new((Places::new(), Groups::new(), Around::new())));
+        let kind = self.object.grid.header().kind;
         if !request.required.outside && self.known_empty(request, blocks) {
             return Ok(());
         }
-        with_bricks!(kind, cuboid, V, shape => dispatch!(simd.level(), _simd =>
-            met.find::<V, _>(shape, &self.field.placement, rays, slab, live, places)));
+        dispatch!(simd.level(), _simd => met.find(&self.field.placement, rays, slab, live, places));
         self.fetch(request, met, blocks)?;
         let mut seen = [SLAB_SAMPLES; LANES];
         // Brick by brick, whichever rays pass through them: each brick is retained once, and a small budget need not
@@ -197,11 +195,9 @@ impl GridVolume {
             let voxels = &page[PAGE_HEAD_BYTES..PAGE_BYTES];
             let blocks = self.blocks_of(request, brick.number, voxels, blocks);
             let segments = met.segments(brick);
-            with_bricks!(kind, cuboid, V, shape => {
-                let samples = BrickSamples { shape, field: &self.field, request, voxels, places, blocks };
-                dispatch!(simd.level(), simd =>
-                    samples.fill::<_, V>(simd, segments.clone(), &mut seen, groups, out));
-            });
+            let brick = Brick { kind, shape: self.field.placement.bricks.shape, voxels };
+            let samples = BrickSamples { brick, field: &self.field, request, places, blocks };
+            dispatch!(simd.level(), simd => samples.fill(simd, segments, &mut seen, groups, around, out));
         }
         Ok(())
     }
@@ -222,12 +218,12 @@ impl GridVolume {
             return *blocks;
         }
         let GridField { values, opacities, .. } = &self.field;
-        let kind = self.object.grid.header().kind;
-        let blocks = match self.field.placement.bricks.cuboid {
-            Some(shape) => with_voxel!(kind, V => Blocks::of_cuboid::<V>(shape, voxels, values, opacities)),
-            None => with_voxel!(kind, V =>
-                dispatch!(request.simd.level(), _simd => Blocks::of::<V>(voxels, values, opacities))),
-        };
+        let (header, shape) = (self.object.grid.header(), self.field.placement.bricks.shape);
+        let blocks = with_voxel!(header.kind, V => if header.has_cubes() {
+            dispatch!(request.simd.level(), _simd => Blocks::of::<V>(voxels, values, opacities))
+        } else {
+            Blocks::of_cuboid::<V>(shape, voxels, values, opacities)
+        });
         known.insert(key, blocks);
         blocks
     }
@@ -235,9 +231,8 @@ impl GridVolume {
     /// Whether all bricks that the samples of a slab lie in are known to show nothing.
     fn known_empty(&self, request: &GridRequest<'_>, blocks: &KnownBlocks) -> bool {
         let GridRequest { march: GridMarch(rays), slab, live, simd, .. } = *request;
-        let (kind, cuboid) = (self.object.grid.header().kind, self.field.placement.bricks.cuboid);
-        let met = with_bricks!(kind, cuboid, V, shape => dispatch!(simd.level(), _simd =>
-            bricks_met::<V, _>(shape, &self.field.placement, rays, slab, live.lanes())));
+        let met = dispatch!(simd.level(), _simd =>
+            bricks_met(&self.field.placement, rays, slab, live.lanes()));
         let Some([x, y, z]) = met else { return true };
         let count = [x, y, z].iter().map(|[low, high]| high - low + 1).fold(1, u32::saturating_mul);
         count <= MOST_BRICKS

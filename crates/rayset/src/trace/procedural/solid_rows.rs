@@ -150,11 +150,10 @@ fn from_ellipsoid<S: Simd>(simd: S, p: Vectors<S>, radii: DVec3) -> (f64x8<S>, V
 
 #[cfg(test)]
 mod tests {
-    use fearless_simd::dispatch;
     use proptest::prelude::*;
 
     use super::*;
-    use crate::field::SimdLevel;
+    use crate::field::{SimdLevel, dispatch};
     use crate::scene::Procedural;
 
     type Row = [f64; BLOCK_SAMPLES];

@@ -3,9 +3,7 @@
 use std::any::Any;
 use std::sync::Arc;
 
-use fearless_simd::dispatch;
-
-use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab, dispatch};
 use crate::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use crate::scene::{MAX_OPACITY, Procedural, ProceduralSample, Solid, largest_stretch};
 use crate::trace::math::ln;
