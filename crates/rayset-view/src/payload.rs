@@ -4,7 +4,7 @@ use std::io::Write;
 
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+use jpeg_encoder::{Encoder, ImageBuffer, JpegColorType, SamplingFactor, rgb_to_ycbcr};
 
 use crate::protocol::{FrameHead, FrameKind, HEAD_BYTES};
 
@@ -107,19 +107,48 @@ pub(crate) fn whole(
     let head = FrameHead { kind: FrameKind::Whole, generation, frame, size, rectangles: 0 };
     let mut message = head.bytes().to_vec();
     depths.encode(&mut message);
-    let over = |pixel: &[u8]| -> [u8; 3] {
-        let alpha = u32::from(pixel[3]);
-        std::array::from_fn(|k| {
-            ((u32::from(pixel[k]) * alpha + u32::from(background[k]) * (255 - alpha) + 127) / 255) as u8
-        })
-    };
-    let rgb: Vec<u8> = shown.rgba.chunks_exact(4).flat_map(over).collect();
     let mut encoder = Encoder::new(&mut message, QUALITY);
     // Colours of one side of an edge do not reach over it: the page moves both sides apart.
     encoder.set_sampling_factor(SamplingFactor::F_1_1);
     // Writing to memory does not fail, and the size has been checked; a message without a picture is left out by the page.
-    let _ = encoder.encode(&rgb, size[0], size[1], ColorType::Rgb);
+    let _ = encoder.encode_image(OverBackground { shown, background });
     message
+}
+
+/// A picture over a background. The encoder compiles itself for each kind of image; this is the only one.
+struct OverBackground<'a> {
+    shown: &'a Shown,
+    background: [u8; 3],
+}
+
+impl ImageBuffer for OverBackground<'_> {
+    fn get_jpeg_color_type(&self) -> JpegColorType {
+        JpegColorType::Ycbcr
+    }
+
+    fn width(&self) -> u16 {
+        self.shown.size()[0]
+    }
+
+    fn height(&self) -> u16 {
+        self.shown.size()[1]
+    }
+
+    fn fill_buffers(&self, y: u16, [luma, blue, red, _]: &mut [Vec<u8>; 4]) {
+        let row_bytes = 4 * self.shown.width as usize;
+        let row = &self.shown.rgba[usize::from(y) * row_bytes..][..row_bytes];
+        for &[r, g, b, alpha] in row.as_chunks().0 {
+            let alpha = u32::from(alpha);
+            let over = |color: u8, behind: u8| {
+                ((u32::from(color) * alpha + u32::from(behind) * (255 - alpha) + 127) / 255) as u8
+            };
+            let [r_behind, g_behind, b_behind] = self.background;
+            let (y, cb, cr) = rgb_to_ycbcr(over(r, r_behind), over(g, g_behind), over(b, b_behind));
+            luma.push(y);
+            blue.push(cb);
+            red.push(cr);
+        }
+    }
 }
 
 /// Parts of a picture, without loss.
