@@ -260,7 +260,7 @@ impl EvictionQueue {
     }
 
     /// Number of entries in all queues, including those of pages that have been evicted.
-    #[cfg(test)]
+    #[cfg(all(test, not(feature = "model")))]
     pub(super) fn entries(&self) -> usize {
         self.queues.iter().map(|queue| queue.by_age.len() + queue.retired.len()).sum()
     }

@@ -197,7 +197,7 @@ impl Object {
     pub(super) const BYTES_A_PAGE: usize = size_of::<Mutex<Slot>>() + size_of::<AtomicU32>();
 
     /// Bytes of its lists of pages.
-    #[cfg(test)]
+    #[cfg(all(test, not(feature = "model")))]
     pub(super) fn bytes_kept(&self) -> usize {
         self.slots.capacity() * size_of::<Mutex<Slot>>() + self.touched.capacity() * size_of::<AtomicU32>()
     }

@@ -344,7 +344,7 @@ impl PagePool {
         self.lock().queue.retained_bytes()
     }
 
-    #[cfg(test)]
+    #[cfg(all(test, not(feature = "model")))]
     pub(super) fn entries(&self) -> usize {
         self.lock().queue.entries()
     }
