@@ -27,3 +27,6 @@ times() {
     exit $code
 }
 trap times EXIT
+# Ended from outside is not passed.
+trap 'exit 130' INT
+trap 'exit 143' TERM
