@@ -179,6 +179,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_picture_is_encoded_over_its_background() {
+        let mut shown = Shown::default();
+        shown.resize([3, 2]);
+        shown.set_row(0, 1, [[9, 8, 7, 255], [9, 8, 7, 0], [100, 0, 50, 128]].into_iter());
+        let picture = OverBackground { shown: &shown, background: [20, 200, 250] };
+        assert_eq!([picture.width(), picture.height()], [3, 2]);
+        let mut rows = [const { Vec::new() }; 4];
+        picture.fill_buffers(1, &mut rows);
+        // Of the last pixel, 128 of 255 parts are its own: 60, 100 and 150, rounded.
+        for (i, [r, g, b]) in [[9, 8, 7], [20, 200, 250], [60, 100, 150]].into_iter().enumerate() {
+            assert_eq!((rows[0][i], rows[1][i], rows[2][i]), rgb_to_ycbcr(r, g, b), "pixel {i}");
+        }
+        assert_eq!(rows.map(|row| row.len()), [3, 3, 3, 0]);
+    }
+
+    #[test]
     fn parts_of_a_picture_come_back_as_they_were() {
         let mut shown = Shown::default();
         shown.resize([40, 30]);

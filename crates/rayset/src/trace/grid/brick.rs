@@ -276,7 +276,7 @@ impl BrickSamples<'_> {
             *number = at_sample(&groups.number, at);
         }
         let cells = Cells::of_samples(self.places, batch);
-        // Differences of numbers are exact without a base; labels are looked up with it.
+        // Gradients need no base, and subtracting it would round; labels are looked up with it.
         let base = if self.field.labels { self.field.values.base } else { 0.0 };
         around.read_surroundings(simd, self.brick, &cells, base);
         let surroundings = &mut around.surroundings;
