@@ -7,11 +7,10 @@ use std::sync::Arc;
 use hdf5_reader::error::Error;
 use hdf5_reader::group::Group;
 use hdf5_reader::{
-    Attribute, Dataset, Datatype, FilterRegistry, H5Type, Hdf5File, OpenOptions, StorageBuffer,
+    Attribute, Dataset, Datatype, FilterRegistry, Hdf5File, OpenOptions, Storage as Bytes, StorageBuffer,
 };
-use hdf5_reader::{ByteOrder, Storage as Bytes};
 
-use crate::numbers::{Stored, half};
+use crate::numbers::Stored;
 use crate::points::{Place, ReadError, lzf, quiet};
 use crate::storage::Storage;
 use crate::storage::input_file::InputFile;
@@ -202,51 +201,18 @@ pub(super) fn stored(data: &Dataset) -> Result<Option<Stored>, Error> {
         Datatype::FixedPoint { size: 4, signed: true, .. } => Stored::I32,
         Datatype::FixedPoint { size: 8, signed: false, .. } => Stored::U64,
         Datatype::FixedPoint { size: 8, signed: true, .. } => Stored::I64,
-        Datatype::FloatingPoint { size: 2, .. } if Half::is_stored_in(data)? => Stored::F16,
+        Datatype::FloatingPoint { size: 2, .. } if is_half(data)? => Stored::F16,
         Datatype::FloatingPoint { size: 4, .. } => Stored::F32,
         Datatype::FloatingPoint { size: 8, .. } => Stored::F64,
         _ => return Ok(None),
     }))
 }
 
-/// A number of half precision, which the library does not know.
-#[derive(Clone)]
-pub(super) struct Half(f32);
+/// Places and sizes of the parts of a number of half precision, as the format has them from byte 8 of a datatype on: 16 bits
+/// from bit 0 on, 5 of exponent from bit 10 on, 10 of fraction from bit 0 on, a bias of 15.
+const HALF: [u8; 12] = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
 
-impl Half {
-    /// Places and sizes of the parts of a number, as the format has them from byte 8 of a datatype on: 16 bits from bit 0
-    /// on, 5 of exponent from bit 10 on, 10 of fraction from bit 0 on, a bias of 15.
-    const LAYOUT: [u8; 12] = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
-
-    /// Whether the numbers of two bytes of a dataset are divided like this; `bfloat16` is not.
-    fn is_stored_in(data: &Dataset) -> Result<bool, Error> {
-        Ok(data.raw_datatype()?.get(8..20) == Some(&Self::LAYOUT[..]))
-    }
-
-    /// The same numbers in single precision.
-    pub(super) fn singles(numbers: Vec<Self>) -> Vec<f32> {
-        numbers.into_iter().map(|Self(single)| single).collect()
-    }
-}
-
-impl H5Type for Half {
-    fn hdf5_type() -> Datatype {
-        Datatype::FloatingPoint { size: 2, byte_order: ByteOrder::LittleEndian }
-    }
-
-    fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
-        match (bytes, datatype) {
-            (&[low, high, ..], Datatype::FloatingPoint { size: 2, byte_order: ByteOrder::LittleEndian }) => {
-                Ok(Self(half::from_le_bytes([low, high])))
-            }
-            (&[high, low, ..], Datatype::FloatingPoint { size: 2, byte_order: ByteOrder::BigEndian }) => {
-                Ok(Self(half::from_le_bytes([low, high])))
-            }
-            _ => Err(Error::InvalidData(format!("{datatype:?} is not of half precision"))),
-        }
-    }
-
-    fn element_size(_: &Datatype) -> usize {
-        2
-    }
+/// Whether the floating-point numbers of two bytes of a dataset are of half precision; `bfloat16` is not.
+fn is_half(data: &Dataset) -> Result<bool, Error> {
+    Ok(data.raw_datatype()?.get(8..20) == Some(&HALF[..]))
 }

@@ -4,6 +4,7 @@
 //! Their common layout is a group for each type of particle, `PartType0` for gas and so on, with a dataset for each
 //! quantity. Positions are left where they are: a box that is periodic is not wrapped.
 
+mod bits;
 mod hdf5;
 mod header;
 mod layout;

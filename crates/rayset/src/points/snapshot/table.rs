@@ -3,8 +3,9 @@
 use hdf5_reader::group::Group;
 use hdf5_reader::{Dataset, H5Type, SliceInfo, SliceInfoElem};
 
-use super::hdf5::{Attributes, File, Half, MOST_CHUNK_BYTES, stored};
-use crate::numbers::Stored;
+use super::bits::Bits;
+use super::hdf5::{Attributes, File, MOST_CHUNK_BYTES, stored};
+use crate::numbers::{Stored, half};
 use crate::points::{ColumnType, ReadError, Values};
 
 /// Largest number of numbers in a row.
@@ -95,17 +96,17 @@ impl Table {
         }
         let selection = SliceInfo { selections };
         let values = match self.stored {
-            Stored::U8 => Values::U8(self.numbers(file, &selection)?),
-            Stored::I8 => Values::I8(self.numbers(file, &selection)?),
-            Stored::U16 => Values::U16(self.numbers(file, &selection)?),
-            Stored::I16 => Values::I16(self.numbers(file, &selection)?),
-            Stored::U32 => Values::U32(self.numbers(file, &selection)?),
-            Stored::I32 => Values::I32(self.numbers(file, &selection)?),
-            Stored::U64 => Values::U64(self.numbers(file, &selection)?),
-            Stored::I64 => Values::I64(self.numbers(file, &selection)?),
-            Stored::F16 => Values::F32(Half::singles(self.numbers(file, &selection)?)),
-            Stored::F32 => Values::F32(self.numbers(file, &selection)?),
-            Stored::F64 => Values::F64(self.numbers(file, &selection)?),
+            Stored::U8 => Values::U8(self.numbers(file, &selection, |Bits(bits)| bits)?),
+            Stored::I8 => Values::I8(self.numbers(file, &selection, |Bits(bits): Bits<u8>| bits as i8)?),
+            Stored::U16 => Values::U16(self.numbers(file, &selection, |Bits(bits)| bits)?),
+            Stored::I16 => Values::I16(self.numbers(file, &selection, |Bits(bits): Bits<u16>| bits as i16)?),
+            Stored::U32 => Values::U32(self.numbers(file, &selection, |Bits(bits)| bits)?),
+            Stored::I32 => Values::I32(self.numbers(file, &selection, |Bits(bits): Bits<u32>| bits as i32)?),
+            Stored::U64 => Values::U64(self.numbers(file, &selection, |Bits(bits)| bits)?),
+            Stored::I64 => Values::I64(self.numbers(file, &selection, |Bits(bits): Bits<u64>| bits as i64)?),
+            Stored::F16 => Values::F32(self.numbers(file, &selection, |Bits(bits)| half::from_bits(bits))?),
+            Stored::F32 => Values::F32(self.numbers(file, &selection, |Bits(bits)| f32::from_bits(bits))?),
+            Stored::F64 => Values::F64(self.numbers(file, &selection, |Bits(bits)| f64::from_bits(bits))?),
         };
         let expected = count * self.width as u64;
         if values.len() as u64 != expected {
@@ -117,9 +118,15 @@ impl Table {
         Ok(values)
     }
 
-    fn numbers<T: H5Type>(&self, file: &File, selection: &SliceInfo) -> Result<Vec<T>, ReadError> {
-        let array = file.guarded(self.address(), &self.name, || self.data.read_slice::<T>(selection))?;
-        Ok(array.into_raw_vec_and_offset().0)
+    /// The numbers of a selection, each made of its bits; in the memory of these, if it is of their size.
+    fn numbers<B: H5Type, T>(
+        &self,
+        file: &File,
+        selection: &SliceInfo,
+        number: impl Fn(B) -> T,
+    ) -> Result<Vec<T>, ReadError> {
+        let array = file.guarded(self.address(), &self.name, || self.data.read_slice::<B>(selection))?;
+        Ok(array.into_raw_vec_and_offset().0.into_iter().map(number).collect())
     }
 }
 
