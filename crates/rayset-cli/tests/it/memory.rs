@@ -236,7 +236,7 @@ fn caps_are_counted_one_after_another_in_the_memory_of_one() {
 fn caps_that_turn_out_to_need_more_memory_say_how_much_and_make_the_same_picture_with_it() {
     let folder = folder();
     let shell = r#"{"type": "difference", "children": [{"type": "sphere", "radius": 1}, {"type": "sphere", "radius": 0.9}]}"#;
-    std::fs::write(folder.path().join("scene.json"), capped(6, shell)).expect("the scene is written");
+    std::fs::write(folder.path().join("scene.json"), capped(3, shell)).expect("the scene is written");
     let to_count = least(folder.path(), "scene.json", "o.png");
     let render = |memory: &str, output: &str| {
         Command::new(env!("CARGO_BIN_EXE_rayset"))

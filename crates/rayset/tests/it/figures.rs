@@ -66,7 +66,7 @@ fn the_same_whatever_the_means(shadows: Shadows, step_fraction: f64) {
         let path = folder.path().join(format!("fig{figure}.json"));
         let SceneFile { scene, camera, settings, .. } = SceneFile::load(&path).expect("a scene");
         let step = Step::Automatic { fraction: step_fraction };
-        let settings = RenderSettings { width: 128, height: 128, shadows, step, ..settings };
+        let settings = RenderSettings { width: 96, height: 96, shadows, step, ..settings };
         let found = |exec: &ExecSettings, bytes: u64| {
             bits(&picture(&scene, &camera, &settings, exec, &paged(&scene, bytes)).expect("a picture"))
         };
@@ -91,5 +91,5 @@ fn figures_with_exact_shadows_are_the_same_whatever_the_means() {
 
 #[test]
 fn figures_with_cached_shadows_are_the_same_whatever_the_means() {
-    the_same_whatever_the_means(Shadows::Cached { resolution: 128 }, 0.25);
+    the_same_whatever_the_means(Shadows::Cached { resolution: 64 }, 0.25);
 }
