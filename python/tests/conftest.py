@@ -7,6 +7,7 @@ import hashlib
 import http.server
 import os
 import re
+import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,10 @@ import numpy as np
 import pytest
 
 import rayset as rs
+
+# Tests interrupt renders. Whoever ignores SIGINT, as shells make what runs in the background do, hands that on.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

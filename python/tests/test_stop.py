@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import textwrap
@@ -42,15 +41,13 @@ WORK = {
 
 
 def _python(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    # Whoever ignores SIGINT, as shells make what runs in the background do, hands that on.
-    restore = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
     text = textwrap.dedent(code)
     package = str(Path(rs.__file__).parents[1])
     paths = os.pathsep.join([package, os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": paths, "TMPDIR": str(folder / "tmp"), "XDG_CACHE_HOME": str(folder / "home")}
     (folder / "tmp").mkdir(exist_ok=True)
     return subprocess.run(
-        [sys.executable, "-c", text], cwd=folder, env=environment, capture_output=True, text=True, preexec_fn=restore, timeout=120
+        [sys.executable, "-c", text], cwd=folder, env=environment, capture_output=True, text=True, timeout=120
     )
 
 
