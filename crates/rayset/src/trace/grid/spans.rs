@@ -220,7 +220,7 @@ mod tests {
                     covered[lane] |= segment.samples;
                     let ray = in_voxels.ray(lane, slab);
                     for j in (0..SLAB_SAMPLES).filter(|j| segment.samples >> j & 1 == 1) {
-                        let at = ray.place(j).floor().as_uvec3().to_array().map(|cell| cell / 17);
+                        let at = ray.place(j).to_array().map(|place| place as u32 / 17);
                         assert_eq!(grid.bricks.number(at), brick.number);
                     }
                 }
