@@ -9,88 +9,60 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from . import _arguments
+from . import _arguments, _native
 from ._errors import SceneError
 from ._objects import Cloud, Grid, Object
 from ._parts import Camera, Light
 
-#: What can be said of a look, as the program's options are called. Those with ``True`` are said or not.
-LOOK_OPTIONS: dict[str, str] = {
-    "look": "look",
-    "kernel": "kernel",
-    "normalised": "normalised",
-    "radius_scale": "radius-scale",
-    "opacity": "opacity",
-    "unit_distance": "unit-distance",
-    "color": "color",
-    "colormap": "colormap",
-    "color_by": "color-by",
-    "value_range": "value-range",
-    "log": "log",
-    "shading": "shading",
-    "ambient_occlusion": "ambient-occlusion",
-    "step": "step",
-    "step_fraction": "step-fraction",
-    "phase": "phase",
-    "stop": "stop",
-}
-_FLAGS = ("normalised", "log")
+#: What can be said of a look. The background is an argument of its own.
+LOOK_OPTIONS: tuple[str, ...] = tuple(name for name in _native.look_options() if name != "background")
 _VIEWS = ("iso", "front", "back", "left", "right", "top", "bottom")
 #: What a look says of a cloud or a grid itself.
 _OF_LEAF = ("transferFunction", "interpolation", "material", "kernel", "normalised", "radiusScale")
 
 
-def words(options: Mapping[str, Any]) -> list[str]:
-    """What was said of a look, as one would type it."""
-    said = []
-    for name, value in options.items():
-        if value is None or value is False:
-            continue
+def look_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What was said of a look; the program reads what its values mean."""
+    for name in options:
         if name not in LOOK_OPTIONS:
             raise TypeError(f"unknown argument {name!r}; a look has {', '.join(LOOK_OPTIONS)}")
-        option = f"--{LOOK_OPTIONS[name]}"
-        said.append(option if name in _FLAGS else f"{option}={_text(name, value)}")
-    return said
+    return {name: value for name, value in options.items() if value is not None and value is not False}
 
 
-def _text(name: str, value: Any) -> str:
-    if name == "value_range" and not isinstance(value, str):
-        low, high = value
-        return f"{low}:{high}"
-    if name == "opacity" and not isinstance(value, str):
-        if isinstance(value, (int, float)):
-            return f"extinction:{value}"
-        return ",".join(f"{x}:{y}" for x, y in value)
-    return str(value)
-
-
-def camera_words(view: Any, direction: Any, up: Any, fovy: Any, orthographic: bool) -> list[str]:
-    """What was said of a camera, as one would type it."""
-    said = []
+def camera_options(view: Any, direction: Any, up: Any, fovy: Any, orthographic: bool) -> dict[str, Any]:
+    """What was said of a camera."""
+    said: dict[str, Any] = {}
     if view is not None:
-        said.append(f"--view={_arguments.choice(view, 'view', _VIEWS)}")
+        said["view"] = _arguments.choice(view, "view", _VIEWS)
     if direction is not None:
-        said.append(f"--direction={','.join(map(repr, _arguments.direction(direction, 'direction')))}")
+        said["direction"] = _arguments.direction(direction, "direction")
     if up is not None:
-        said.append(f"--up={up if isinstance(up, str) else ','.join(map(repr, _arguments.direction(up, 'up')))}")
+        said["up"] = up if isinstance(up, str) else _arguments.direction(up, "up")
     if fovy is not None:
-        said.append(f"--fovy={_arguments.number(fovy, 'fovy', 1e-3, 179.0)!r}")
+        said["fovy"] = _arguments.number(fovy, "fovy", 1e-3, 179.0)
     if orthographic:
-        said.append("--orthographic")
+        said["orthographic"] = True
     return said
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has no type for: numbers and arrays of NumPy as lists and numbers, all else as a text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 #: A place on the axis that the cameras of a turntable turn about, and its direction.
 About = tuple[Sequence[float], Sequence[float]]
 
 
-def look_of(held: Cloud | Grid, said: list[str], size: tuple[int, int], turns: bool = False) -> tuple[dict[str, Any], str, About | None]:
+def look_of(
+    held: Cloud | Grid, said: Mapping[str, Any], size: tuple[int, int], turns: bool = False
+) -> tuple[dict[str, Any], str, About | None]:
     """The scene that a cloud or grid is rendered as, what is said of it, and with `turns` what the cameras of a turntable turn about, of
     which its camera is the first. Errors name arguments, not options."""
     try:
-        text, line, _, _, about = held._file.look(said, size, turns)
+        text, line, _, _, about = held._file.look(json.dumps(said, default=_plain), size, turns)
     except SceneError as error:
-        words = re.sub(r"'?--([a-z-]+)(?: <[A-Z_]+>)?'?", lambda found: found[1].replace("-", "_"), str(error))
+        words = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), str(error))
         raise SceneError(words.replace(", for which `help` lists the others", "")) from None
     return json.loads(text), line, about
 
@@ -102,7 +74,7 @@ def fitted(target: Any, view: Any, direction: Any, up: Any, fovy: Any, orthograp
     data = _framed(target)
     if data is None:
         raise ValueError("Camera.fit: there are no points or voxels to frame; say position and look_at")
-    chosen, _, _ = look_of(data, camera_words(view, direction, up, fovy, orthographic), _arguments.size(size))
+    chosen, _, _ = look_of(data, camera_options(view, direction, up, fovy, orthographic), _arguments.size(size))
     middle = tuple(0.5 * (a + b) for a, b in zip(*data.bounds))
     return replace(Camera.from_json(chosen["camera"]), about=middle)
 
@@ -121,21 +93,21 @@ class Composed:
         self.line = line
 
 
-def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, size: tuple[int, int], camera_said: list[str]) -> Composed:
+def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, size: tuple[int, int], camera_said: Mapping[str, Any]) -> Composed:
     """The scene of an object: clouds and grids that have no transfer function get a look, and the first one's lights, background and
     settings are those of the whole."""
-    said = words(options)
+    said = look_options(options)
     leaves = {name: held for name, held in target._data.items()}
     chosen: dict[str, dict[str, Any]] = {}
     line = ""
     for name, held in leaves.items():
         # What is said of a look is for the first; a grid beside a cloud has none of it.
-        own = said if not chosen or isinstance(held, Cloud) else []
-        chosen[name], said_of_it, _ = look_of(held, [*own, *camera_said], size)
+        own = said if not chosen or isinstance(held, Cloud) else {}
+        chosen[name], said_of_it, _ = look_of(held, {**own, **camera_said}, size)
         line = line or said_of_it
     if not chosen:
         if said:
-            raise ValueError(f"{said[0].lstrip('-')}: looks are for clouds and grids, and this has none")
+            raise ValueError(f"{next(iter(said))}: looks are for clouds and grids, and this has none")
         scene: dict[str, Any] = {"rayset": 1, "image": {"size": list(size), "samples": 2}, "root": target.to_json()}
     else:
         first = next(iter(chosen.values()))
@@ -153,14 +125,14 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
 
 
 def first_of_turntable(
-    target: Object, options: Mapping[str, Any], size: tuple[int, int], camera_said: list[str]
+    target: Object, options: Mapping[str, Any], size: tuple[int, int], camera_said: Mapping[str, Any]
 ) -> tuple[dict[str, Any], About] | None:
     """The first camera of a turntable whose cameras all see the only cloud or grid of an object, and what they turn about; ``None`` of
     objects whose bounds are to be framed."""
     if not _is_framed_by_first(target):
         return None
     (held,) = target._data.values()
-    chosen, _, about = look_of(held, [*words(options), *camera_said], size, turns=True)
+    chosen, _, about = look_of(held, {**look_options(options), **camera_said}, size, turns=True)
     return None if about is None else (chosen["camera"], about)
 
 

@@ -56,13 +56,13 @@ class Scene:
             raise TypeError(f"Scene: expected a cloud, a grid or an object made of them, and got {type(root).__name__}")
         if camera is not None and not isinstance(camera, Camera):
             raise TypeError(f"camera={camera!r}: expected a Camera, as Camera.fit(cloud) makes it")
-        said = _compose.camera_words(view, None, up, None, False)
+        said = _compose.camera_options(view, None, up, None, False)
         made = _compose.compose(root, look_options, camera, _arguments.size(size), said)
         self._json = made.scene
         self._data = made.data
         self._folder = os.getcwd()
         #: What the camera was chosen for, unless somebody has said where it is.
-        self._framed: tuple[Object, dict[str, Any], list[str]] | None = (root, look_options, said) if camera is None else None
+        self._framed: tuple[Object, dict[str, Any], dict[str, Any]] | None = (root, look_options, said) if camera is None else None
         #: What was chosen for the look, and why.
         self.line = made.line
         self._override(None, lights, background, None, samples, exposure, tone_mapping, rendering)

@@ -12,7 +12,7 @@ use pyo3::types::{PyDict, PyList};
 use rayset::file::FileKind;
 use rayset::geometry::DVec3;
 use rayset::{CancelToken, Cloud, Grid, OpenError};
-use rayset_inputs::look::{self, Looks};
+use rayset_inputs::look::{self, Looks, Picture};
 use rayset_inputs::{CacheArgs, Host, Input, Opened, OwnFolder, Resources};
 
 use crate::errors::{self, Kind};
@@ -150,20 +150,13 @@ impl CloudFile {
         Ok((positions.into_pyarray(py), columns.collect()))
     }
 
-    /// The scene that it is rendered as if nobody says more than `words`, options of the program: the scene as JSON, what is
-    /// said of it, the name of the look, and what is up; with `turns` also what the cameras of a turntable turn about, of which its
+    /// The scene that it is rendered as if nobody says more than `arguments`, an object of JSON: the scene as JSON, what is said of it, the name of the look, and what is up; with `turns` also what the cameras of a turntable turn about, of which its
     /// camera is the first.
-    #[pyo3(signature = (words, size, turns = false))]
-    fn look(
-        &self,
-        py: Python<'_>,
-        words: Vec<String>,
-        size: (u32, u32),
-        turns: bool,
-    ) -> PyResult<ChosenLook> {
-        let words = looks::parse(py, words, turns)?;
-        let chosen = py.detach(|| looks::texts(self.looks()?.chosen(&words.look, &words.camera, size)?));
-        looks::chosen(py, chosen)
+    #[pyo3(signature = (arguments, size, turns = false))]
+    fn look(&self, py: Python<'_>, arguments: &str, size: (u32, u32), turns: bool) -> PyResult<ChosenLook> {
+        looks::chosen(py, arguments, Picture { size, turns }, |style, picture| {
+            self.looks()?.chosen(style, picture)
+        })
     }
 
     /// Writes the cloud to a file, as it is.
@@ -236,17 +229,11 @@ impl GridFile {
     }
 
     /// As [`CloudFile::look`].
-    #[pyo3(signature = (words, size, turns = false))]
-    fn look(
-        &self,
-        py: Python<'_>,
-        words: Vec<String>,
-        size: (u32, u32),
-        turns: bool,
-    ) -> PyResult<ChosenLook> {
-        let words = looks::parse(py, words, turns)?;
-        let chosen = py.detach(|| looks::texts(look::of_grid(&self.grid, &words.look, &words.camera, size)?));
-        looks::chosen(py, chosen)
+    #[pyo3(signature = (arguments, size, turns = false))]
+    fn look(&self, py: Python<'_>, arguments: &str, size: (u32, u32), turns: bool) -> PyResult<ChosenLook> {
+        looks::chosen(py, arguments, Picture { size, turns }, |style, picture| {
+            look::of_grid(&self.grid, style, picture)
+        })
     }
 
     /// Writes the grid to a file, as it is.

@@ -55,5 +55,6 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(files::open_bytes, module)?)?;
     module.add_function(wrap_pyfunction!(looks::colormap, module)?)?;
     module.add_function(wrap_pyfunction!(looks::colormaps, module)?)?;
+    module.add_function(wrap_pyfunction!(looks::look_options, module)?)?;
     module.add_function(wrap_pyfunction!(looks::size_of, module)?)
 }

@@ -1,10 +1,10 @@
 //! What clouds and grids look like, by the options of the program and the same code.
 
-use clap::Parser;
 use pyo3::prelude::*;
 use rayset::file::ScanError;
 use rayset::scene::Colormap;
-use rayset_inputs::look::{CameraArgs, Chosen, LookArgs};
+use rayset_inputs::look::{Chosen, Picture};
+use rayset_inputs::style::{Group, OPTIONS, Spelling, Style};
 use rayset_inputs::values;
 
 use crate::errors::{self, Kind};
@@ -17,40 +17,33 @@ pub(crate) type TurnsAbout = ([f64; 3], [f64; 3]);
 /// turn about.
 pub(crate) type ChosenLook = (String, String, String, String, Option<TurnsAbout>);
 
-/// Options of the program that say what something looks like.
-#[derive(Parser)]
-#[command(no_binary_name = true, disable_help_flag = true)]
-pub(crate) struct Words {
-    #[command(flatten)]
-    pub(crate) look: LookArgs,
-    #[command(flatten)]
-    pub(crate) camera: CameraArgs,
+/// The style of an object of JSON whose keys are names of arguments.
+fn style(py: Python<'_>, arguments: &str) -> PyResult<Style> {
+    let wrong = |what: String| errors::error(py, Kind::Scene, what);
+    let object = serde_json::from_str(arguments).map_err(|error| wrong(error.to_string()))?;
+    Style::from_object(&object, Spelling::Snake).map_err(|error| wrong(error.to_string()))
 }
 
-/// What was said; `turns` if it is of the first picture of a turntable.
-pub(crate) fn parse(py: Python<'_>, words: Vec<String>, turns: bool) -> PyResult<Words> {
-    let parsed = Words::try_parse_from(words).map(|mut words| {
-        words.camera.turns = turns;
-        words
-    });
-    parsed.map_err(|error| {
-        let text = error.to_string();
-        // Without how the program is used.
-        let lines: Vec<&str> =
-            text.lines().map(str::trim).take_while(|line| !line.starts_with("For more")).collect();
-        let said = lines.iter().filter(|line| !line.is_empty()).copied().collect::<Vec<_>>().join("; ");
-        errors::error(py, Kind::Scene, said.trim_start_matches("error: ").to_owned())
-    })
+/// The names of the options of looks, as arguments.
+#[pyfunction]
+pub(crate) fn look_options() -> Vec<String> {
+    let options = OPTIONS.iter().filter(|option| option.group == Group::Look);
+    options.map(|option| Spelling::Snake.of(option.name()).into_owned()).collect()
 }
 
-/// What was chosen, as texts.
-pub(crate) fn texts(chosen: Chosen) -> anyhow::Result<ChosenLook> {
-    let about = chosen.turntable.map(|about| (about.center.to_array(), about.axis.to_array()));
-    Ok((chosen.scene.to_string(), chosen.line, chosen.look.to_owned(), chosen.up, about))
-}
-
-pub(crate) fn chosen(py: Python<'_>, chosen: anyhow::Result<ChosenLook>) -> PyResult<ChosenLook> {
-    chosen.map_err(|error| {
+/// What is chosen by arguments, as texts.
+pub(crate) fn chosen(
+    py: Python<'_>,
+    arguments: &str,
+    picture: Picture,
+    choose: impl FnOnce(&Style, Picture) -> anyhow::Result<Chosen> + Send,
+) -> PyResult<ChosenLook> {
+    let style = style(py, arguments)?;
+    let texts = |chosen: Chosen| {
+        let about = chosen.turntable.map(|about| (about.center.to_array(), about.axis.to_array()));
+        (chosen.scene.to_string(), chosen.line, chosen.look.to_owned(), chosen.up, about)
+    };
+    py.detach(|| choose(&style, picture).map(texts)).map_err(|error| {
         // What is wrong may be the file that is looked at.
         let kind = if error.is::<ScanError>() { Kind::Input } else { Kind::Scene };
         errors::error(py, kind, format!("{error:#}"))

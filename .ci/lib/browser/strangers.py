@@ -117,5 +117,5 @@ def whoever_knows_the_password_is_let_in(browser, folder):
     time.sleep(0.6)
     page.get_by_label("Password").fill("a long sentence")
     page.get_by_role("button", name="Enter").click()
-    page.get_by_text("complete").wait_for(timeout=PATIENCE)
+    page.locator("#status", has_text="complete").wait_for(timeout=PATIENCE)
     server.end()

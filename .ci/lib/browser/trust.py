@@ -251,7 +251,7 @@ def a_new_window_begins_with_what_this_one_shows(browser, server, _folder):
     with person.context.expect_page() as opened:
         person.page.get_by_role("button", name="New window").click()
     page = opened.value
-    page.get_by_text("complete").wait_for(timeout=60_000)
+    page.locator("#status", has_text="complete").wait_for(timeout=60_000)
     debugger = person.context.new_cdp_session(page)
     there = debugger.send("Runtime.evaluate", {"expression": "JSON.stringify(rayset.view.state)", "returnByValue": True})
     assert there["result"]["value"] == state
@@ -382,5 +382,5 @@ def the_fifth_page_is_told_why_it_is_not_connected(browser, server, _folder):
     page.get_by_text("4 pages are open").wait_for(timeout=60_000)
     # It is served once there is a place.
     pages[3].context.close()
-    page.get_by_text("complete").wait_for(timeout=60_000)
+    page.locator("#status", has_text="complete").wait_for(timeout=60_000)
     assert math.isfinite(pages[0].camera()["distance"])

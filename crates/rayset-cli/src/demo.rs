@@ -13,7 +13,7 @@ use crate::budget::Budget;
 use crate::interrupts::TemporaryFolder;
 use crate::progress::Meter;
 use crate::render;
-use rayset_inputs::look::CameraArgs;
+use rayset_inputs::style::Style;
 use rayset_inputs::values;
 
 use crate::{generate, report};
@@ -60,16 +60,16 @@ fn make(args: &DemoArgs, folder: &Path) -> Result<()> {
 
     report::say(format_args!("3. render them, within {}", report::bytes(args.memory)));
     let view = workload.view();
-    let camera = CameraArgs {
+    let camera = Style {
         position: Some(view.position.to_array()),
         look_at: Some(view.look_at.to_array()),
         up: Some(view.up.to_array()),
         fovy: Some(view.fovy_degrees),
-        ..CameraArgs::default()
+        ..Style::default()
     };
     let (width, height) = args.size;
     let render = render::defaults(&cloud, &args.output)?;
-    render::run(&render.with_memory(args.memory).with_camera(camera).with_size(width, height))
+    render::run(&render.with_memory(args.memory).with_style(&camera).with_size(width, height))
 }
 
 /// Generates points and builds their cloud in a folder, within a budget.

@@ -18,7 +18,8 @@ use rayset_inputs::{CacheArgs, Input, units};
 use crate::input::{self, Resources};
 use crate::memory::PROCESS_BYTES;
 use crate::report;
-use rayset_inputs::look::{self, CameraArgs, Chosen, LookArgs};
+use rayset_inputs::look::{self, Chosen};
+use rayset_inputs::style::Style;
 
 /// Memory of the whole process for building what has not been built.
 const BUILD_MEMORY: u64 = 256 << 20;
@@ -201,8 +202,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         crs: h.crs.clone(),
         length_unit: of_reference_system(&h.crs).map_or_else(|| of_header(h), |space| space.unit),
         histograms: told(histograms(cloud)).unwrap_or_default(),
-        guess: told(look::of_cloud(cloud, &LookArgs::default(), &CameraArgs::default(), GUESSED))
-            .map(|chosen| Guess::of(&chosen)),
+        guess: told(look::of_cloud(cloud, &Style::default(), GUESSED)).map(|chosen| Guess::of(&chosen)),
         sources: h.sources.clone(),
         identity: h.identity.to_string(),
         file_bytes: h.file_bytes,
@@ -254,8 +254,7 @@ fn grid_info(grid: &Grid, as_json: bool) -> Result<()> {
     let sample = told(grid.sample(SAMPLE).map_err(Into::into)).unwrap_or_default();
     let values = sample.columns.first().into_iter();
     let histogram = Histogram::of(values.flat_map(|values| (0..sample.len()).map(|i| values.get(i))));
-    let guess = told(look::of_grid(grid, &LookArgs::default(), &CameraArgs::default(), GUESSED))
-        .map(|chosen| Guess::of(&chosen));
+    let guess = told(look::of_grid(grid, &Style::default(), GUESSED)).map(|chosen| Guess::of(&chosen));
     let labels = h.labels.values.iter();
     let labels =
         labels.map(|label| LabelInfo { value: label.value, name: &label.name, voxels: label.voxels });

@@ -28,6 +28,7 @@ mod progress;
 mod render;
 mod report;
 mod statistics;
+mod style_args;
 mod verify;
 #[cfg(feature = "view")]
 mod view;

@@ -16,6 +16,7 @@ mod magnitude;
 mod open;
 mod sources;
 mod speed;
+pub mod style;
 mod temporary;
 pub mod text;
 pub mod units;

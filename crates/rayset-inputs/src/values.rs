@@ -58,6 +58,18 @@ pub fn direction(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
+/// An axis with its sign, as `-z`, or any direction.
+pub fn axis(text: &str) -> Result<[f64; 3], String> {
+    let (sign, name) =
+        text.strip_prefix('-').map_or((1.0, text.trim_start_matches('+')), |name| (-1.0, name));
+    match name {
+        "x" => Ok([sign, 0.0, 0.0]),
+        "y" => Ok([0.0, sign, 0.0]),
+        "z" => Ok([0.0, 0.0, sign]),
+        _ => direction(text),
+    }
+}
+
 /// Two numbers: `0:10`.
 pub fn range(text: &str) -> Result<(f64, f64), String> {
     let parsed =

@@ -11,7 +11,9 @@ use rayset::storage::{address_of, beside};
 use serde_json::{Value, json};
 
 use crate::cuts;
-use crate::looks::{Command, Looks, Stance, Style, Styled};
+use rayset_inputs::style::{Flag, Style};
+
+use crate::looks::{Command, Looks, Stance, Styled};
 use crate::protocol::{Changes, Legend, Pose, Show, Sun};
 
 /// What was opened.
@@ -122,22 +124,17 @@ impl Opened {
         let style = changes.style.as_ref().unwrap_or(&self.first_style);
         let mut seen = self.composed(show, true).ok()?;
         without_comments(&mut seen);
-        let means_the_same = |camera: &[String]| {
-            let Command { words, mut scene } = looks.command(style, camera, changes.exposure).ok()?;
+        let means_the_same = |camera: Style| {
+            let whole = Style { exposure: changes.exposure, ..camera.or(style) };
+            let Command { words, mut scene } = looks.command(&whole).ok()?;
             scene["image"]["size"] = json!(show.size);
             without_comments(&mut scene);
             (scene == seen).then_some(words)
         };
         // What is up in the picture is what is up in the data, or follows from it: straight from above, where it is north.
-        let camera = camera_words(&show.camera);
-        let mut words = means_the_same(&camera).or_else(|| {
-            let others: Vec<String> =
-                camera.iter().filter(|word| !word.starts_with("--up=")).cloned().collect();
-            means_the_same(&others)
-        })?;
-        if let Some(stops) = changes.exposure {
-            words.push(format!("--exposure={stops}"));
-        }
+        let camera = style_of(&show.camera);
+        let without_up = Style { up: None, ..camera.clone() };
+        let mut words = means_the_same(camera).or_else(|| means_the_same(without_up))?;
         let [width, height] = show.size;
         words.extend([format!("--size={width}x{height}"), "-o".into(), "picture.png".into()]);
         Some(words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "))
@@ -188,14 +185,16 @@ fn camera_value(&Pose { position, direction, up, fovy, height }: &Pose) -> Value
 }
 
 /// The camera of a pose, as options of `rayset render`.
-fn camera_words(&Pose { position, direction, up, fovy, height }: &Pose) -> Vec<String> {
-    let vector = |name: &str, [x, y, z]: [f64; 3]| format!("--{name}={x},{y},{z}");
-    let mut words = vec![vector("position", position), vector("direction", direction), vector("up", up)];
-    match height {
-        Some(height) => words.extend(["--orthographic".to_owned(), format!("--height={height}")]),
-        None => words.push(format!("--fovy={fovy}")),
+fn style_of(&Pose { position, direction, up, fovy, height }: &Pose) -> Style {
+    Style {
+        position: Some(position),
+        direction: Some(direction),
+        up: Some(up),
+        fovy: height.is_none().then_some(fovy),
+        orthographic: height.map(|_| Flag),
+        height,
+        ..Style::default()
     }
-    words
 }
 
 /// Takes remarks for readers out of a scene: they change nothing of the picture.

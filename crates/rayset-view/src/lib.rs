@@ -54,5 +54,5 @@ pub fn hear_message(bytes: &[u8]) -> Result<(), String> {
 
 pub use self::access::{SECRET_BYTES, secret};
 pub use self::compose::Subject;
-pub use self::looks::{Attribute, Choices, Command, Histogram, Looks, Stance, Style, Styled};
+pub use self::looks::{Attribute, Choices, Command, Histogram, Looks, Stance, Styled};
 pub use self::server::{Opener, Options, ServeError, Server};

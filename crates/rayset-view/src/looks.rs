@@ -1,6 +1,7 @@
 //! Looks of what was opened: what a page may choose among, and the scene that its choice gives.
 
-use serde::{Deserialize, Serialize};
+use rayset_inputs::style::Style;
+use serde::Serialize;
 use serde_json::Value;
 
 /// Makes scenes of what was opened in the looks that pages choose.
@@ -8,7 +9,7 @@ pub trait Looks: Send + Sync {
     /// What there is to choose among.
     fn choices(&self) -> Choices;
 
-    /// The scene in a style.
+    /// The scene in a style, which says nothing of the camera.
     ///
     /// # Errors
     /// What is wrong with the style, for the person who chose it.
@@ -17,12 +18,11 @@ pub trait Looks: Send + Sync {
     /// Gives a scene in a style another exposure, in stops, as the command does.
     fn expose(&self, scene: &mut Value, stops: f64);
 
-    /// The command that renders it in a style, with options of the camera, and the scene that this command renders with an exposure in
-    /// stops, if one is asked for.
+    /// The command that renders it in a style with a camera, and the scene that this command renders.
     ///
     /// # Errors
-    /// What is wrong with the options.
-    fn command(&self, style: &Style, camera: &[String], exposure: Option<f64>) -> Result<Command, String>;
+    /// As of [`styled`](Self::styled).
+    fn command(&self, style: &Style) -> Result<Command, String>;
 }
 
 /// What a page can choose among.
@@ -35,7 +35,7 @@ pub struct Choices {
     pub attributes: Vec<Attribute>,
     /// Names of colour maps, each with colours evenly spaced along it, as `#rrggbb`.
     pub palettes: Vec<(String, Vec<String>)>,
-    /// What was chosen when the program was started.
+    /// What was said when the program was started; pages change it and send the whole.
     pub style: Style,
 }
 
@@ -65,56 +65,6 @@ pub struct Histogram {
     pub logarithmic: bool,
     /// The number in each.
     pub counts: Vec<u64>,
-}
-
-/// How a cloud or grid is to look: options of `rayset render`. What is missing is chosen from the data.
-#[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
-#[serde(rename_all = "camelCase", deny_unknown_fields, default)]
-pub struct Style {
-    /// Name of a look.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub look: Option<String>,
-    /// One colour for all, `#rrggbb`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub color: Option<String>,
-    /// The attribute or coordinate that colours show.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub color_by: Option<String>,
-    /// Name of a colour map.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub colormap: Option<String>,
-    /// Values at the ends of the map.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub value_range: Option<[f64; 2]>,
-    /// The map is over the logarithm.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub log: bool,
-    /// Radii of points, as a factor of those in the file.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub radius_scale: Option<f64>,
-    /// Opacity over density or value: points of a curve.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub opacity: Option<Vec<[f64; 2]>>,
-}
-
-impl Style {
-    /// The options as one would type them.
-    #[must_use]
-    pub fn words(&self) -> Vec<String> {
-        let pair = |[a, b]: [f64; 2]| format!("{a}:{b}");
-        let curve = |points: &Vec<[f64; 2]>| points.iter().map(|&p| pair(p)).collect::<Vec<_>>().join(",");
-        let texts = [
-            ("look", self.look.clone()),
-            ("color", self.color.clone()),
-            ("color-by", self.color_by.clone()),
-            ("colormap", self.colormap.clone()),
-            ("value-range", self.value_range.map(pair)),
-            ("radius-scale", self.radius_scale.map(|scale| scale.to_string())),
-            ("opacity", self.opacity.as_ref().map(curve)),
-        ];
-        let words = texts.into_iter().filter_map(|(name, text)| Some(format!("--{name}={}", text?)));
-        words.chain(self.log.then(|| "--log".to_owned())).collect()
-    }
 }
 
 /// A scene in a style.

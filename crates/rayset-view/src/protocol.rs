@@ -9,8 +9,9 @@ use serde_json::Value;
 
 use crate::cuts::{Cutter, MOST_CUTTERS, Section};
 use crate::engine::Report;
-use crate::looks::{Choices, Histogram, Stance, Style};
+use crate::looks::{Choices, Histogram, Stance};
 use crate::picking::Picked;
+use rayset_inputs::style::Style;
 
 /// Longest message of a page, in bytes.
 pub(crate) const MOST_MESSAGE_BYTES: usize = 64 << 10;

@@ -8,9 +8,10 @@ use clap::Args;
 use super::picture::PictureArgs;
 use super::work::WorkArgs;
 use crate::annotate::AnnotateArgs;
+use crate::style_args::StyleArgs;
 use rayset::parts::Share;
 use rayset_inputs::CacheArgs;
-use rayset_inputs::look::{CameraArgs, LookArgs};
+use rayset_inputs::style::Style;
 use rayset_inputs::values::{self, Frames};
 
 /// Render a scene, a cloud, a grid, or any file of points or voxels to a picture.
@@ -48,9 +49,7 @@ pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(super) annotate: AnnotateArgs,
     #[command(flatten)]
-    pub(super) look: LookArgs,
-    #[command(flatten)]
-    pub(super) camera: CameraArgs,
+    pub(super) style: StyleArgs<true>,
     #[command(flatten)]
     pub(super) work: WorkArgs,
     /// Write statistics to this file, as JSON
@@ -76,8 +75,9 @@ impl RenderArgs {
         self
     }
 
-    pub(crate) fn with_camera(mut self, camera: CameraArgs) -> Self {
-        self.camera = camera;
+    /// With these options, where they were given.
+    pub(crate) fn with_style(mut self, style: &Style) -> Self {
+        self.style.0 = style.or(&self.style.0);
         self
     }
 

@@ -6,7 +6,7 @@ use rayset::Region;
 use rayset::image::DisplayTransform;
 use rayset::scene::RenderSettings;
 
-use rayset_inputs::look::ImageChoices;
+use rayset_inputs::style::Style;
 use rayset_inputs::values;
 
 #[derive(Args, Clone, Default)]
@@ -18,16 +18,6 @@ pub(crate) struct PictureArgs {
     /// Only a part of the picture: left,top,width,height
     #[arg(long, value_delimiter = ',')]
     crop: Option<Vec<u32>>,
-    /// Rays along each side of a pixel, 1 to 64; 2 by default, 1 of scenes
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
-    samples: Option<u32>,
-    /// Exposure in stops, -32 to 32: light is multiplied by two to this power
-    #[arg(long, value_parser = exposure, allow_hyphen_values = true)]
-    exposure: Option<f64>,
-}
-
-fn exposure(text: &str) -> Result<f64, String> {
-    values::number_within(text, -32.0, 32.0)
 }
 
 impl PictureArgs {
@@ -37,18 +27,18 @@ impl PictureArgs {
         self.size.unwrap_or((plain.width, plain.height))
     }
 
-    /// What a scene that is chosen says of the picture.
-    pub(super) fn choices(&self) -> ImageChoices {
-        ImageChoices { samples: self.samples, exposure: self.exposure }
-    }
-
     /// Overrides the settings of a scene with those given on the command line.
-    pub(super) fn apply(&self, settings: &mut RenderSettings, display_transform: &mut DisplayTransform) {
+    pub(super) fn apply(
+        &self,
+        style: &Style,
+        settings: &mut RenderSettings,
+        display_transform: &mut DisplayTransform,
+    ) {
         if let Some((width, height)) = self.size {
             (settings.width, settings.height) = (width, height);
         }
-        settings.samples = self.samples.unwrap_or(settings.samples);
-        display_transform.exposure = self.exposure.unwrap_or(display_transform.exposure);
+        settings.samples = style.samples.unwrap_or(settings.samples);
+        display_transform.exposure = style.exposure.unwrap_or(display_transform.exposure);
     }
 
     /// The part of a picture of a size that is asked for.

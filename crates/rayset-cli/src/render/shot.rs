@@ -18,7 +18,8 @@ use rayset_inputs::{Input, Opened};
 
 use crate::input::{self, Resources};
 use crate::{outputs, report};
-use rayset_inputs::look::{self, CameraArgs, Chosen, Turntable};
+use rayset_inputs::look::{self, Chosen, Picture, Turntable};
+use rayset_inputs::style::Group;
 
 /// A scene with its camera and settings.
 pub(super) struct Shot {
@@ -59,24 +60,24 @@ impl Shot {
             sheet = args.annotate.sheet(size);
         }
         let picture = sheet.map_or(size, |sheet| sheet.picture);
-        let camera = CameraArgs { turns: args.turntable.is_some(), ..args.camera.clone() };
-        let look_args = args.look.clone().with_image(args.picture.choices());
+        let picture = Picture { size: picture, turns: args.turntable.is_some() };
+        let style = &args.style.0;
         let (mut file, chosen, look, turntable) = match &opened.input {
             Input::Scene(path) => (scene_file(args, path)?, None, None, None),
             Input::Cloud(cloud) => {
-                let chosen = look::of_cloud(cloud, &look_args, &camera, picture)?;
+                let chosen = look::of_cloud(cloud, style, picture)?;
                 let (file, text) = parsed(cloud.path(), &chosen, size)?;
                 warnings::of_small_radii(cloud.header(), chosen.middle, &file.camera, file.settings);
                 warnings::of_strays(cloud.header());
                 (file, Some(text), Some(chosen.look), chosen.turntable)
             }
             Input::Grid(grid) => {
-                let chosen = look::of_grid(grid, &look_args, &camera, picture)?;
+                let chosen = look::of_grid(grid, style, picture)?;
                 let (file, text) = parsed(grid.path(), &chosen, size)?;
                 (file, Some(text), Some(chosen.look), chosen.turntable)
             }
         };
-        args.picture.apply(&mut file.settings, &mut file.display_transform);
+        args.picture.apply(style, &mut file.settings, &mut file.display_transform);
         if chosen.is_none() {
             size = (file.settings.width, file.settings.height);
             sheet = args.annotate.sheet(size);
@@ -158,10 +159,11 @@ impl Shot {
 
 /// Reads a scene file, which says itself what can be chosen for clouds and grids.
 fn scene_file(args: &RenderArgs, path: &Path) -> Result<SceneFile> {
-    if let Some(option) = args.look.given() {
-        bail!("{option} is for clouds and grids; {} says itself what its objects look like", path.display());
+    if let Some(option) = args.style.0.given(Group::Look) {
+        let (name, path) = (option.name(), path.display());
+        bail!("--{name} is for clouds and grids; {path} says itself what its objects look like");
     }
-    if args.camera.is_given() {
+    if args.style.0.given(Group::Camera).is_some() {
         bail!("the camera stands in {}; change it there", path.display());
     }
     Ok(SceneFile::load(path)?)

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use clap::Parser;
 use rayset::scene::Colormap;
 use rayset::storage::address_of;
-use rayset_view::{Attribute, Choices, Command, Histogram, Looks as ForPages, Style, Styled};
+use rayset_view::{Attribute, Choices, Command, Histogram, Looks as ForPages, Styled};
 
 use crate::histogram;
-use rayset_inputs::look::{CameraArgs, Chosen, ImageChoices, LookArgs, Looks, expose};
+use rayset_inputs::look::{Chosen, Looks, expose};
+use rayset_inputs::style::{Group, OPTIONS, Style};
 use rayset_inputs::units;
 use serde_json::Value;
 
@@ -24,90 +24,32 @@ const LEFT_OUT: f64 = 0.01;
 pub(super) struct LooksOfFile {
     looks: Looks,
     /// What was said when the program was started.
-    look: LookArgs,
-    camera: CameraArgs,
+    said: Style,
     /// Options that decide what is built of the inputs.
     building: Vec<String>,
     inputs: Vec<PathBuf>,
 }
 
-/// The options of a style, read as the command line's are.
-#[derive(Parser)]
-#[command(no_binary_name = true)]
-struct Words {
-    #[command(flatten)]
-    look: LookArgs,
-}
-
-/// The options of a camera, likewise.
-#[derive(Parser)]
-#[command(no_binary_name = true)]
-struct CameraWords {
-    #[command(flatten)]
-    camera: CameraArgs,
-}
-
 impl LooksOfFile {
-    pub(super) fn new(
-        looks: Looks,
-        look: LookArgs,
-        camera: CameraArgs,
-        building: Vec<String>,
-        inputs: &[PathBuf],
-    ) -> Self {
+    pub(super) fn new(looks: Looks, said: Style, building: Vec<String>, inputs: &[PathBuf]) -> Self {
         let whole = |path: &PathBuf| match address_of(path) {
             Some(_) => path.clone(),
             None => std::path::absolute(path).unwrap_or_else(|_| path.clone()),
         };
-        Self { looks, look, camera, building, inputs: inputs.iter().map(whole).collect() }
+        Self { looks, said, building, inputs: inputs.iter().map(whole).collect() }
     }
 
     /// The scene as it was asked for on the command line, and what was chosen.
     pub(super) fn first(&self) -> Result<Chosen> {
-        self.looks.chosen(&self.look, &self.camera, SIZE)
+        self.looks.chosen(&self.said, SIZE)
     }
 
-    /// The options of a style.
-    fn look_of(&self, style: &Style) -> Result<LookArgs, String> {
-        let words = self.other_words(style).into_iter().chain(style.words());
-        Ok(Words::try_parse_from(words).map_err(|error| first_line(&error.to_string()))?.look)
-    }
-
-    /// What was said when the program was started, as far as pages can say it.
-    fn first_style(&self) -> Style {
+    /// What was said when the program was started of one group of options.
+    fn said_of(&self, group: Group) -> Style {
         let mut style = Style::default();
-        for word in self.look.words() {
-            let (name, text) = word.split_once('=').unwrap_or((&word, ""));
-            let text = text.to_owned();
-            match name {
-                "--look" => style.look = Some(text),
-                "--color" => style.color = Some(text),
-                "--color-by" => style.color_by = Some(text),
-                "--colormap" => style.colormap = Some(text),
-                "--value-range" => style.value_range = pair(&text),
-                "--radius-scale" => style.radius_scale = text.parse().ok(),
-                "--opacity" => style.opacity = text.split(',').map(pair).collect(),
-                "--log" => style.log = true,
-                _ => {}
-            }
-        }
+        let options = OPTIONS.iter().filter(|option| option.group == group);
+        options.for_each(|option| option.copy(&self.said, &mut style));
         style
-    }
-
-    /// What was said when the program was started and a style does not say: what pages cannot say, and what a style that keeps the look
-    /// cannot express.
-    fn other_words(&self, style: &Style) -> Vec<String> {
-        let first = self.first_style();
-        let (said, own) = (first.words(), style.words());
-        let name = |word: &String| word.split_once('=').map_or(word.clone(), |(name, _)| name.to_owned());
-        let is_of_look = |word: &String| ["--opacity", "--value-range"].contains(&name(word).as_str());
-        let mut words = self.look.words();
-        words.retain(|word| {
-            !said.contains(word)
-                && !own.iter().any(|own| name(own) == name(word))
-                && !(is_of_look(word) && style.look != first.look)
-        });
-        words
     }
 
     fn attribute(&self, name: &str, unit: &str) -> Option<Attribute> {
@@ -137,13 +79,17 @@ impl ForPages for LooksOfFile {
             looks: self.looks.names().into_iter().map(str::to_owned).collect(),
             attributes,
             palettes,
-            style: self.first_style(),
+            style: self.said_of(Group::Look),
         }
     }
 
     fn styled(&self, style: &Style) -> Result<Styled, String> {
-        let look = self.look_of(style)?;
-        let chosen = self.looks.chosen(&look, &self.camera, SIZE).map_err(|error| format!("{error:#}"))?;
+        let other = [Group::Picture, Group::Camera].into_iter().find_map(|group| style.given(group));
+        if let Some(option) = other {
+            return Err(format!("{} is no option of a look", option.name()));
+        }
+        let style = style.or(&self.said_of(Group::Camera));
+        let chosen = self.looks.chosen(&style, SIZE).map_err(|error| format!("{error:#}"))?;
         Ok(Styled {
             scene: chosen.scene,
             look: chosen.look.to_owned(),
@@ -157,32 +103,18 @@ impl ForPages for LooksOfFile {
         expose(scene, stops);
     }
 
-    fn command(&self, style: &Style, camera: &[String], exposure: Option<f64>) -> Result<Command, String> {
-        let look = self.look_of(style)?.with_image(ImageChoices { samples: None, exposure });
-        let read = CameraWords::try_parse_from(camera).map_err(|error| first_line(&error.to_string()))?;
-        let chosen = self.looks.chosen(&look, &read.camera, SIZE).map_err(|error| format!("{error:#}"))?;
+    fn command(&self, style: &Style) -> Result<Command, String> {
+        let chosen = self.looks.chosen(style, SIZE).map_err(|error| format!("{error:#}"))?;
         let mut words = vec!["rayset".to_owned(), "render".to_owned()];
         words.extend(self.inputs.iter().map(|path: &PathBuf| text(path)));
         words.extend(self.building.iter().cloned());
-        words.extend(look.words());
-        words.extend(camera.iter().cloned());
+        words.extend(style.words());
         Ok(Command { words, scene: chosen.scene })
     }
 }
 
-/// Two numbers, as `0:10`; `None` of percentiles and other words.
-fn pair(text: &str) -> Option<[f64; 2]> {
-    let (low, high) = text.split_once(':')?;
-    Some([low.parse().ok()?, high.parse().ok()?])
-}
-
 fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
-}
-
-/// What is wrong, without how the command is used.
-fn first_line(message: &str) -> String {
-    message.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned()
 }
 
 fn spread(values: impl Iterator<Item = f64>) -> Option<Histogram> {
@@ -201,31 +133,94 @@ fn colors(map: Colormap) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use rayset::Cloud;
+    use rayset::points::Workload;
+    use rayset_inputs::style::Flag;
+
     use super::*;
 
-    #[test]
-    fn the_words_of_options_mean_the_options_again() {
-        let words = [
-            "--look=gas",
-            "--colormap=magma_r",
-            "--color-by=T",
-            "--value-range=1%:99%",
-            "--log",
-            "--opacity=0:0,1:0.5",
-        ];
-        let read = |words: &[String]| Words::try_parse_from(words).map(|words| words.look);
-        let first = read(&words.map(str::to_owned)).expect("options");
-        let again = read(&first.words()).expect("options again");
-        assert_eq!(first.words(), again.words());
-        assert_eq!(first.words().len(), words.len());
+    /// Options of looks, each with those without which it means nothing.
+    const SAID: [&[(&str, &str)]; 19] = [
+        &[],
+        &[("look", "gas")],
+        &[("kernel", "chen")],
+        &[("normalised", "")],
+        &[("radius-scale", "1.5")],
+        &[("opacity", "0:0,1:0.5")],
+        &[("opacity", "extinction:2"), ("unit-distance", "0.5")],
+        &[("color", "#1060a0")],
+        &[("colormap", "magma_r"), ("color-by", "x")],
+        &[("color-by", "y")],
+        &[("color-by", "x"), ("value-range", "10%:60%")],
+        &[("look", "gas"), ("log", "")],
+        &[("shading", "none")],
+        &[("ambient-occlusion", "2")],
+        &[("background", "none")],
+        &[("step", "0.3")],
+        &[("step-fraction", "2")],
+        &[("phase", "hashed")],
+        &[("stop", "0.5")],
+    ];
+
+    fn style(said: &[(&str, &str)]) -> Style {
+        let mut style = Style::default();
+        for (name, text) in said {
+            let option = rayset_inputs::style::StyleOption::find(name).expect("an option");
+            option.parse(text).expect("a value").make(&mut style);
+        }
+        style
     }
 
     #[test]
-    fn a_style_is_nothing_but_options_of_looks() {
-        let style = |look: &str| Style { look: Some(look.into()), ..Style::default() };
-        assert!(Words::try_parse_from(style("surface").words()).is_ok());
-        for odd in ["nonsense", "--help", "gas --background=red", ""] {
-            assert!(Words::try_parse_from(style(odd).words()).is_err(), "{odd}");
+    fn what_a_page_shows_in_any_style_its_command_renders() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let workload: Workload = "knot-6k".parse().expect("a workload");
+        let cloud = crate::demo::make_cloud(&workload, 64 << 20, folder.path()).expect("a cloud");
+        let cloud = Arc::new(Cloud::open(&cloud).expect("the cloud"));
+        let options = OPTIONS.iter().filter(|option| option.group == Group::Look);
+        for option in options {
+            let is_said = |said: &&&[(&str, &str)]| said.iter().any(|(name, _)| *name == option.name());
+            assert!(SAID.iter().any(|said| is_said(&said)), "{} is not said", option.name());
+        }
+        for said in SAID {
+            let of_looks = style(said);
+            let looks = Looks::of_cloud(cloud.clone()).expect("looks");
+            let file = LooksOfFile::new(looks, of_looks.clone(), Vec::new(), &["c.rset".into()]);
+            // A page is told what was said, and sends it again.
+            let told = serde_json::to_string(&file.choices().style).expect("JSON");
+            let sent: Style = serde_json::from_str(&told).expect("a style");
+            assert_eq!(sent, of_looks);
+            let mut shown = file.styled(&sent).expect("a scene").scene;
+            expose(&mut shown, 1.25);
+            let camera = Style {
+                position: Some([3.0, -4.0, 2.5]),
+                direction: Some([-3.0, 4.0, -2.5]),
+                up: Some([0.0, 0.0, 1.0]),
+                orthographic: Some(Flag),
+                height: Some(2.0),
+                exposure: Some(1.25),
+                ..Style::default()
+            };
+            let command = file.command(&camera.or(&sent)).expect("a command");
+            shown["camera"] = command.scene["camera"].clone();
+            // Why this is up: somebody said so.
+            shown["root"]["comment"] = command.scene["root"]["comment"].clone();
+            assert_eq!(command.scene, shown, "{said:?}");
+        }
+    }
+
+    #[test]
+    fn pages_choose_looks_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let workload: Workload = "knot-6k".parse().expect("a workload");
+        let cloud = crate::demo::make_cloud(&workload, 64 << 20, folder.path()).expect("a cloud");
+        let looks = Looks::of_cloud(Arc::new(Cloud::open(&cloud).expect("the cloud"))).expect("looks");
+        let file = LooksOfFile::new(looks, style(&[("up", "x")]), Vec::new(), &["c.rset".into()]);
+        assert_eq!(file.choices().style, Style::default(), "pages have a camera of their own");
+        for said in [&[("samples", "64")][..], &[("up", "y")]] {
+            assert!(file.styled(&style(said)).is_err_and(|what| what.contains("is no option of a look")));
         }
     }
 }

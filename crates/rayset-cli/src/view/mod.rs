@@ -28,7 +28,9 @@ use crate::input::{self, Resources};
 use crate::interrupts::TemporaryFolder;
 use crate::memory::PROCESS_BYTES;
 use crate::report::{bytes, name_of, remark, say_invitation};
-use rayset_inputs::look::{CameraArgs, Chosen, LookArgs, Looks};
+use crate::style_args::StyleArgs;
+use rayset_inputs::look::{Chosen, Looks};
+use rayset_inputs::style::Group;
 use rayset_inputs::values;
 
 /// Memory for the whole process if nothing else is said.
@@ -75,9 +77,7 @@ pub(crate) struct ViewArgs {
     #[command(flatten)]
     cache: CacheArgs,
     #[command(flatten)]
-    look: LookArgs,
-    #[command(flatten)]
-    camera: CameraArgs,
+    style: StyleArgs<false>,
 }
 
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
@@ -184,21 +184,18 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
     let title = if args.inputs.is_empty() { "a knot of points".into() } else { name_of(&inputs[0]) };
     let (path, looks) = match input {
         Input::Scene(path) => {
-            if let Some(option) = args.look.given() {
-                anyhow::bail!(
-                    "{option} is for clouds and grids; {} says itself what it looks like",
-                    path.display()
-                );
+            if let Some(option) = args.style.0.given(Group::Look) {
+                let (name, path) = (option.name(), path.display());
+                anyhow::bail!("--{name} is for clouds and grids; {path} says itself what it looks like");
             }
             let unit = Space::of(&SceneFile::load(&path)?.scene).unit;
             let scene = json_of_file(&path)?;
             return Ok(Subject { unit, ..Subject::scene(title, path, scene) });
         }
         Input::Cloud(cloud) => (cloud.path().to_owned(), Looks::of_cloud(cloud)?),
-        Input::Grid(grid) => (grid.path().to_owned(), Looks::of_grid(grid, &args.camera)?),
+        Input::Grid(grid) => (grid.path().to_owned(), Looks::of_grid(grid, &args.style.0)?),
     };
-    let (look, camera, building) = (args.look.clone(), args.camera.clone(), args.cache.words());
-    let looks = LooksOfFile::new(looks, look, camera, building, inputs);
+    let looks = LooksOfFile::new(looks, args.style.0.clone(), args.cache.words(), inputs);
     let Chosen { scene, line, stance, .. } = looks.first()?;
     remark(&line);
     let file = SceneFile::parse(&path, &scene.to_string()).map_err(|error| anyhow::anyhow!(error.what))?;
@@ -209,7 +206,7 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
         facing: vector(stance.facing),
         framed: stance.framed.map(vector),
         outline: stance.outline.into_iter().map(vector).collect(),
-        is_framed: args.camera.position.is_none() && args.camera.height.is_none(),
+        is_framed: args.style.0.position.is_none() && args.style.0.height.is_none(),
     };
     Ok(Subject {
         looks: Some(Box::new(looks)),

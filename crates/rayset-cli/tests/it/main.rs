@@ -30,6 +30,7 @@ mod secrets;
 mod settings;
 mod snapshot_inputs;
 mod splats_and_meshes;
+mod styles;
 mod tiles;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;

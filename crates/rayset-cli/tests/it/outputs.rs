@@ -396,7 +396,7 @@ fn nothing_is_left_of_what_did_not_fit_or_was_refused() {
         &["build", "points.ply", "-o", "out.rset", "--precision", "2"],
         &["build", "points.ply", "-o", "out.rset", "--memory", "1MiB"],
         &["render", "cloud.rset", "-o", "out.png", "--memory", "1MiB"],
-        &["render", "cloud.rset", "-o", "out.png", "--step=-1"],
+        &["render", "cloud.rset", "-o", "out.png", "--color-by=nothing"],
         &["render", "cloud.rset", "-o", "out.png", "--crop", "600,600,9,9"],
         &["render", "cloud.rset", "-o", "out.jpeg"],
     ] {

@@ -4,19 +4,19 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use rayset::file::Header;
 use rayset::geometry::DVec3;
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
+use super::apply::Input;
 use super::cloud::CloudLook;
 use super::framing::{Axis, one_place, outline, reach};
 use super::grid::GridLook;
-use super::options::{Input, LookArgs, LookName};
 use super::statistics::{Statistics, percentile};
 use super::turntable::Turntable;
-use super::view::{CameraArgs, Orientation};
+use super::view::{CameraChoice, Orientation};
+use crate::style::{Flag, LookName, Style, Words};
 
 /// A scene chosen for an input.
 pub struct Chosen {
@@ -59,19 +59,40 @@ type Densities = Box<dyn FnOnce() -> Vec<f64>>;
 /// Rays along each side of a pixel if nothing is said: edges are smooth.
 const SAMPLES: u32 = 2;
 
-/// The scene of a cloud, for a picture of `size`.
-pub fn of_cloud(
-    cloud: &Arc<Cloud>,
-    look: &LookArgs,
-    camera: &CameraArgs,
-    size: (u32, u32),
-) -> Result<Chosen> {
-    Looks::of_cloud(cloud.clone())?.chosen(look, camera, size)
+/// The picture that a scene is chosen for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Width and height in pixels.
+    pub size: (u32, u32),
+    /// Whether it is the first of a turntable, whose others are to see everything, too.
+    pub turns: bool,
 }
 
-/// The scene of a grid, for a picture of `size`.
-pub fn of_grid(grid: &Grid, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
-    of_sampled_grid(grid, &GridLook::choose(grid, camera.given_up())?, look, camera, size)
+impl From<(u32, u32)> for Picture {
+    fn from(size: (u32, u32)) -> Self {
+        Self { size, turns: false }
+    }
+}
+
+/// The scene of a cloud in a style.
+///
+/// # Errors
+/// If a page cannot be read or is damaged, or the style does not fit the cloud.
+pub fn of_cloud(cloud: &Arc<Cloud>, style: &Style, picture: impl Into<Picture>) -> Result<Chosen> {
+    Looks::of_cloud(cloud.clone())?.chosen(style, picture)
+}
+
+/// The scene of a grid in a style.
+///
+/// # Errors
+/// As [`of_cloud`].
+pub fn of_grid(grid: &Grid, style: &Style, picture: impl Into<Picture>) -> Result<Chosen> {
+    of_sampled_grid(grid, &GridLook::choose(grid, given_up(style))?, style, picture.into())
+}
+
+/// The up direction that was given.
+fn given_up(style: &Style) -> Option<DVec3> {
+    style.up.map(DVec3::from_array)
 }
 
 /// A cloud or grid whose look is chosen again and again: what was sampled is kept.
@@ -92,12 +113,12 @@ impl Looks {
         Ok(Self(Sampled::Cloud(cloud, statistics)))
     }
 
-    /// Of a grid; `camera` says what is up.
+    /// Of a grid; `style` says what is up.
     ///
     /// # Errors
     /// As [`of_cloud`](Self::of_cloud).
-    pub fn of_grid(grid: Box<Grid>, camera: &CameraArgs) -> Result<Self> {
-        let chosen = GridLook::choose(&grid, camera.given_up())?;
+    pub fn of_grid(grid: Box<Grid>, style: &Style) -> Result<Self> {
+        let chosen = GridLook::choose(&grid, given_up(style))?;
         Ok(Self(Sampled::Grid(grid, Box::new(chosen))))
     }
 
@@ -111,21 +132,23 @@ impl Looks {
 
     /// The names of looks that there are for it; not all of them for every cloud.
     pub fn names(&self) -> Vec<&'static str> {
-        let all = LookName::value_variants().iter();
-        let is_for_it = |look: &&LookName| match &self.0 {
+        let all = LookName::ALL.iter().map(|(look, _)| *look);
+        let is_for_it = |look: &LookName| match &self.0 {
             Sampled::Cloud(..) => !look.is_of_voxels(),
-            Sampled::Grid(_, chosen) => chosen.can_be(**look),
+            Sampled::Grid(_, chosen) => chosen.can_be(*look),
         };
         all.filter(is_for_it).map(|look| look.name()).collect()
     }
 
-    /// The scene in a look, for a picture of `size`.
-    pub fn chosen(&self, look: &LookArgs, camera: &CameraArgs, size: (u32, u32)) -> Result<Chosen> {
+    /// The scene in a style.
+    ///
+    /// # Errors
+    /// As [`of_cloud`](of_cloud()).
+    pub fn chosen(&self, style: &Style, picture: impl Into<Picture>) -> Result<Chosen> {
+        let picture = picture.into();
         match &self.0 {
-            Sampled::Cloud(cloud, statistics) => {
-                of_sampled_cloud(cloud, statistics.clone(), look, camera, size)
-            }
-            Sampled::Grid(grid, chosen) => of_sampled_grid(grid, chosen, look, camera, size),
+            Sampled::Cloud(cloud, statistics) => of_sampled_cloud(cloud, statistics.clone(), style, picture),
+            Sampled::Grid(grid, chosen) => of_sampled_grid(grid, chosen, style, picture),
         }
     }
 
@@ -141,30 +164,30 @@ impl Looks {
 fn of_sampled_cloud(
     cloud: &Arc<Cloud>,
     statistics: Statistics,
-    look: &LookArgs,
-    camera: &CameraArgs,
-    size: (u32, u32),
+    style: &Style,
+    Picture { size, turns }: Picture,
 ) -> Result<Chosen> {
-    if let Some(name) = look.look.filter(|name| name.is_of_voxels()) {
+    if let Some(name) = style.look.filter(|name| name.is_of_voxels()) {
         bail!(
             "--look {} is for voxels; the input has points, for which `--help` lists the others",
             name.name()
         );
     }
-    let mut look = look.clone();
+    let camera = CameraChoice { style, turns };
+    let mut style = style.clone();
     // Weights that were made of masses are densities already: divided once more by volumes, they are next to nothing.
-    let twice = look.normalised && weights_are_densities(cloud.header());
-    look.normalised &= !twice;
+    let twice = style.normalised == Some(Flag) && weights_are_densities(cloud.header());
+    style.normalised = style.normalised.filter(|_| !twice);
     let enlarged =
-        if look.radius_scale.is_none() { radii_to_be_seen(cloud, &statistics, &look) } else { None };
-    look.radius_scale = look.radius_scale.or(enlarged);
-    let (cloud, statistics) = match look.radius_scale {
+        if style.radius_scale.is_none() { radii_to_be_seen(cloud, &statistics, &style) } else { None };
+    style.radius_scale = style.radius_scale.or(enlarged);
+    let (cloud, statistics) = match style.radius_scale {
         // Densities, and the lengths that opacity refers to, are those of the radii that are shown.
         Some(scale) => (&scaled(cloud, scale)?, statistics.with_radius_scale(scale)),
         None => (cloud, statistics),
     };
-    let mut chosen = CloudLook::choose(cloud, statistics, look.look, camera.given_up())?;
-    if look.recolors() || look.image.exposure.is_some() {
+    let mut chosen = CloudLook::choose(cloud, statistics, style.look, given_up(&style))?;
+    if style.recolors() || style.exposure.is_some() {
         // It was for the colours of the points, and is what was asked for.
         chosen.exposure = 0.0;
     }
@@ -189,13 +212,13 @@ fn of_sampled_cloud(
         sorted: &|name| chosen.sorted(name),
         logarithmic: chosen.name == LookName::Gas,
     };
-    let by_height = look.color_by.as_deref() == Some("height");
+    let by_height = style.color_by.as_deref() == Some("height");
     if by_height && !header.attributes.iter().any(|a| a.name == "height") {
         // In scenes it is z; here it is known what is up.
-        look.color_by = Some(chosen.vertical().to_owned());
+        style.color_by = Some(chosen.vertical().to_owned());
     }
-    look.apply(&mut scene, &input)?;
-    look.apply_image(&mut scene, chosen.exposure);
+    style.apply(&mut scene, &input)?;
+    style.apply_image(&mut scene, chosen.exposure);
     let enlarged = enlarged.map_or_else(String::new, |scale| {
         format!("; few points far apart: --radius-scale {scale}, so that they are seen")
     });
@@ -222,14 +245,14 @@ fn of_sampled_cloud(
         up: chosen.orientation.reason_and_up(),
         turntable: camera.axis(&chosen.orientation, &points).map(turntable),
         stance: stance(&chosen.orientation, &points),
-        classes: if look.recolors() { Vec::new() } else { chosen.classes() },
+        classes: if style.recolors() { Vec::new() } else { chosen.classes() },
         densities: Box::new(move || chosen.opacity_densities()),
     })
 }
 
 /// By what the radii of a few points that are far apart are multiplied, so that the picture is not empty; `None` if they are seen
 /// as they are. At two significant digits.
-fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> Option<f64> {
+fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, style: &Style) -> Option<f64> {
     /// More points than these make a picture however small they are.
     const FEW: u64 = 10_000;
     /// The least radius that is seen, as a part of the extent: a pixel of a small picture…
@@ -239,7 +262,7 @@ fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, look: &LookArgs) -> 
     let count = cloud.header().points;
     // Splats are as large as they were made.
     let are_splats = cloud.header().sources.iter().any(|source| source.contains("Gaussian splat"));
-    if count > FEW || are_splats || matches!(look.look, Some(LookName::Density | LookName::Splats)) {
+    if count > FEW || are_splats || matches!(style.look, Some(LookName::Density | LookName::Splats)) {
         return None;
     }
     // Of what will be framed.
@@ -273,11 +296,11 @@ fn scaled(cloud: &Arc<Cloud>, scale: f64) -> Result<Arc<Cloud>> {
 fn of_sampled_grid(
     grid: &Grid,
     chosen: &GridLook,
-    look: &LookArgs,
-    camera: &CameraArgs,
-    size: (u32, u32),
+    style: &Style,
+    Picture { size, turns }: Picture,
 ) -> Result<Chosen> {
-    let name = chosen.named(look.look)?;
+    let camera = CameraChoice { style, turns };
+    let name = chosen.named(style.look)?;
     let (file, points) = (name_in_scene(grid.address(), grid.storage().is_some())?, chosen.points(name));
     let mut scene = around(chosen.root(name, &file), &chosen.orientation.reason_and_up(), size);
     chosen.dress(name, &mut scene);
@@ -288,8 +311,8 @@ fn of_sampled_grid(
         sorted: &|_| Some(chosen.shown.clone()),
         logarithmic: false,
     };
-    look.apply(&mut scene, &input)?;
-    look.apply_image(&mut scene, 0.0);
+    style.apply(&mut scene, &input)?;
+    style.apply_image(&mut scene, 0.0);
     Ok(Chosen {
         scene,
         line: chosen.line(name),
@@ -298,7 +321,7 @@ fn of_sampled_grid(
         up: chosen.orientation.reason_and_up(),
         turntable: camera.axis(&chosen.orientation, points).map(turntable),
         stance: stance(&chosen.orientation, points),
-        classes: if look.recolors() { Vec::new() } else { chosen.classes(name) },
+        classes: if style.recolors() { Vec::new() } else { chosen.classes(name) },
         densities: {
             let shown = chosen.shown.clone();
             Box::new(move || shown)

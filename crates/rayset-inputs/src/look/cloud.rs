@@ -7,11 +7,11 @@ use rayset::geometry::DVec3;
 use serde_json::{Value, json};
 
 use super::classes::class_name;
-use super::options::LookName;
 use super::palettes;
 use super::statistics::{Statistics, percentile, range};
 use super::upright::orientation;
 use super::view::Orientation;
+use crate::style::LookName;
 
 /// The colour of unpainted plaster.
 const PLAIN: &str = "#dbccb2";

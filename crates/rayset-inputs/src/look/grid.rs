@@ -6,11 +6,11 @@ use rayset::geometry::DVec3;
 use serde_json::{Value, json};
 
 use super::labels::LabelLook;
-use super::options::LookName;
 use super::ranges::over_logarithm;
 use super::statistics::percentile;
 use super::view::Orientation;
 use super::voxels::{Background, Content, number};
+use crate::style::LookName;
 
 /// Values of a sample.
 const SAMPLE_VALUES: usize = 1 << 15;

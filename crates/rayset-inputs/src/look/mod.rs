@@ -4,13 +4,13 @@
 //! function of the file and of the options: a sample of the points, the header, the size of the picture. Crops, parts and
 //! execution settings have no influence.
 
+mod apply;
 mod choose;
 mod classes;
 mod cloud;
 mod framing;
 mod grid;
 mod labels;
-mod options;
 mod palettes;
 mod ranges;
 mod shape;
@@ -20,8 +20,7 @@ mod upright;
 mod view;
 mod voxels;
 
-pub use self::choose::{Chosen, Looks, Stance, of_cloud, of_grid};
+pub use self::apply::expose;
+pub use self::choose::{Chosen, Looks, Picture, Stance, of_cloud, of_grid};
 pub use self::classes::class_name;
-pub use self::options::{ImageChoices, LookArgs, expose};
 pub use self::turntable::{Turntable, standing_back, turned};
-pub use self::view::CameraArgs;

@@ -1,41 +1,15 @@
 //! The values at the ends of a colour map: numbers, or percentiles of a sample; and maps over the logarithm.
 
 use anyhow::{Result, bail, ensure};
-use rayset::scene::{Colormap, FARTHEST, Palette};
+use rayset::scene::{Colormap, Palette};
 use serde_json::{Value, json};
 
 use super::statistics::percentile;
+use crate::style::{End, ValueRange};
 
 /// Colours of a map over the logarithm, evenly spaced: straight lines between them differ from the curve by less than
 /// what shows.
 const KNOTS: usize = 256;
-
-/// One end of a range of values.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum End {
-    Value(f64),
-    /// The value below which so many percent lie.
-    Percent(f64),
-}
-
-/// The values at the ends of a colour map.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct ValueRange(End, End);
-
-impl std::fmt::Display for End {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Value(value) => write!(f, "{value}"),
-            Self::Percent(share) => write!(f, "{share}%"),
-        }
-    }
-}
-
-impl std::fmt::Display for ValueRange {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}:{}", self.0, self.1)
-    }
-}
 
 impl ValueRange {
     /// What a map over the logarithm has if nothing is said, of positive values in ascending order.
@@ -43,29 +17,6 @@ impl ValueRange {
         let range = Self(End::Percent(1.0), End::Percent(99.0)).ends(sorted)?;
         // Of values that are all the same, the middle of the map.
         Ok(if range.0 < range.1 { range } else { (0.3 * range.0, 3.0 * range.0) })
-    }
-
-    /// Two ends: `0:10`, `1%:99%`.
-    pub(super) fn parse(text: &str) -> Result<Self, String> {
-        let wrong = || format!("`{text}` is not a range; write it as 0:10, or 1%:99%");
-        let end = |text: &str| match text.trim().strip_suffix('%') {
-            Some(share) => share.trim().parse().ok().map(End::Percent),
-            None => text.trim().parse().ok().map(End::Value),
-        };
-        let (low, high) = text.split_once(':').ok_or_else(wrong)?;
-        let (low, high) = (end(low).ok_or_else(wrong)?, end(high).ok_or_else(wrong)?);
-        for end in [low, high] {
-            match end {
-                End::Value(v) if !(v.abs() <= FARTHEST) => {
-                    return Err(format!("`{text}`: expected numbers from -1e18 to 1e18"));
-                }
-                End::Percent(share) if !(0.0..=100.0).contains(&share) => {
-                    return Err(format!("`{text}`: expected 0% to 100%"));
-                }
-                _ => {}
-            }
-        }
-        Ok(Self(low, high))
     }
 
     /// Whether the values of the input must be known.

@@ -1,75 +1,20 @@
 //! From where a cloud or grid is seen: what is up, from which side, and how far away.
 
 use anyhow::{Result, ensure};
-use clap::{Args, ValueEnum};
 use rayset::geometry::DVec3;
 use serde_json::json;
 
 use super::framing::{self, Axis};
-use crate::values;
-
-/// From where a cloud or grid is seen; a scene says this itself.
-#[derive(Args, Clone, Default)]
-#[command(next_help_heading = "Camera (by default it frames the whole input; a scene file has its own)")]
-pub struct CameraArgs {
-    /// Side to look from; iso, a three-quarter view, by default
-    #[arg(long, value_enum, conflicts_with_all = ["position", "direction"])]
-    pub view: Option<Side>,
-    /// Eye
-    #[arg(long, value_parser = values::vector, allow_hyphen_values = true)]
-    pub position: Option<[f64; 3]>,
-    /// What the eye looks at; the middle of the input by default
-    #[arg(long, value_parser = values::vector, allow_hyphen_values = true, requires = "position")]
-    pub look_at: Option<[f64; 3]>,
-    /// Viewing direction: with an eye instead of --look-at, without one to frame the input from another side
-    #[arg(long, value_parser = values::direction, allow_hyphen_values = true, conflicts_with = "look_at")]
-    pub direction: Option<[f64; 3]>,
-    /// Up: x, y, z, -x, -y, -z or a vector; chosen from the data by default
-    #[arg(long, value_parser = axis, allow_hyphen_values = true)]
-    pub up: Option<[f64; 3]>,
-    /// Vertical field of view in degrees, 0.001 to 179; 35 by default
-    #[arg(long, value_parser = degrees)]
-    pub fovy: Option<f64>,
-    /// Parallel rays
-    #[arg(long)]
-    pub orthographic: bool,
-    /// Height of an orthographic picture, in units of the input
-    #[arg(long, value_parser = values::length, requires = "orthographic")]
-    pub height: Option<f64>,
-    /// Whether the camera is the first of a turntable, whose others are to see everything, too.
-    #[arg(skip)]
-    pub turns: bool,
-}
-
-/// A side to look from.
-#[derive(Clone, Copy, ValueEnum, PartialEq, Eq)]
-pub enum Side {
-    Front,
-    Back,
-    Left,
-    Right,
-    Top,
-    Bottom,
-    /// From the front, the right and above
-    Iso,
-}
+use crate::style::{Side, Style};
 
 const DEFAULT_FOVY: f64 = 35.0;
 
-fn degrees(text: &str) -> Result<f64, String> {
-    values::number_within(text, 1e-3, 179.0)
-}
-
-/// An axis with its sign, or any direction.
-fn axis(text: &str) -> Result<[f64; 3], String> {
-    let (sign, name) =
-        text.strip_prefix('-').map_or((1.0, text.trim_start_matches('+')), |name| (-1.0, name));
-    match name {
-        "x" => Ok([sign, 0.0, 0.0]),
-        "y" => Ok([0.0, sign, 0.0]),
-        "z" => Ok([0.0, 0.0, sign]),
-        _ => values::direction(text),
-    }
+/// What a style says of the camera.
+#[derive(Clone, Copy)]
+pub(super) struct CameraChoice<'a> {
+    pub(super) style: &'a Style,
+    /// Whether the camera is the first of a turntable, whose others are to see everything, too.
+    pub(super) turns: bool,
 }
 
 /// What is up, and from where the front is seen; both of length one and at right angles.
@@ -147,25 +92,15 @@ impl Orientation {
     }
 }
 
-impl CameraArgs {
-    /// Whether any of these was given.
-    pub fn is_given(&self) -> bool {
-        self.view.is_some()
-            || self.position.is_some()
-            || self.direction.is_some()
-            || self.up.is_some()
-            || self.fovy.is_some()
-            || self.orthographic
-    }
-
+impl CameraChoice<'_> {
     /// The up direction that was given.
-    pub(super) fn given_up(&self) -> Option<DVec3> {
-        self.up.map(DVec3::from_array)
+    fn given_up(&self) -> Option<DVec3> {
+        self.style.up.map(DVec3::from_array)
     }
 
     /// What a turntable turns about; `None` of one picture, and of an eye whose place was given.
     pub(super) fn axis(&self, orientation: &Orientation, points: &[(DVec3, f64)]) -> Option<Axis> {
-        (self.turns && self.position.is_none()).then(|| Axis::of(points, orientation.up))
+        (self.turns && self.style.position.is_none()).then(|| Axis::of(points, orientation.up))
     }
 
     /// The camera of a scene file that sees `points`, each with its radius, in a picture of this aspect ratio.
@@ -175,9 +110,11 @@ impl CameraArgs {
         points: &[(DVec3, f64)],
         aspect: f64,
     ) -> Result<serde_json::Value> {
-        let fovy = self.fovy.unwrap_or(DEFAULT_FOVY);
-        let tangent = (!self.orthographic).then(|| (0.5 * fovy.to_radians()).tan());
-        let direction = match (self.direction, self.view) {
+        let style = self.style;
+        let fovy = style.fovy.unwrap_or(DEFAULT_FOVY);
+        let is_orthographic = style.orthographic.is_some();
+        let tangent = (!is_orthographic).then(|| (0.5 * fovy.to_radians()).tan());
+        let direction = match (style.direction, style.view) {
             (Some(direction), _) => DVec3::from_array(direction).normalize_or(orientation.facing),
             (None, side) => orientation.toward(side.unwrap_or(Side::Iso)),
         };
@@ -187,9 +124,9 @@ impl CameraArgs {
             None => framing::frame(points, direction, framed_up, tangent, aspect),
         };
         let (mut position, mut direction) = (frame.position, direction);
-        if let Some(eye) = self.position {
+        if let Some(eye) = style.position {
             position = DVec3::from_array(eye);
-            direction = match (self.look_at, self.direction) {
+            direction = match (style.look_at, style.direction) {
                 (Some(target), _) => DVec3::from_array(target) - position,
                 (None, Some(direction)) => DVec3::from_array(direction),
                 (None, None) => middle(points) - position,
@@ -199,7 +136,7 @@ impl CameraArgs {
             Some(up) => {
                 let sine = direction.normalize_or(DVec3::X).cross(up.normalize_or(DVec3::Y)).length();
                 ensure!(
-                    sine > 1e-9 || self.direction.is_none() && self.position.is_none(),
+                    sine > 1e-9 || style.direction.is_none() && style.position.is_none(),
                     "the camera's up direction is parallel to its viewing direction, zero or not finite"
                 );
                 if sine > 1e-9 { up } else { framed_up }
@@ -207,8 +144,8 @@ impl CameraArgs {
             None => orientation.up_in_picture(direction.normalize_or(framed_up)),
         };
         let (position, direction, up) = (position.to_array(), direction.to_array(), up.to_array());
-        Ok(if self.orthographic {
-            let height = self.height.unwrap_or(2.0 * frame.half_height);
+        Ok(if is_orthographic {
+            let height = style.height.unwrap_or(2.0 * frame.half_height);
             json!({"type": "orthographic", "position": position, "direction": direction, "up": up, "height": height})
         } else {
             json!({"position": position, "direction": direction, "up": up, "fovy": fovy})

@@ -158,7 +158,7 @@ export function editor(view, begin, restyle) {
   const follow = () => {
     if (isHeld) return;
     const own = (view.changes.style ?? view.choices?.style)?.opacity;
-    points = own ? own.map(([value, opacity]) => /** @type {Point} */ ([value, opacity])) : curve(view.legend?.transferFunction?.opacity);
+    points = Array.isArray(own) ? own.map(([value, opacity]) => /** @type {Point} */ ([value, opacity])) : curve(view.legend?.transferFunction?.opacity);
     made.hidden = points.length === 0;
     draw();
   };

@@ -22,8 +22,8 @@ import { Warp } from "./warp.js";
  * @typedef {{min: Vector, max: Vector}} Section
  * @typedef {{form: "box" | "ellipsoid" | "cylinder", center: Vector, size: Vector, turns?: {axis: Vector, degrees: number}[], keep?: boolean}} Cutter
  *   takes away what is inside of it, or all else
- * @typedef {{look?: string, color?: string, colorBy?: string, colormap?: string, valueRange?: [number, number], log?: boolean, radiusScale?: number, opacity?: [number, number][]}} Style
- *   options of `rayset render`
+ * @typedef {{look?: string, color?: string, colorBy?: string, colormap?: string, valueRange?: [number, number] | string, log?: boolean, radiusScale?: number, opacity?: [number, number][] | string, [other: string]: unknown}} Style
+ *   options of `rayset render`; a text is a range in percent, or an opacity that is no curve
  * @typedef {{exposure?: number, sun?: Sun, section?: Section, cutters?: Cutter[], cap?: string, style?: Style}} Changes
  *   what is other than in the scene that was opened; `cap`: the colour that fills cuts
  * @typedef {{low: number, high: number, logarithmic: boolean, counts: number[]}} Histogram

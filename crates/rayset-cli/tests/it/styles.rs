@@ -1,0 +1,74 @@
+//! Each option of a style: what it is on the command line, in the scene that is written, and in the command that the viewer gives.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use rayset_inputs::style::{OPTIONS, StyleOption};
+
+use crate::common::{Random, folder, succeeds};
+
+/// Each option with a value, beside those without which it means nothing.
+const SAID: &[(&str, &[&str])] = &[
+    ("samples", &["--samples=3"]),
+    ("exposure", &["--exposure=-1.5"]),
+    ("look", &["--look=gas"]),
+    ("kernel", &["--kernel=chen"]),
+    ("normalised", &["--normalised"]),
+    ("radius-scale", &["--radius-scale=1.5"]),
+    ("opacity", &["--opacity=0:0,1:0.5"]),
+    ("unit-distance", &["--unit-distance=3"]),
+    ("color", &["--color=#1060a0"]),
+    ("colormap", &["--colormap=magma_r", "--color-by=x"]),
+    ("color-by", &["--color-by=y"]),
+    ("value-range", &["--value-range=10%:60%", "--color-by=x"]),
+    ("log", &["--log", "--color-by=x", "--value-range=0.1:2"]),
+    ("shading", &["--shading=none"]),
+    ("ambient-occlusion", &["--ambient-occlusion=2"]),
+    ("background", &["--background=#203040"]),
+    ("step", &["--step=0.3"]),
+    ("step-fraction", &["--step-fraction=2"]),
+    ("phase", &["--phase=hashed"]),
+    ("stop", &["--stop=0.5"]),
+    ("view", &["--view=left"]),
+    ("position", &["--position=5,4,-3"]),
+    ("look-at", &["--look-at=0.2,0,0.5", "--position=5,4,-3"]),
+    ("direction", &["--direction=0,0.5,-1"]),
+    ("up", &["--up=-x"]),
+    ("fovy", &["--fovy=60", "--position=5,4,-3"]),
+    ("orthographic", &["--orthographic"]),
+    ("height", &["--height=1.5", "--orthographic"]),
+];
+
+fn write_points(path: &Path) {
+    let mut random = Random(7);
+    let mut text = String::new();
+    for _ in 0..400 {
+        let [x, y, z] = [(); 3].map(|()| 2.0 * random.unit());
+        writeln!(text, "{x} {y} {z}").expect("a line");
+    }
+    fs::write(path, text).expect("points are written");
+}
+
+#[test]
+fn whatever_is_said_of_a_picture_its_written_scene_renders_the_same_bytes() {
+    let folder = folder();
+    let f = folder.path();
+    write_points(&f.join("points.txt"));
+    let read = |name: &str| fs::read(f.join(name)).expect("a picture");
+    let render = |words: &[&str]| {
+        let plain = ["render", "points.txt", "-o", "a.png", "--size", "24x24", "--write-scene", "s.json"];
+        succeeds(f, &[&plain, words].concat());
+        read("a.png")
+    };
+    assert!(
+        OPTIONS.iter().map(StyleOption::name).eq(SAID.iter().map(|(name, _)| *name)),
+        "each option is said"
+    );
+    for (name, words) in SAID {
+        assert_ne!(render(words), render(&words[1..]), "--{name} changes nothing");
+        let said = render(words);
+        succeeds(f, &["render", "s.json", "-o", "b.png"]);
+        assert_eq!(said, read("b.png"), "--{name}: the written scene");
+    }
+}

@@ -1,0 +1,340 @@
+//! The kinds of values that options have: how each is read from a text or from JSON, and written again.
+
+use std::fmt::Display;
+use std::str::FromStr;
+
+use rayset::ParseError;
+use rayset::scene::{FARTHEST, OpacityRule, SHORTEST};
+use serde_json::{Value, json};
+
+use super::values::{Background, Choice, Flag, Rgb, StepLength, ValueRange, Words};
+use crate::values;
+
+/// Reads and writes the values of an option.
+pub(super) trait Kind<T> {
+    /// Reads a value as people type it.
+    fn parse(&self, text: &str) -> Result<T, String>;
+
+    /// The value as people type it; `parse` reads the same again.
+    fn text(&self, value: &T) -> String;
+
+    /// Reads a value of JSON: a text as it would be typed, or what the kind says.
+    fn read(&self, json: &Value) -> Result<T, String> {
+        match json.as_str() {
+            Some(text) => self.parse(text),
+            None => Err(format!("expected a text, and got {json}")),
+        }
+    }
+
+    /// The value as JSON; `read` reads the same again.
+    fn json(&self, value: &T) -> Value {
+        self.text(value).into()
+    }
+
+    /// The words that it may be; none if it may be others.
+    fn choices(&self) -> Vec<Choice> {
+        Vec::new()
+    }
+
+    /// Whether it may begin with a sign.
+    fn is_signed(&self) -> bool {
+        false
+    }
+
+    /// Whether it has no value.
+    fn is_flag(&self) -> bool {
+        false
+    }
+}
+
+/// One of a few words.
+pub(super) struct Word;
+
+impl<T: Words> Kind<T> for Word {
+    fn parse(&self, text: &str) -> Result<T, String> {
+        let found = T::ALL.iter().find(|(_, choice)| choice.word == text).map(|(value, _)| *value);
+        found.ok_or_else(|| {
+            let words: Vec<&str> = T::ALL.iter().map(|(_, choice)| choice.word).collect();
+            format!("`{text}` is none of {}", words.join(", "))
+        })
+    }
+
+    fn text(&self, value: &T) -> String {
+        value.word().to_owned()
+    }
+
+    fn choices(&self) -> Vec<Choice> {
+        T::ALL.iter().map(|(_, choice)| *choice).collect()
+    }
+}
+
+/// What the library has a name for.
+pub(super) struct Named;
+
+impl<T: FromStr<Err = ParseError> + Display> Kind<T> for Named {
+    fn parse(&self, text: &str) -> Result<T, String> {
+        text.parse().map_err(|error: ParseError| error.to_string())
+    }
+
+    fn text(&self, value: &T) -> String {
+        value.to_string()
+    }
+}
+
+/// Said or not.
+pub(super) struct Switch;
+
+impl Kind<Flag> for Switch {
+    fn parse(&self, _: &str) -> Result<Flag, String> {
+        Ok(Flag)
+    }
+
+    fn text(&self, _: &Flag) -> String {
+        String::new()
+    }
+
+    fn read(&self, json: &Value) -> Result<Flag, String> {
+        // That it is not said was told apart before.
+        if json == &json!(true) { Ok(Flag) } else { Err(format!("expected true or false, and got {json}")) }
+    }
+
+    fn json(&self, _: &Flag) -> Value {
+        json!(true)
+    }
+
+    fn is_flag(&self) -> bool {
+        true
+    }
+}
+
+/// A number from the first to the second, both included.
+pub(super) struct Number(pub(super) f64, pub(super) f64);
+
+/// A length.
+pub(super) const LENGTH: Number = Number(SHORTEST, FARTHEST);
+
+impl Kind<f64> for Number {
+    fn parse(&self, text: &str) -> Result<f64, String> {
+        values::number_within(text, self.0, self.1)
+    }
+
+    fn text(&self, value: &f64) -> String {
+        value.to_string()
+    }
+
+    fn read(&self, json: &Value) -> Result<f64, String> {
+        self.parse(&number_text(json)?)
+    }
+
+    fn json(&self, value: &f64) -> Value {
+        json!(value)
+    }
+
+    fn is_signed(&self) -> bool {
+        self.0 < 0.0
+    }
+}
+
+/// A whole number from the first to the second, both included.
+pub(super) struct Whole(pub(super) u32, pub(super) u32);
+
+impl Kind<u32> for Whole {
+    fn parse(&self, text: &str) -> Result<u32, String> {
+        let number = text.trim().parse().ok().filter(|v| (self.0..=self.1).contains(v));
+        number.ok_or_else(|| format!("`{text}` is not a whole number from {} to {}", self.0, self.1))
+    }
+
+    fn text(&self, value: &u32) -> String {
+        value.to_string()
+    }
+
+    fn read(&self, json: &Value) -> Result<u32, String> {
+        self.parse(&number_text(json)?)
+    }
+
+    fn json(&self, value: &u32) -> Value {
+        json!(value)
+    }
+}
+
+/// A number of JSON, or a text, as a text.
+fn number_text(json: &Value) -> Result<String, String> {
+    match json {
+        Value::Number(number) => Ok(number.to_string()),
+        Value::String(text) => Ok(text.clone()),
+        _ => Err(format!("expected a number, and got {json}")),
+    }
+}
+
+/// A few numbers of JSON.
+fn numbers<const N: usize>(json: &Value) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = json.as_array()?.iter().map(Value::as_f64).collect();
+    numbers?.try_into().ok()
+}
+
+/// Three numbers, as an array of JSON or as `1,0,-2.5`, read by a function that says what is wrong with them.
+pub(super) struct Vector(pub(super) fn(&str) -> Result<[f64; 3], String>);
+
+impl Kind<[f64; 3]> for Vector {
+    fn parse(&self, text: &str) -> Result<[f64; 3], String> {
+        (self.0)(text)
+    }
+
+    fn text(&self, [x, y, z]: &[f64; 3]) -> String {
+        format!("{x},{y},{z}")
+    }
+
+    fn read(&self, json: &Value) -> Result<[f64; 3], String> {
+        match (json.as_str(), numbers(json)) {
+            (Some(text), _) => self.parse(text),
+            (None, Some(numbers)) => self.parse(&self.text(&numbers)),
+            _ => Err(format!("expected three numbers, and got {json}")),
+        }
+    }
+
+    fn json(&self, value: &[f64; 3]) -> Value {
+        json!(value)
+    }
+
+    fn is_signed(&self) -> bool {
+        true
+    }
+}
+
+/// Any text.
+pub(super) struct Text;
+
+impl Kind<String> for Text {
+    fn parse(&self, text: &str) -> Result<String, String> {
+        Ok(text.to_owned())
+    }
+
+    fn text(&self, value: &String) -> String {
+        value.clone()
+    }
+}
+
+/// Values at the ends of a map: of JSON two numbers, too.
+pub(super) struct Range;
+
+impl Kind<ValueRange> for Range {
+    fn parse(&self, text: &str) -> Result<ValueRange, String> {
+        ValueRange::parse(text)
+    }
+
+    fn text(&self, value: &ValueRange) -> String {
+        value.to_string()
+    }
+
+    fn read(&self, json: &Value) -> Result<ValueRange, String> {
+        match (json.as_str(), numbers(json)) {
+            (Some(text), _) => self.parse(text),
+            (None, Some([low, high])) => self.parse(&format!("{low}:{high}")),
+            _ => Err(format!("expected two numbers, or a range like 1%:99%, and got {json}")),
+        }
+    }
+
+    fn json(&self, value: &ValueRange) -> Value {
+        value.numbers().map_or_else(|| self.text(value).into(), |numbers| json!(numbers))
+    }
+
+    fn is_signed(&self) -> bool {
+        true
+    }
+}
+
+/// Opacity: of JSON also a number, the extinction, and the points of a curve.
+pub(super) struct Opacity;
+
+impl Kind<OpacityRule> for Opacity {
+    fn parse(&self, text: &str) -> Result<OpacityRule, String> {
+        values::opacity(text).map_err(|error| format!("{error:#}"))
+    }
+
+    fn text(&self, value: &OpacityRule) -> String {
+        match value {
+            OpacityRule::Extinction(kappa) => format!("extinction:{kappa}"),
+            OpacityRule::Curve(points) => {
+                points.iter().map(|(x, y)| format!("{x}:{y}")).collect::<Vec<_>>().join(",")
+            }
+            _ => "clamp".to_owned(),
+        }
+    }
+
+    fn read(&self, json: &Value) -> Result<OpacityRule, String> {
+        let curve = || {
+            let points: Option<Vec<[f64; 2]>> = json.as_array()?.iter().map(numbers).collect();
+            points.filter(|points| !points.is_empty())
+        };
+        match json {
+            Value::String(text) => self.parse(text),
+            Value::Number(kappa) => self.parse(&format!("extinction:{kappa}")),
+            _ => match curve() {
+                Some(points) => {
+                    let rule = OpacityRule::Curve(points.into_iter().map(|[x, y]| (x, y)).collect());
+                    self.parse(&self.text(&rule))
+                }
+                None => Err(format!(
+                    "expected clamp, an extinction, or a curve [[0, 0], [1, 0.5]], and got {json}"
+                )),
+            },
+        }
+    }
+
+    fn json(&self, value: &OpacityRule) -> Value {
+        match value {
+            OpacityRule::Curve(points) => points.iter().map(|&(x, y)| json!([x, y])).collect(),
+            other => self.text(other).into(),
+        }
+    }
+}
+
+/// A colour.
+pub(super) struct Color;
+
+impl Kind<Rgb> for Color {
+    fn parse(&self, text: &str) -> Result<Rgb, String> {
+        Rgb::parse(text)
+    }
+
+    fn text(&self, value: &Rgb) -> String {
+        value.to_string()
+    }
+}
+
+/// A colour, or `none`.
+pub(super) struct Behind;
+
+impl Kind<Background> for Behind {
+    fn parse(&self, text: &str) -> Result<Background, String> {
+        Background::parse(text)
+    }
+
+    fn text(&self, value: &Background) -> String {
+        value.to_string()
+    }
+}
+
+/// A length, or `auto`.
+pub(super) struct Step;
+
+impl Kind<StepLength> for Step {
+    fn parse(&self, text: &str) -> Result<StepLength, String> {
+        StepLength::parse(text)
+    }
+
+    fn text(&self, value: &StepLength) -> String {
+        value.to_string()
+    }
+
+    fn read(&self, json: &Value) -> Result<StepLength, String> {
+        self.parse(&number_text(json)?)
+    }
+
+    fn json(&self, value: &StepLength) -> Value {
+        match value {
+            StepLength::Automatic => json!("auto"),
+            StepLength::Length(length) => json!(length),
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! What of a style was said, and whether it may be said together.
+
+use super::error::StyleError;
+use super::spelling::Spelling;
+use super::table::{Group, OPTIONS, Style, StyleOption};
+
+impl Style {
+    /// The options that were given, as one would type them.
+    #[must_use]
+    pub fn words(&self) -> Vec<String> {
+        OPTIONS
+            .iter()
+            .filter_map(|option| {
+                let text = option.text(self)?;
+                Some(if option.is_flag() {
+                    format!("--{}", option.name())
+                } else {
+                    format!("--{}={text}", option.name())
+                })
+            })
+            .collect()
+    }
+
+    /// The first option of a group that was given.
+    #[must_use]
+    pub fn given(&self, group: Group) -> Option<&'static StyleOption> {
+        OPTIONS.iter().find(|option| option.group == group && option.is_given(self))
+    }
+
+    /// The options of `self`, and where it says nothing those of `other`.
+    #[must_use]
+    pub fn or(&self, other: &Self) -> Self {
+        let mut both = other.clone();
+        OPTIONS.iter().filter(|option| option.is_given(self)).for_each(|option| option.copy(self, &mut both));
+        both
+    }
+
+    /// Whether the options may stand beside each other.
+    ///
+    /// # Errors
+    /// The first option that excludes another that was given, or needs one that was not.
+    pub fn check(&self, spelling: Spelling) -> Result<(), StyleError> {
+        for option in OPTIONS.iter().filter(|option| option.is_given(self)) {
+            let is_given = |name: &&&str| StyleOption::find(name).is_some_and(|other| other.is_given(self));
+            let wrong =
+                |what: String| Err(StyleError { option: spelling.of(option.name()).into_owned(), what });
+            if let Some(other) = option.excludes.iter().find(is_given) {
+                return wrong(format!("cannot be used with {}", spelling.of(other)));
+            }
+            if let Some(other) = option.needs.iter().find(|name| !is_given(name)) {
+                return wrong(format!("needs {}", spelling.of(other)));
+            }
+        }
+        Ok(())
+    }
+}

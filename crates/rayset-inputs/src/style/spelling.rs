@@ -1,0 +1,35 @@
+//! How names of options are spelt.
+
+use std::borrow::Cow;
+
+/// How names of options are spelt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Spelling {
+    /// `--radius-scale`, on a command line.
+    Dashed,
+    /// `radiusScale`, in JSON.
+    Camel,
+    /// `radius_scale`, in Python.
+    Snake,
+}
+
+impl Spelling {
+    /// A name as a command line has it, spelt like this.
+    #[must_use]
+    pub fn of(self, name: &str) -> Cow<'_, str> {
+        match self {
+            Self::Dashed => format!("--{name}").into(),
+            Self::Snake => name.replace('-', "_").into(),
+            Self::Camel => {
+                let mut parts = name.split('-');
+                let first = parts.next().unwrap_or_default().to_owned();
+                parts
+                    .fold(first, |all, part| {
+                        let (letter, rest) = part.split_at(part.len().min(1));
+                        all + &letter.to_ascii_uppercase() + rest
+                    })
+                    .into()
+            }
+        }
+    }
+}
