@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -46,8 +47,14 @@ def camera_options(view: Any, direction: Any, up: Any, fovy: Any, orthographic: 
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has no type for: numbers and arrays of NumPy as lists and numbers, all else as a text."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+    """A value as JSON has it: numbers and arrays of NumPy as numbers and lists, numbers that JSON has none for and all else as texts."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, (bool, int, float, str)) else str(value)
 
 
 #: A place on the axis that the cameras of a turntable turn about, and its direction.
@@ -60,7 +67,7 @@ def look_of(
     """The scene that a cloud or grid is rendered as, what is said of it, and with `turns` what the cameras of a turntable turn about, of
     which its camera is the first. Errors name arguments, not options."""
     try:
-        text, line, _, _, about = held._file.look(json.dumps(said, default=_plain), size, turns)
+        text, line, _, _, about = held._file.look(json.dumps({name: _plain(value) for name, value in said.items()}), size, turns)
     except SceneError as error:
         words = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), str(error))
         raise SceneError(words.replace(", for which `help` lists the others", "")) from None
@@ -107,7 +114,8 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
         line = line or said_of_it
     if not chosen:
         if said:
-            raise ValueError(f"{next(iter(said))}: looks are for clouds and grids, and this has none")
+            name, value = next(iter(said.items()))
+            raise ValueError(f"{name}={value}: looks are for clouds and grids, and this has none")
         scene: dict[str, Any] = {"rayset": 1, "image": {"size": list(size), "samples": 2}, "root": target.to_json()}
     else:
         first = next(iter(chosen.values()))
