@@ -14,7 +14,7 @@ use crate::cuts;
 use rayset_inputs::style::{Flag, Style};
 
 use crate::looks::{Command, Looks, Stance, Styled};
-use crate::protocol::{Changes, Legend, Pose, Show, Sun};
+use crate::protocol::{Changes, Legend, Pose, SentStyle, Show, Sun};
 
 /// What was opened.
 pub struct Subject {
@@ -121,11 +121,11 @@ impl Opened {
     pub(crate) fn command(&self, show: &Show) -> Option<String> {
         let looks = self.subject.looks.as_ref()?;
         let changes = &show.changes;
-        let style = changes.style.as_ref().unwrap_or(&self.first_style);
+        let style = self.style(changes).ok()?;
         let mut seen = self.composed(show, true).ok()?;
         without_comments(&mut seen);
         let means_the_same = |camera: Style| {
-            let whole = Style { exposure: changes.exposure, ..camera.or(style) };
+            let whole = Style { exposure: changes.exposure, ..camera.or(&style) };
             let Command { words, mut scene } = looks.command(&whole).ok()?;
             scene["image"]["size"] = json!(show.size);
             without_comments(&mut scene);
@@ -140,10 +140,15 @@ impl Opened {
         Some(words.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" "))
     }
 
+    /// The style of a page.
+    fn style(&self, changes: &Changes) -> Result<Style, String> {
+        changes.style.as_ref().map_or_else(|| Ok(self.first_style.clone()), SentStyle::read)
+    }
+
     /// The scene in the style of a page; `None` if it has no other looks.
     fn styled(&self, changes: &Changes) -> Result<Option<Arc<Styled>>, String> {
         let Some(looks) = &self.subject.looks else { return Ok(None) };
-        let style = changes.style.as_ref().unwrap_or(&self.first_style).clone();
+        let style = self.style(changes)?;
         let styles = || self.styles.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, known)) = styles().iter().find(|(known, _)| *known == style) {
             return Ok(Some(known.clone()));

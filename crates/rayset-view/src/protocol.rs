@@ -5,13 +5,13 @@
 //! everything else as JSON.
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::cuts::{Cutter, MOST_CUTTERS, Section};
 use crate::engine::Report;
 use crate::looks::{Choices, Histogram, Stance};
 use crate::picking::Picked;
-use rayset_inputs::style::Style;
+use rayset_inputs::style::{Spelling, Style};
 
 /// Longest message of a page, in bytes.
 pub(crate) const MOST_MESSAGE_BYTES: usize = 64 << 10;
@@ -108,7 +108,33 @@ pub(crate) struct Changes {
     pub(crate) cap: Option<String>,
     /// Of a cloud or grid that was opened by itself: how it looks.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) style: Option<Style>,
+    pub(crate) style: Option<SentStyle>,
+}
+
+/// A style as a page sends it: each key is an option, but its value may be wrong, which is said where its picture would be.
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(try_from = "Map<String, Value>")]
+pub(crate) struct SentStyle(Map<String, Value>);
+
+impl TryFrom<Map<String, Value>> for SentStyle {
+    type Error = String;
+
+    fn try_from(object: Map<String, Value>) -> Result<Self, String> {
+        match object.keys().find(|key| Spelling::Camel.option(key).is_none()) {
+            Some(key) => Err(format!("{key} is no option of a style")),
+            None => Ok(Self(object)),
+        }
+    }
+}
+
+impl SentStyle {
+    /// The style.
+    ///
+    /// # Errors
+    /// What is wrong with it, for the person who chose it.
+    pub(crate) fn read(&self) -> Result<Style, String> {
+        Style::from_object(&self.0, Spelling::Camel).map_err(|error| error.to_string())
+    }
 }
 
 /// Parallel light.
@@ -287,6 +313,11 @@ mod tests {
         );
         let with = |change: &str| SHOW.replace("\"moving\": true", &format!("\"moving\": true, {change}"));
         assert!(read(&with(r#""changes": {"exposure": 1.5}"#)).is_ok());
+        // A wrong value is said where the picture would be; the connection stays.
+        let sent = read(&with(r#""changes": {"style": {"look": "/etc/passwd"}}"#));
+        let Ok(FromPage::Show(show)) = sent else { panic!("{sent:?}") };
+        let what = show.changes.style.expect("a style").read().expect_err("a wrong value");
+        assert!(what.contains("`/etc/passwd` is none of density"), "{what}");
         for wrong in [
             r#""changes": {"file": "/etc/passwd"}"#,
             r#""changes": {"style": {"preset": {"file": "/etc/passwd", "name": "a"}}}"#,

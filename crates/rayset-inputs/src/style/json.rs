@@ -18,8 +18,7 @@ impl Style {
         let mut style = Self::default();
         for (key, value) in object {
             let wrong = |what: String| StyleError { option: key.clone(), what };
-            let known = OPTIONS.iter().find(|option| spelling.of(option.name()) == key.as_str());
-            let option = known.ok_or_else(|| {
+            let option = spelling.option(key).ok_or_else(|| {
                 let names: Vec<_> = OPTIONS.iter().map(|option| spelling.of(option.name())).collect();
                 wrong(format!("there is no such option; there are {}", names.join(", ")))
             })?;

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use super::table::{OPTIONS, StyleOption};
+
 /// How names of options are spelt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Spelling {
@@ -14,6 +16,12 @@ pub enum Spelling {
 }
 
 impl Spelling {
+    /// The option whose name is spelt like this.
+    #[must_use]
+    pub fn option(self, spelt: &str) -> Option<&'static StyleOption> {
+        OPTIONS.iter().find(|option| self.of(option.name()) == spelt)
+    }
+
     /// A name as a command line has it, spelt like this.
     #[must_use]
     pub fn of(self, name: &str) -> Cow<'_, str> {
