@@ -1,4 +1,4 @@
-//! The options of a style on the command line.
+//! Command-line options for a style.
 
 use std::ffi::OsStr;
 
@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
 use rayset_inputs::style::{Change, Choice, Group, OPTIONS, Style, StyleOption};
 
-/// A style, of whose options a command has those of every group, or those of looks and cameras alone.
+/// A style as clap arguments. `WITH_PICTURE` includes the options of [`Group::Picture`].
 #[derive(Clone, Default)]
 pub(crate) struct StyleArgs<const WITH_PICTURE: bool>(pub(crate) Style);
 
@@ -68,7 +68,7 @@ fn argument(option: &'static StyleOption) -> Arg {
     arg.value_name(value_name).allow_hyphen_values(option.is_signed()).value_parser(ValueOf(option))
 }
 
-/// Reads the value of an option.
+/// Parses the value of an option.
 #[derive(Clone)]
 struct ValueOf(&'static StyleOption);
 
@@ -89,7 +89,7 @@ impl TypedValueParser for ValueOf {
 }
 
 impl ValueOf {
-    /// The words that it may be; `None` if it may be others.
+    /// The permitted words; `None` if the value is not one of a few words.
     fn words(&self) -> Option<Vec<PossibleValue>> {
         let choices = self.0.choices();
         let value = |choice: &Choice| {

@@ -14,7 +14,7 @@ use crate::cuts;
 use rayset_inputs::style::{Flag, Style};
 
 use crate::looks::{Command, Looks, Stance, Styled};
-use crate::protocol::{Changes, Legend, Pose, SentStyle, Show, Sun};
+use crate::protocol::{Changes, Legend, PageStyle, Pose, Show, Sun};
 
 /// What was opened.
 pub struct Subject {
@@ -142,7 +142,7 @@ impl Opened {
 
     /// The style of a page.
     fn style(&self, changes: &Changes) -> Result<Style, String> {
-        changes.style.as_ref().map_or_else(|| Ok(self.first_style.clone()), SentStyle::read)
+        changes.style.as_ref().map_or_else(|| Ok(self.first_style.clone()), PageStyle::read)
     }
 
     /// The scene in the style of a page; `None` if it has no other looks.

@@ -108,15 +108,15 @@ pub(crate) struct Changes {
     pub(crate) cap: Option<String>,
     /// Of a cloud or grid that was opened by itself: how it looks.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) style: Option<SentStyle>,
+    pub(crate) style: Option<PageStyle>,
 }
 
-/// A style as a page sends it: each key is an option, but its value may be wrong, which is said where its picture would be.
+/// A style from a page. Its keys are valid options; its values may be invalid, and are checked when the scene is composed.
 #[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
 #[serde(try_from = "Map<String, Value>")]
-pub(crate) struct SentStyle(Map<String, Value>);
+pub(crate) struct PageStyle(Map<String, Value>);
 
-impl TryFrom<Map<String, Value>> for SentStyle {
+impl TryFrom<Map<String, Value>> for PageStyle {
     type Error = String;
 
     fn try_from(object: Map<String, Value>) -> Result<Self, String> {
@@ -127,11 +127,11 @@ impl TryFrom<Map<String, Value>> for SentStyle {
     }
 }
 
-impl SentStyle {
-    /// The style.
+impl PageStyle {
+    /// Validates the values.
     ///
     /// # Errors
-    /// What is wrong with it, for the person who chose it.
+    /// The first invalid value, for display on the page.
     pub(crate) fn read(&self) -> Result<Style, String> {
         Style::from_object(&self.0, Spelling::Camel).map_err(|error| error.to_string())
     }

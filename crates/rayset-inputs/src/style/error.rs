@@ -1,11 +1,11 @@
-//! What is wrong with a style.
+//! The error of reading a style.
 
-/// An option with a value that it does not have, or beside one that excludes it.
+/// An invalid value of an option, or an option that another one excludes or requires.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StyleError {
-    /// The option as it was spelt; on the command line without its dashes.
+    /// The name of the option, as the caller spelt it.
     pub option: String,
-    /// What is wrong, and what was expected.
+    /// The problem, and the expected value.
     pub what: String,
 }
 

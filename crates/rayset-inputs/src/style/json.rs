@@ -1,4 +1,4 @@
-//! Styles as JSON: an object with a key for each option that was given.
+//! Styles as JSON: an object with one key per option that is set.
 
 use serde::de::Error as _;
 use serde::ser::SerializeMap;
@@ -10,10 +10,10 @@ use super::spelling::Spelling;
 use super::table::{OPTIONS, Style, StyleOption};
 
 impl Style {
-    /// Reads an object whose keys are names of options; `null` and `false` are options that were not given.
+    /// Reads an object whose keys are option names. `null` and `false` leave an option unset.
     ///
     /// # Errors
-    /// What is unknown or wrong, by its key.
+    /// The first unknown key, invalid value or broken rule.
     pub fn from_object(object: &Map<String, Value>, spelling: Spelling) -> Result<Self, StyleError> {
         let mut style = Self::default();
         for (key, value) in object {

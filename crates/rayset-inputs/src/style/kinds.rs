@@ -1,4 +1,4 @@
-//! The kinds of values that options have: how each is read from a text or from JSON, and written again.
+//! Kinds of option values: each reads a value from text or JSON, and writes it back.
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -10,15 +10,15 @@ use serde_json::{Value, json};
 use super::values::{Background, Choice, Flag, Rgb, StepLength, ValueRange, Words};
 use crate::values;
 
-/// Reads and writes the values of an option.
+/// Reads and writes the value of an option.
 pub(super) trait Kind<T> {
-    /// Reads a value as people type it.
+    /// Reads a value from a command line.
     fn parse(&self, text: &str) -> Result<T, String>;
 
-    /// The value as people type it; `parse` reads the same again.
+    /// Writes a value as on a command line; `parse` reads it back unchanged.
     fn text(&self, value: &T) -> String;
 
-    /// Reads a value of JSON: a text as it would be typed, or what the kind says.
+    /// Reads a value from JSON. A string is read like text on a command line.
     fn read(&self, json: &Value) -> Result<T, String> {
         match json.as_str() {
             Some(text) => self.parse(text),
@@ -26,22 +26,22 @@ pub(super) trait Kind<T> {
         }
     }
 
-    /// The value as JSON; `read` reads the same again.
+    /// Writes a value as JSON; `read` reads it back unchanged.
     fn json(&self, value: &T) -> Value {
         self.text(value).into()
     }
 
-    /// The words that it may be; none if it may be others.
+    /// The permitted words; empty if the value is not one of a few words.
     fn choices(&self) -> Vec<Choice> {
         Vec::new()
     }
 
-    /// Whether it may begin with a sign.
+    /// Whether a value may begin with `-`.
     fn is_signed(&self) -> bool {
         false
     }
 
-    /// Whether it has no value.
+    /// Whether the option takes no value.
     fn is_flag(&self) -> bool {
         false
     }
@@ -68,7 +68,7 @@ impl<T: Words> Kind<T> for Word {
     }
 }
 
-/// What the library has a name for.
+/// A value that the library parses from its name.
 pub(super) struct Named;
 
 impl<T: FromStr<Err = ParseError> + Display> Kind<T> for Named {
@@ -81,7 +81,7 @@ impl<T: FromStr<Err = ParseError> + Display> Kind<T> for Named {
     }
 }
 
-/// Said or not.
+/// A flag: set or unset.
 pub(super) struct Switch;
 
 impl Kind<Flag> for Switch {
@@ -94,7 +94,7 @@ impl Kind<Flag> for Switch {
     }
 
     fn read(&self, json: &Value) -> Result<Flag, String> {
-        // That it is not said was told apart before.
+        // The caller has handled `false` already.
         if json == &json!(true) { Ok(Flag) } else { Err(format!("expected true or false, and got {json}")) }
     }
 
@@ -172,7 +172,7 @@ fn numbers<const N: usize>(json: &Value) -> Option<[f64; N]> {
     numbers?.try_into().ok()
 }
 
-/// Three numbers, as an array of JSON or as `1,0,-2.5`, read by a function that says what is wrong with them.
+/// Three numbers, as a JSON array or as `1,0,-2.5`. The function parses and validates the text.
 pub(super) struct Vector(pub(super) fn(&str) -> Result<[f64; 3], String>);
 
 impl Kind<[f64; 3]> for Vector {
@@ -214,7 +214,7 @@ impl Kind<String> for Text {
     }
 }
 
-/// Values at the ends of a map: of JSON two numbers, too.
+/// The ends of a colour map: `0:10`, `1%:99%`, or two numbers in JSON.
 pub(super) struct Range;
 
 impl Kind<ValueRange> for Range {
@@ -243,7 +243,7 @@ impl Kind<ValueRange> for Range {
     }
 }
 
-/// Opacity: of JSON also a number, the extinction, and the points of a curve.
+/// An opacity rule. JSON may also have a number, which is the extinction, or the points of a curve.
 pub(super) struct Opacity;
 
 impl Kind<OpacityRule> for Opacity {

@@ -1,12 +1,13 @@
-//! What is said of how a cloud or grid is to look, as a value.
+//! A style: the options that override the look chosen for a cloud or a grid, and its camera.
 //!
-//! [`OPTIONS`] defines each option once: its name, what it means, which values it has. The options of the program, what
-//! pages of the viewer send, the arguments in Python and the words of an exported command are made from it.
+//! [`OPTIONS`] defines each option once: its name, its help and its kind of value. Five things are derived from it: the
+//! options of the program, the messages of the viewer's pages, the arguments in Python, the written scene and the words of
+//! an exported command.
 
 mod error;
 mod json;
 mod kinds;
-mod said;
+mod rules;
 mod spelling;
 mod table;
 mod values;

@@ -1,10 +1,10 @@
-//! How names of options are spelt.
+//! Spellings of option names.
 
 use std::borrow::Cow;
 
 use super::table::{OPTIONS, StyleOption};
 
-/// How names of options are spelt.
+/// A convention for the names of options.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Spelling {
     /// `--radius-scale`, on a command line.
@@ -16,13 +16,13 @@ pub enum Spelling {
 }
 
 impl Spelling {
-    /// The option whose name is spelt like this.
+    /// Finds an option by its name in this spelling.
     #[must_use]
     pub fn option(self, spelt: &str) -> Option<&'static StyleOption> {
         OPTIONS.iter().find(|option| self.of(option.name()) == spelt)
     }
 
-    /// A name as a command line has it, spelt like this.
+    /// Converts a name from the command line, without dashes in front, to this spelling.
     #[must_use]
     pub fn of(self, name: &str) -> Cow<'_, str> {
         match self {

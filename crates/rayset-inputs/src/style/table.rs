@@ -1,4 +1,4 @@
-//! The options: each is defined here, once.
+//! The table of options. Each option is defined here and nowhere else.
 
 use std::sync::Arc;
 
@@ -11,27 +11,27 @@ use super::kinds::{
 use super::values::{Background, Choice, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange};
 use crate::values;
 
-/// What an option is about.
+/// The subject of an option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
     /// The picture of any input.
     Picture,
-    /// What a cloud or grid looks like; a scene file says this itself.
+    /// The look of a cloud or grid. A scene file has its own.
     Look,
-    /// From where a cloud or grid is seen; a scene file says this itself.
+    /// The camera. A scene file has its own.
     Camera,
 }
 
 /// An option of a [`Style`].
 pub struct StyleOption {
     identifier: &'static str,
-    /// What it means, in a line of the program's help.
+    /// The help text, on one line.
     pub help: &'static str,
-    /// What it is about.
+    /// Its subject.
     pub group: Group,
-    /// Names of the options that it cannot be used with.
+    /// Options that exclude it, by their names on a command line.
     pub excludes: &'static [&'static str],
-    /// Names of the options without which it means nothing.
+    /// Options that it requires, by their names on a command line.
     pub needs: &'static [&'static str],
     parse: fn(&str) -> Result<Change, String>,
     read: fn(&Value) -> Result<Change, String>,
@@ -58,13 +58,13 @@ macro_rules! style {
             $(, needs $needs:expr)?
         );+ $(;)?}
     )+) => {
-        /// How a cloud or grid is to look, and from where it is seen. What is not said is chosen from the data.
+        /// Options for the look of a cloud or grid and for its camera. Unset options are chosen from the data.
         #[derive(Clone, Debug, Default, PartialEq)]
         pub struct Style {
             $($($(#[doc = $help])+ pub $name: Option<$value>,)+)+
         }
 
-        /// All options, in the order in which the program lists them.
+        /// All options, in the order of the program's help.
         pub static OPTIONS: &[StyleOption] = &[$($(
             StyleOption {
                 identifier: stringify!($name),
@@ -160,7 +160,7 @@ style! {
     }
 }
 
-/// Gives a style the value of one option. Command lines keep it until all options are read.
+/// Sets one option of a style. A command line collects changes until all of its options are parsed.
 #[derive(Clone)]
 pub struct Change(Arc<dyn Fn(&mut Style) + Send + Sync>);
 
@@ -169,7 +169,7 @@ impl Change {
         Self(Arc::new(change))
     }
 
-    /// Gives the style the value.
+    /// Sets the option.
     pub fn make(&self, style: &mut Style) {
         (self.0)(style);
     }
@@ -188,7 +188,7 @@ static NAMES: std::sync::LazyLock<Vec<String>> =
     std::sync::LazyLock::new(|| OPTIONS.iter().map(|option| option.identifier.replace('_', "-")).collect());
 
 impl StyleOption {
-    /// The option of this name.
+    /// Finds an option by its name on a command line.
     #[must_use]
     pub fn find(name: &str) -> Option<&'static Self> {
         NAMES.iter().position(|known| known == name).map(|i| &OPTIONS[i])
@@ -201,15 +201,15 @@ impl StyleOption {
         place.map_or(self.identifier, |i| &NAMES[i])
     }
 
-    /// Reads a value as people type it.
+    /// Reads a value from a command line.
     ///
     /// # Errors
-    /// What is wrong with it, and what was expected.
+    /// The problem, and the expected value.
     pub fn parse(&self, text: &str) -> Result<Change, String> {
         (self.parse)(text)
     }
 
-    /// Reads a value of JSON.
+    /// Reads a value from JSON.
     ///
     /// # Errors
     /// As [`parse`](Self::parse).
@@ -217,42 +217,42 @@ impl StyleOption {
         (self.read)(json)
     }
 
-    /// The value that a style gives it, as people type it; empty of an option without one. `None` if it was not given.
+    /// Its value in a style, as on a command line. Empty for a flag; `None` if it is unset.
     #[must_use]
     pub fn text(&self, style: &Style) -> Option<String> {
         (self.text)(style)
     }
 
-    /// The value that a style gives it, as JSON.
+    /// Its value in a style, as JSON. `None` if it is unset.
     #[must_use]
     pub fn json(&self, style: &Style) -> Option<Value> {
         (self.json)(style)
     }
 
-    /// Whether a style gives it.
+    /// Whether a style sets it.
     #[must_use]
     pub fn is_given(&self, style: &Style) -> bool {
         self.text(style).is_some()
     }
 
-    /// Gives one style what another says of it.
+    /// Copies its value, or its absence, from one style to another.
     pub fn copy(&self, from: &Style, to: &mut Style) {
         (self.copy)(from, to);
     }
 
-    /// The words that it may be; none if it may be others.
+    /// The permitted words; empty if its value is not one of a few words.
     #[must_use]
     pub fn choices(&self) -> Vec<Choice> {
         (self.choices)()
     }
 
-    /// Whether its values may begin with a sign.
+    /// Whether its value may begin with `-`.
     #[must_use]
     pub fn is_signed(&self) -> bool {
         (self.is_signed)()
     }
 
-    /// Whether it has no value.
+    /// Whether it takes no value.
     #[must_use]
     pub fn is_flag(&self) -> bool {
         (self.is_flag)()

@@ -1,21 +1,21 @@
-//! The values of options that are neither numbers nor texts.
+//! Types of option values other than numbers and text.
 
 use rayset::scene::FARTHEST;
 
 use crate::values;
 
-/// One of the words that an option takes, and what it means.
+/// A permitted word, and its meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Choice {
-    /// As it is written.
+    /// The word.
     pub word: &'static str,
-    /// What it means; empty if the word says it.
+    /// Its meaning; empty if the word is self-explanatory.
     pub help: &'static str,
 }
 
-/// A value that is one of a few words.
+/// An enumeration whose values are written as words.
 pub(crate) trait Words: Copy + PartialEq + Send + Sync + 'static {
-    /// All of them, in the order in which they are listed.
+    /// All values, in the order of the help.
     const ALL: &'static [(Self, Choice)];
 
     fn word(self) -> &'static str {
@@ -89,24 +89,24 @@ words! {
 }
 
 impl LookName {
-    /// Whether it is one of voxels.
+    /// Whether the look is for voxels.
     #[must_use]
     pub fn is_of_voxels(self) -> bool {
         matches!(self, Self::Volume | Self::Labels)
     }
 
-    /// As it is written.
+    /// The name, as on a command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.word()
     }
 }
 
-/// That an option was given which has no value.
+/// The value of an option that is either set or unset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Flag;
 
-/// A colour of the display, red, green and blue.
+/// A display-encoded (sRGB) colour: red, green, blue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rgb(pub [u8; 3]);
 
@@ -123,10 +123,10 @@ impl std::fmt::Display for Rgb {
     }
 }
 
-/// What is behind everything.
+/// The background of the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Background {
-    /// The picture is transparent there.
+    /// Transparent.
     Transparent,
     /// A colour.
     Color(Rgb),
@@ -152,7 +152,7 @@ impl std::fmt::Display for Background {
 pub enum StepLength {
     /// By the radii of the points, or the size of the voxels.
     Automatic,
-    /// As given.
+    /// A fixed length.
     Length(f64),
 }
 

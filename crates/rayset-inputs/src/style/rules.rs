@@ -1,11 +1,11 @@
-//! What of a style was said, and whether it may be said together.
+//! Listing, merging and checking the options of a style.
 
 use super::error::StyleError;
 use super::spelling::Spelling;
 use super::table::{Group, OPTIONS, Style, StyleOption};
 
 impl Style {
-    /// The options that were given, as one would type them.
+    /// The options that are set, as words of a command line: `--look=gas`.
     #[must_use]
     pub fn words(&self) -> Vec<String> {
         OPTIONS
@@ -21,13 +21,13 @@ impl Style {
             .collect()
     }
 
-    /// The first option of a group that was given.
+    /// The first option of a group that is set.
     #[must_use]
     pub fn given(&self, group: Group) -> Option<&'static StyleOption> {
         OPTIONS.iter().find(|option| option.group == group && option.is_given(self))
     }
 
-    /// The options of `self`, and where it says nothing those of `other`.
+    /// The options of `self`; options that `self` leaves out are taken from `other`.
     #[must_use]
     pub fn or(&self, other: &Self) -> Self {
         let mut both = other.clone();
@@ -35,10 +35,10 @@ impl Style {
         both
     }
 
-    /// Whether the options may stand beside each other.
+    /// Checks that no option excludes another one, and that required options are set.
     ///
     /// # Errors
-    /// The first option that excludes another that was given, or needs one that was not.
+    /// The first option that breaks a rule.
     pub fn check(&self, spelling: Spelling) -> Result<(), StyleError> {
         for option in OPTIONS.iter().filter(|option| option.is_given(self)) {
             let is_given = |name: &&&str| StyleOption::find(name).is_some_and(|other| other.is_given(self));
