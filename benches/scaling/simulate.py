@@ -56,7 +56,7 @@ class Parameters:
     give_up_after: float = 150.0
 
 
-# --- how the program deals out a picture (crates/rayset/src/trace/parts/share.rs, geometry/curve.rs)
+# --- how the program deals out a picture (crates/rayset-render/src/trace/parts/share.rs, crates/rayset-base/src/geometry/curve.rs)
 
 
 def hilbert_cell(side, index):

@@ -6,10 +6,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
+use rayset::PagedFiles;
 use rayset::geometry::DVec3;
 use rayset::grid::Grid;
 use rayset::grid::build::{self as grid_build, GridBuildOptions};
-use rayset::grid::read::VolumeSource;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::octree::verify::Depth;
@@ -17,7 +17,8 @@ use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
 use rayset::scene_file::SceneFile;
 use rayset::trace::{ExecSettings, render_once};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet, read};
+use rayset::volumes::{self, RawLayout};
+use rayset::working_set::{Limits, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
 pub const POINTS: [&str; 26] = [
@@ -107,7 +108,7 @@ pub fn volumes(data: &[u8]) {
     let Some(path) = written(&VOLUMES, data) else { return };
     // The voxels of a header of its own.
     std::fs::write(folder().join("v.raw"), [7; 4096]).expect("a write");
-    let source = match VolumeSource::open(&path) {
+    let source = match volumes::open(&path, None) {
         Ok(source) => source,
         Err(error) => return sentence(&error),
     };
@@ -200,8 +201,8 @@ fn data_of_scenes() {
         .expect("it builds");
     let raw = folder().join("voxels.raw");
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
-    let layout = "10x10x10,u8".parse().expect("a layout");
-    let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+    let layout = "10x10x10,u8".parse::<RawLayout>().expect("a layout");
+    let source = layout.open(&raw).expect("it opens");
     grid_build::build(
         source,
         &folder().join("grid.rset"),

@@ -12,7 +12,7 @@ use rayset::geometry::DAffine3;
 use rayset::geometry::DVec3;
 use rayset::memory::Limits;
 use rayset::scene_file::SceneFile;
-use rayset::volumes::{RawLayout, VolumeSource};
+use rayset::volumes::RawLayout;
 use rayset::{CancelToken, Picture, RenderCounts, Session, SimdLevel};
 
 use crate::bench_cloud::median;
@@ -224,7 +224,7 @@ fn grid(folder: &Path, side: u64) -> Result<()> {
     }
     outputs::write(&Outputs::default().add(&raw, None)?, &voxels)?;
     let layout: RawLayout = format!("{side}x{side}x{side},u8").parse()?;
-    let mut source = VolumeSource::open_raw(&raw, &layout)?;
+    let mut source = layout.open(&raw)?;
     source.space_from_voxel = DAffine3::IDENTITY;
     Outputs::default().add(&path, None)?;
     grid_to_file(source, &path, &GridBuildOptions::default(), &BuildControl::default())?;

@@ -8,7 +8,7 @@ use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
 use rayset::output::Destination;
 use rayset::points::{ReadError, ReadOptions};
-use rayset::volumes::{RawLayout, VolumeSource};
+use rayset::volumes::{self, RawLayout};
 
 use crate::budget::{Budget, name_smallest_budget, name_smallest_grid_budget};
 use crate::build_parts::{self, PartArgs, PartOf, Work};
@@ -217,8 +217,8 @@ fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
     let output = Outputs::beside(inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
     let source = match &args.raw {
-        Some(layout) => VolumeSource::open_raw(input, layout)?,
-        None => VolumeSource::open_of_series(input, args.volume_index)?,
+        Some(layout) => layout.open(input)?,
+        None => volumes::open(input, args.volume_index)?,
     };
     rayset_inputs::remark_about(input, &source, &Program::quiet());
     let meter = Meter::new("slices", args.json);

@@ -12,7 +12,7 @@ use rayset::geometry::{Aabb, DAffine3, DVec3};
 use rayset::output::Destination;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 use rayset::scene::{NoiseCloud, Pattern, Procedural};
-use rayset::volumes::{RawLayout, VolumeSource};
+use rayset::volumes::{self, RawLayout, VolumeSource};
 
 use crate::interrupts::{self, TemporaryFolder};
 use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
@@ -301,7 +301,7 @@ impl Preparation<'_> {
 
     /// A volume to be read with its values scaled to 0 to 1. A first build finds their range.
     fn rescaled(&self, volume: &Path) -> Result<VolumeSource> {
-        let open = || Ok::<_, anyhow::Error>(centred(VolumeSource::open(volume)?));
+        let open = || Ok::<_, anyhow::Error>(centred(volumes::open(volume, None)?));
         let first = TemporaryFolder::within(self.folder, "range")?;
         let header = grid_to_file(
             open()?,
@@ -348,7 +348,7 @@ impl Preparation<'_> {
         let raw = self.folder.join("volume.raw");
         outputs::write(&self.output(&raw)?, &voxels)?;
         let layout: RawLayout = format!("{SIDE}x{SIDE}x{SIDE},u8").parse()?;
-        let mut source = VolumeSource::open_raw(&raw, &layout)?;
+        let mut source = layout.open(&raw)?;
         source.scale = 1.0 / 255.0;
         Ok(source)
     }

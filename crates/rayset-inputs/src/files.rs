@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use rayset::points::{self, ReadError, ReadOptions};
 use rayset::storage::address_of;
-use rayset::volumes::VolumeSource;
+use rayset::volumes;
 
 use super::kinds;
 use crate::host::Host;
@@ -124,7 +124,7 @@ fn readable(folder: &Path, files: Vec<PathBuf>, host: &dyn Host) -> Result<Vec<P
 
 /// Why a file of a folder is not read; `None` if it is, or has something in it that a person has to be told.
 fn why_not(file: &Path) -> Result<Option<String>> {
-    if file.is_dir() || VolumeSource::is_volume(file)? || kinds::is_built(file)? {
+    if file.is_dir() || volumes::is_volume(file)? || kinds::is_built(file)? {
         return Ok(None);
     }
     if kinds::is_scene(file)? {
@@ -152,7 +152,7 @@ fn is_one_thing(folder: &Path) -> Result<bool> {
         ReadError::UnknownFormat { advice, .. } => !advice.starts_with("this is a folder"),
         _ => false,
     };
-    Ok(VolumeSource::is_volume(folder)? || error.as_ref().is_some_and(is_known))
+    Ok(volumes::is_volume(folder)? || error.as_ref().is_some_and(is_known))
 }
 
 fn below(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<()> {

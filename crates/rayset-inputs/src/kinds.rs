@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use rayset::file::{FileKind, LEAST_FILE_BYTES};
 use rayset::storage::{InputFile, Named, look};
-use rayset::volumes::VolumeSource;
+use rayset::volumes;
 use rayset::{Cloud, Grid, points};
 
 /// A file built by rayset.
@@ -141,9 +141,7 @@ fn advice(path: &Path, head: &[u8]) -> String {
             "json" => "a scene goes to `rayset check` or `rayset render`".into(),
             "png" | "exr" => "it is a picture by its name".into(),
             known
-                if points::ReadOptions::extensions()
-                    .chain(VolumeSource::extensions())
-                    .any(|one| one == known) =>
+                if points::ReadOptions::extensions().chain(volumes::extensions()).any(|one| one == known) =>
             {
                 format!("build one of it: `rayset build {name} -o {}`", built.display())
             }

@@ -12,7 +12,7 @@ use rayset::build::{
 use rayset::output::OutputError;
 use rayset::points::ReadError;
 use rayset::storage;
-use rayset::volumes::VolumeSource;
+use rayset::volumes;
 use rayset::{Cloud, Grid};
 
 use super::cache::{self, CacheArgs, Found, Name, Place};
@@ -291,8 +291,8 @@ impl Work<'_> {
         };
         let choices = &self.cache.choices;
         let open = || match choices.raw() {
-            Some(layout) => VolumeSource::open_raw(file, &layout),
-            None => VolumeSource::open_of_series(file, choices.volume_index),
+            Some(layout) => layout.open(file),
+            None => volumes::open(file, choices.volume_index),
         };
         let source = open()?;
         let pulled_in = PulledIn::of(source.paths().into_iter().map(Path::to_owned), self.files)?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow};
 use rayset::points::{InTurn, PointSource, ReadError, ReadOptions};
-use rayset::volumes::VolumeSource;
+use rayset::volumes::{self, VolumeSource};
 
 use crate::columns;
 use crate::files::Files;
@@ -123,7 +123,7 @@ fn remark_on_systems(sources: &[Box<dyn PointSource>], host: &dyn Host) {
 /// Whether one of some files is a volume.
 pub fn has_volume(files: &[PathBuf]) -> Result<bool> {
     for file in files {
-        if VolumeSource::is_volume(file)? {
+        if volumes::is_volume(file)? {
             return Ok(true);
         }
     }

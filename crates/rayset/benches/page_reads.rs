@@ -10,6 +10,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use rayset::PagedFiles;
 use rayset::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::geometry::curve::hilbert_order;
 use rayset::octree::Cloud;
@@ -20,7 +21,7 @@ use rayset::scene::{
 use rayset::trace::predict::{Lookahead, NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet, least_reads};
+use rayset::working_set::{Limits, WorkingSet, least_reads};
 
 /// A workload, translucent or not, in a picture of so many pixels along each side, and the parts of its pages that fit.
 struct Case {

@@ -14,6 +14,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use rayset::PagedFiles;
 use rayset::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
@@ -26,7 +27,7 @@ use rayset::storage::{Behaviour, FarOptions, FarStorage, FileStorage, SimulatedO
 use rayset::trace::predict::{Lookahead, NoPredictor, Predictor};
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+use rayset::working_set::{Limits, WorkingSet};
 use rayset::{CancelToken, Session};
 use serde_json::json;
 

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use rayset::PagedFiles;
 use rayset::field::Kernel;
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
@@ -20,7 +21,7 @@ use rayset::scene::{
 };
 use rayset::trace::{ExecSettings, RenderCounts, render_once};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+use rayset::working_set::{Limits, WorkingSet};
 
 /// A standard workload as a PLY file and as a cloud, in a folder that stays between runs.
 struct Prepared {

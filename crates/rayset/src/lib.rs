@@ -38,88 +38,39 @@
 //! | render it in parts, by many processes | [`parts`] |
 //! | set a memory budget, and see how it was used | [`memory`] |
 //! | read from somewhere else | [`storage`] |
-#![deny(unsafe_code)]
-#![cfg_attr(
-    not(feature = "internals"),
-    allow(
-        unreachable_pub,
-        dead_code,
-        unused_imports,
-        reason = "what is public here is reached by this project's own tests alone"
-    )
-)]
+#![forbid(unsafe_code)]
 
-#[cfg(not(feature = "internals"))]
-mod cancel;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod cancel;
-#[cfg(not(feature = "internals"))]
-mod container;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod container;
-#[cfg(not(feature = "internals"))]
-mod field;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod field;
-#[cfg(not(feature = "internals"))]
-mod grid;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod grid;
-#[cfg(not(feature = "internals"))]
-mod octree;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod octree;
-#[cfg(not(feature = "internals"))]
-mod regular_file;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod regular_file;
-#[cfg(not(feature = "internals"))]
-mod trace;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod trace;
-mod vtk_xml;
-#[cfg(not(feature = "internals"))]
-mod working_set;
-#[cfg(feature = "internals")]
-#[doc(hidden)]
-pub mod working_set;
-
-mod array_file;
 pub mod build;
 pub mod file;
 pub mod geometry;
 pub mod image;
 pub mod memory;
-mod numbers;
 pub mod output;
-mod parse;
 pub mod parts;
 pub mod points;
 pub mod scene;
 pub mod scene_file;
-mod setters;
-mod spill;
 pub mod storage;
-mod sync;
-mod text_numbers;
 pub mod volumes;
 
-pub use cancel::CancelToken;
-pub use container::OpenError;
+pub use rayset_base::CancelToken;
+pub use rayset_base::parse::ParseError;
+pub use rayset_files::{Cloud, Grid};
 #[doc(hidden)]
-pub use field::{BARE_SAMPLES, bare_loop};
-pub use field::{SimdLevel, SplatCounts};
-pub use grid::Grid;
-pub use octree::Cloud;
-pub use parse::ParseError;
-pub use trace::{
+pub use rayset_render::field::{BARE_SAMPLES, bare_loop};
+pub use rayset_render::field::{SimdLevel, SplatCounts};
+pub use rayset_render::trace::{
     BandSink, FinishedTile, Picture, Prediction, PreparedScene, Region, RenderCounts, RenderError, Session,
     SessionBuilder, SinkError, Tile, TileSink, View, Work,
+};
+pub use rayset_store::container::OpenError;
+
+/// What is behind the public surface, for this project's own tests, benches and fuzzers.
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub use {
+    rayset_base::{cancel, regular_file},
+    rayset_files::{PagedFiles, grid, octree},
+    rayset_render::{field, trace},
+    rayset_store::{container, working_set},
 };

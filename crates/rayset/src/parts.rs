@@ -2,4 +2,4 @@
 //!
 //! [`View::render_part`](crate::View::render_part) renders a [`Share`] of a picture into a [`Part`]; [`Joined`] is all parts of one.
 
-pub use crate::trace::parts::{Joined, PART_MAGIC, Part, PartError, PartOptions, Share};
+pub use rayset_render::trace::parts::{Joined, PART_MAGIC, Part, PartError, PartOptions, Share};

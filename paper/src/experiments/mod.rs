@@ -32,7 +32,8 @@ use rayset::trace::predict::{NoPredictor, Predictor};
 use rayset::trace::reference::PointField;
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind, Transport};
-use rayset::working_set::{Limits, PagedFiles, Statistics, WorkingSet};
+use rayset::PagedFiles;
+use rayset::working_set::{Limits, Statistics, WorkingSet};
 
 use crate::engine::{self, IndexField, Picture};
 use crate::file_cache::FileCaching;

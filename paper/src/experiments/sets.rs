@@ -9,7 +9,8 @@ use rayset::octree::Cloud;
 use rayset::scene::{Camera, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step};
 use rayset::trace::{ExecSettings, Session};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+use rayset::PagedFiles;
+use rayset::working_set::{Limits, WorkingSet};
 
 use super::object;
 

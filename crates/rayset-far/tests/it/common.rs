@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayset::build::{self, BuildControl, BuildOptions, GridBuildOptions};
 use rayset::points::{self, ReadOptions, Workload};
 use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
-use rayset::volumes::VolumeSource;
+use rayset::volumes;
 use rayset::working_set::Limits;
 use rayset::{Cloud, Grid, Session};
 
@@ -98,7 +98,7 @@ fn written(write: impl FnOnce(&Path) -> Result<(), String>) -> Result<Vec<u8>, S
 
 /// Builds the grid of a volume.
 pub(crate) fn build_grid(input: &Path, output: &Path) -> Result<(), String> {
-    let source = VolumeSource::open(input).map_err(|error| error.to_string())?;
+    let source = volumes::open(input, None).map_err(|error| error.to_string())?;
     let built = build::grid_to_file(source, output, &GridBuildOptions::default(), &BuildControl::default());
     built.map(drop).map_err(|error| error.to_string())
 }

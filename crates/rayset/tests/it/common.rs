@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use rayset::PagedFiles;
 use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
@@ -15,7 +16,7 @@ use rayset::scene::{
 };
 use rayset::trace::{ExecSettings, RenderError, render_once};
 use rayset::working_set::read::{self, BackendKind, Transport};
-use rayset::working_set::{Limits, PagedFiles, WorkingSet};
+use rayset::working_set::{Limits, WorkingSet};
 
 /// A folder that goes with the test.
 pub(crate) fn folder() -> tempfile::TempDir {

@@ -6,10 +6,10 @@
 use std::io::Write;
 use std::path::Path;
 
-use rayset::grid::read::VolumeSource;
 use rayset::octree::build::BuildOptions;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene_file::SceneFile;
+use rayset::volumes::{self, RawLayout};
 
 use crate::common::{build_at, folder, mixed_points};
 use crate::fixtures;
@@ -294,7 +294,7 @@ fn of_readers(folder: &Path) -> Vec<Input> {
     for (name, bytes) in volume_files() {
         let path = folder.join(name);
         std::fs::write(&path, &bytes).expect("a write");
-        let mut source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
+        let mut source = volumes::open(&path, None).unwrap_or_else(|e| panic!("{e}"));
         let mut voxels = vec![0; source.size.iter().product::<u64>() as usize * source.kind.bytes()];
         source.read(&mut voxels).unwrap_or_else(|e| panic!("{e}"));
         let choice = VOLUMES.iter().position(|n| *n == name).expect("a name") as u8;
@@ -318,7 +318,7 @@ fn files(folder: &Path) -> Vec<Input> {
     }
     let raw = folder.join("voxels.raw");
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
-    let source = VolumeSource::open_raw(&raw, &"10x10x10,u8".parse().expect("a layout")).expect("it opens");
+    let source = "10x10x10,u8".parse::<RawLayout>().expect("a layout").open(&raw).expect("it opens");
     let path = folder.join("grid.rset");
     build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
         .expect("it builds");

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::grid::build::{GridBuildOptions, build as build_grid};
-use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::Workload;
 use rayset::scene::{RenderSettings, Shadows, Step};
 use rayset::scene_file::SceneFile;
 use rayset::trace::ExecSettings;
 use rayset::trace::predict::NoPredictor;
+use rayset::volumes::RawLayout;
 
 use crate::common::{bits, build_at, folder, paged, picture};
 
@@ -46,7 +46,7 @@ fn prepared() -> tempfile::TempDir {
     let raw = folder.path().join("volume.raw");
     std::fs::write(&raw, voxels).expect("the voxels are written");
     let layout: RawLayout = "40x40x40,u8".parse().expect("a layout");
-    let mut source = VolumeSource::open_raw(&raw, &layout).expect("a volume");
+    let mut source = layout.open(&raw).expect("a volume");
     source.scale = 1.0 / 255.0;
     source.space_from_voxel =
         DAffine3::from_scale(DVec3::splat(1.0 / 39.0)) * DAffine3::from_translation(DVec3::splat(-19.5));

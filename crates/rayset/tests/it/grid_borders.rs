@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use rayset::geometry::DVec3;
 use rayset::grid::build::{GridBuildOptions, build};
-use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
     Camera, ColorRule, GridObject, Light, LightKind, Lighting, Node, OpacityRule, Projection, RenderSettings,
@@ -13,6 +12,7 @@ use rayset::scene::{
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::ReferenceRenderer;
+use rayset::volumes::RawLayout;
 
 use crate::common::{Random, folder, paged, picture, settings};
 
@@ -26,13 +26,12 @@ fn random_grid(folder: &Path, size: [u64; 3], kind: VoxelKind) -> Arc<Grid> {
             VoxelKind::U8 => vec![value as u8],
             VoxelKind::I16 | VoxelKind::U16 => (value as u16).to_le_bytes().to_vec(),
             VoxelKind::F32 => (value as f32).to_le_bytes().to_vec(),
-            other => panic!("{other:?}"),
         }
     });
     std::fs::write(&raw, voxels.collect::<Vec<u8>>()).expect("a write");
     let layout: RawLayout =
         format!("{}x{}x{},{}", size[0], size[1], size[2], kind.name()).parse().expect("a layout");
-    let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+    let source = layout.open(&raw).expect("it opens");
     build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
         .expect("it builds");
     Arc::new(Grid::open(&path).expect("it opens"))

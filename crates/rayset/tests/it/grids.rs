@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::grid::build::{GridBuildError, GridBuildOptions, build};
-use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
     ColorMap, ColorRule, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator, RenderSettings,
@@ -14,6 +13,7 @@ use rayset::scene::{
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::ReferenceRenderer;
+use rayset::volumes::{self, RawLayout};
 
 use crate::common::{Random, bits, camera, folder, paged, picture, plain_picture, real_data, settings};
 
@@ -37,7 +37,6 @@ fn voxels(kind: VoxelKind, big_endian: bool) -> Vec<u8> {
                     VoxelKind::I16 => (v as i16 - 100).to_le_bytes().to_vec(),
                     VoxelKind::U16 => (v as u16).to_le_bytes().to_vec(),
                     VoxelKind::F32 => (v as f32).to_le_bytes().to_vec(),
-                    other => panic!("{other:?}"),
                 };
                 if big_endian {
                     one.reverse();
@@ -54,7 +53,7 @@ pub(crate) fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
     std::fs::write(&raw, voxels(kind, false)).expect("a write");
     let layout: RawLayout =
         format!("45x37x52,{},spacing=0.03x0.035x0.028", kind.name()).parse().expect("a layout");
-    let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+    let source = layout.open(&raw).expect("it opens");
     build(source, &path, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
         .expect("it builds");
     Arc::new(Grid::open(&path).expect("it opens"))
@@ -81,7 +80,7 @@ fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
     let raw = folder.path().join("v.raw");
     let built = |kind: VoxelKind, memory_bytes: u64| {
         let layout: RawLayout = format!("45x37x52,{}", kind.name()).parse().expect("a layout");
-        let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+        let source = layout.open(&raw).expect("it opens");
         let options = GridBuildOptions { memory_bytes, temp_dir: Some(folder.path().to_owned()) };
         let path = folder.path().join("v.rset");
         build(source, &path, &options, &rayset::build::BuildControl::default())
@@ -282,7 +281,7 @@ fn the_same_voxels_come_out_of_every_format() {
     ];
     let mut identities = Vec::new();
     for path in &paths {
-        let source = VolumeSource::open(path).unwrap_or_else(|e| panic!("{e}"));
+        let source = volumes::open(path, None).unwrap_or_else(|e| panic!("{e}"));
         let built = path.with_extension("rset");
         let header =
             build(source, &built, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
@@ -322,7 +321,7 @@ fn malformed_volumes_are_errors_that_say_where() {
         ("h.nrrd", "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 1 4 4\nencoding: raw\n\n", "2 to"),
     ] {
         let path = written(f, name, &[text.as_bytes()]);
-        let outcome = VolumeSource::open(&path).map_err(|e| e.to_string()).and_then(|source| {
+        let outcome = volumes::open(&path, None).map_err(|e| e.to_string()).and_then(|source| {
             build(
                 source,
                 &f.join("out.rset"),
@@ -348,7 +347,7 @@ fn real_volumes_read() {
     ] {
         let Some(path) = real_data(name) else { return };
         let folder = folder();
-        let source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
+        let source = volumes::open(&path, None).unwrap_or_else(|e| panic!("{e}"));
         let header = build(
             source,
             &folder.path().join("v.rset"),

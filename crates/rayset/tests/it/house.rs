@@ -2,37 +2,33 @@
 
 use std::path::{Path, PathBuf};
 
-/// Data flows this way: a module knows those before it and none behind.
-const ORDER: [&str; 28] = [
-    "parse",
-    "setters",
-    "sync",
-    "cancel",
-    "geometry",
-    "regular_file",
-    "text_numbers",
-    "numbers",
-    "storage",
-    "array_file",
-    "output",
-    "spill",
-    "vtk_xml",
-    "points",
-    "container",
-    "octree",
-    "grid",
-    "working_set",
-    "field",
-    "scene",
-    "image",
-    "trace",
-    "scene_file",
-    "build",
-    "file",
-    "memory",
-    "parts",
-    "volumes",
+/// The crates of the library, each with those of them that it may use, and its modules: data flows this way, and a module
+/// knows those before it and none behind.
+const CRATES: [(&str, &[&str], &[&str]); 6] = [
+    (
+        "rayset-base",
+        &[],
+        &["parse", "setters", "sync", "cancel", "geometry", "regular_file", "text_numbers", "numbers"],
+    ),
+    ("rayset-store", &["rayset-base"], &["storage", "output", "spill", "container", "working_set"]),
+    ("rayset-files", &["rayset-base", "rayset-store"], &["points", "octree", "grid", "paged_files"]),
+    (
+        "rayset-formats",
+        &["rayset-base", "rayset-store", "rayset-files"],
+        &["array_file", "vtk_xml", "points", "volumes"],
+    ),
+    (
+        "rayset-render",
+        &["rayset-base", "rayset-store", "rayset-files"],
+        &["field", "scene", "image", "trace", "scene_file"],
+    ),
+    ("rayset", &["rayset-base", "rayset-store", "rayset-files", "rayset-formats", "rayset-render"], &[]),
 ];
+
+/// The folder of a crate.
+fn of_crate(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name(name)
+}
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).expect("the folder of the library") {
@@ -45,36 +41,60 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Each file of the library with its module and its code without comments.
-fn library() -> Vec<(PathBuf, String, String)> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut files = Vec::new();
-    sources(&root, &mut files);
-    assert!(files.len() > 40, "the library has moved: {}", root.display());
-    files
-        .into_iter()
-        .map(|path| {
-            let place = path.strip_prefix(&root).expect("below the root").to_path_buf();
-            let first = place.iter().next().expect("a name").to_string_lossy();
+/// A file of the library.
+struct Source {
+    /// The number of its crate in [`CRATES`].
+    of: usize,
+    /// Below the sources of its crate.
+    path: PathBuf,
+    module: String,
+    /// Without comments.
+    code: String,
+}
+
+fn library() -> Vec<Source> {
+    let mut all = Vec::new();
+    for (of, (name, ..)) in CRATES.iter().enumerate() {
+        let root = of_crate(name).join("src");
+        let mut files = Vec::new();
+        sources(&root, &mut files);
+        all.extend(files.into_iter().map(|path| {
             let text = std::fs::read_to_string(&path).expect("a source file");
-            let code: String =
-                text.lines().filter(|l| !l.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n");
-            (place.clone(), first.trim_end_matches(".rs").to_owned(), code)
-        })
-        .collect()
+            let path = path.strip_prefix(&root).expect("below the root").to_path_buf();
+            let first = path.iter().next().expect("a name").to_string_lossy();
+            let module = first.trim_end_matches(".rs").to_owned();
+            let code: Vec<&str> = text.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+            Source { of, code: code.join("\n"), path, module }
+        }));
+    }
+    assert!(all.len() > 300, "the library has moved: {} files", all.len());
+    all
 }
 
 #[test]
-fn modules_know_only_those_before_them() {
-    for (path, module, code) in library() {
-        if module == "lib" {
+fn crates_and_modules_know_only_those_before_them() {
+    for (name, may_use, _) in CRATES {
+        let manifest = std::fs::read_to_string(of_crate(name).join("Cargo.toml")).expect("a manifest");
+        let used = manifest.split("[dev-dependencies]").next().unwrap_or_default();
+        let used = used.lines().filter_map(|line| line.strip_suffix(".workspace = true"));
+        let strange: Vec<&str> = used.filter(|u| u.starts_with("rayset") && !may_use.contains(u)).collect();
+        assert!(strange.is_empty(), "{name} uses {strange:?}");
+    }
+    for Source { of, path, module, code } in library() {
+        let (name, _, order) = CRATES[of];
+        // The crate `rayset` only names what the others have.
+        if module == "lib" || order.is_empty() {
             continue;
         }
-        let own = ORDER.iter().position(|m| *m == module);
-        let own = own.unwrap_or_else(|| panic!("`{module}` has no place in the order of modules"));
-        for other in ORDER.iter().skip(own + 1) {
+        let own = order.iter().position(|m| *m == module);
+        let own = own.unwrap_or_else(|| panic!("`{module}` has no place in the order of {name}"));
+        for other in order.iter().skip(own + 1) {
             let known = format!("crate::{other}::");
-            assert!(!code.contains(&known), "{} knows `{other}`, which comes after it", path.display());
+            assert!(
+                !code.contains(&known),
+                "{name}: {} knows `{other}`, which comes after it",
+                path.display()
+            );
         }
     }
 }
@@ -84,8 +104,11 @@ fn modules_know_only_those_before_them() {
 fn examples_use_the_public_surface_alone() {
     let lib = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs");
     let lib = std::fs::read_to_string(lib).expect("the root of the library");
+    let hidden = lib.split_once("#[doc(hidden)]\npub use {").expect("what is hidden").1;
     let hidden: Vec<&str> =
-        lib.split("#[doc(hidden)]\npub mod ").skip(1).filter_map(|rest| rest.split(';').next()).collect();
+        hidden.split(|letter: char| !(letter.is_alphanumeric() || letter == '_')).collect();
+    let hidden: Vec<&str> =
+        hidden.into_iter().filter(|word| CRATES.iter().any(|(.., modules)| modules.contains(word))).collect();
     assert!(hidden.contains(&"working_set") && hidden.contains(&"trace"), "{hidden:?}");
     let mut files = Vec::new();
     sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("examples"), &mut files);
@@ -101,7 +124,7 @@ fn examples_use_the_public_surface_alone() {
 
 #[test]
 fn the_library_neither_prints_nor_reads_arguments_nor_keeps_global_state() {
-    for (path, _, code) in library() {
+    for Source { path, code, .. } in library() {
         // The hook that keeps panics of decoders quiet is the process's, as hooks are, and asks its own thread.
         // And who opens addresses is said once in a process, so that every path may be one.
         if [Path::new("points/quiet.rs"), Path::new("storage/address.rs")].contains(&path.as_path()) {
@@ -182,7 +205,7 @@ fn long_functions(text: &str, most: usize) -> Vec<(usize, String)> {
 
 #[test]
 fn functions_and_files_on_a_rays_way_are_short() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let root = of_crate("rayset-render").join("src");
     let mut files = Vec::new();
     RAYS_WAY.iter().for_each(|module| sources(&root.join(module), &mut files));
     files.retain(|path| !path.starts_with(root.join(BESIDE_THE_WAY)));

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use rayset::build::BuildControl;
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::grid::build::{GridBuildOptions, build};
-use rayset::grid::read::{RawLayout, VolumeSource};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
     ColorMap, ColorRule, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator, Palette,
     RenderSettings, Scene, Shape, Solid, Step, TransferFunction,
 };
 use rayset::trace::reference::ReferenceRenderer;
+use rayset::volumes::{self, RawLayout, VolumeSource};
 
 use crate::common::{camera, folder, plain_picture, settings};
 
@@ -58,7 +58,7 @@ fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
     std::fs::write(&raw, voxels(kind)).expect("a write");
     let layout: RawLayout =
         format!("33x28x30,{},spacing=0.05x0.05x0.05", kind.name()).parse().expect("a layout");
-    built(VolumeSource::open_raw(&raw, &layout).expect("it opens"), &path)
+    built(layout.open(&raw).expect("it opens"), &path)
 }
 
 /// One colour for each label but the background, which is transparent.
@@ -165,7 +165,7 @@ fn nrrd(folder: &Path, more: &str, sizes: &str, voxels: &[u8]) -> VolumeSource {
     let head = format!("NRRD0004\ntype: unsigned char\nencoding: raw\nsizes: {sizes}\n{more}\n");
     let path = folder.join("v.seg.nrrd");
     std::fs::write(&path, [head.as_bytes(), voxels].concat()).expect("a write");
-    VolumeSource::open_of_series(&path, Some(if sizes.starts_with("2 ") { 1 } else { 0 })).expect("it opens")
+    volumes::open(&path, Some(if sizes.starts_with("2 ") { 1 } else { 0 })).expect("it opens")
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn nifti_says_that_values_are_labels_and_names_them_in_an_extension() {
         head[344..348].copy_from_slice(b"n+1\0");
         let path = folder.path().join("v.nii");
         std::fs::write(&path, [head, rest, voxels(VoxelKind::U8)].concat()).expect("a write");
-        let found = built(VolumeSource::open(&path).expect("it opens"), &folder.path().join("n.rset"));
+        let found = built(volumes::open(&path, None).expect("it opens"), &folder.path().join("n.rset"));
         found.header().labels.clone()
     };
     assert!(!write(0, "").said);

@@ -89,7 +89,7 @@ fn the_array_of_three_numbers_that_others_agree_with_is_the_points() {
     let folder = folder();
     let path = folder.path().join("a.npz");
     std::fs::write(&path, gaussians("means3d")).expect("a write");
-    assert!(!rayset::grid::read::VolumeSource::is_volume(&path).expect("it reads"));
+    assert!(!rayset::volumes::is_volume(&path).expect("it reads"));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use rayset::grid::read::VolumeSource;
+use rayset::volumes;
 
 use crate::common::{folder, real_data};
 use crate::volume_fixtures::{compare, cut_off, expected, fixtures, flipped, numbers, read};
@@ -33,9 +33,9 @@ fn fixture(name: &str) -> Vec<u8> {
 }
 
 fn refused(path: &Path, words: &[&str]) {
-    let what = VolumeSource::open(path).err().map(|e| e.to_string()).expect("it is refused");
+    let what = volumes::open(path, None).err().map(|e| e.to_string()).expect("it is refused");
     let name = path.file_name().expect("a name").to_string_lossy();
-    assert!(VolumeSource::is_volume(path).expect("it reads"), "{name} is taken for points");
+    assert!(volumes::is_volume(path).expect("it reads"), "{name} is taken for points");
     assert!(what.contains(&*name) && words.iter().all(|word| what.contains(word)), "{what}");
 }
 
@@ -90,7 +90,7 @@ fn arrays_of_other_dimensions_and_other_datasets_are_no_volumes() {
     ] {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).expect("a write");
-        assert_eq!(VolumeSource::is_volume(&path).expect("it reads"), volume, "{name}");
+        assert_eq!(volumes::is_volume(&path).expect("it reads"), volume, "{name}");
     }
 }
 
@@ -199,7 +199,7 @@ fn a_checksum_of_an_archive_that_is_wrong_is_an_error() {
     let folder = folder();
     let path = folder.path().join("a.npz");
     let bytes = fixture("stored.npz");
-    let header = VolumeSource::open(&fixtures("volumes").join("stored.npz")).expect("it opens");
+    let header = volumes::open(&fixtures("volumes").join("stored.npz"), None).expect("it opens");
     assert_eq!(header.size, [6, 5, 4]);
     // The voxels are 480 bytes before the list of files.
     let list = bytes.windows(4).position(|part| part == b"PK\x01\x02").expect("a list");
@@ -207,7 +207,7 @@ fn a_checksum_of_an_archive_that_is_wrong_is_an_error() {
         let mut changed = bytes.clone();
         changed[at] ^= 1;
         std::fs::write(&path, changed).expect("a write");
-        let mut source = VolumeSource::open(&path).expect("the header is whole");
+        let mut source = volumes::open(&path, None).expect("the header is whole");
         let what = numbers(&mut source).expect_err("a bad byte");
         assert!(what.contains("checksum"), "{what}");
     }
@@ -233,7 +233,7 @@ fn arrays_whose_last_axis_has_colours_or_coordinates_are_no_volumes_and_axes_of_
         let length = (header.len() as u16).to_le_bytes();
         let bytes = [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), &vec![7; count]].concat();
         std::fs::write(&path, bytes).expect("a write");
-        assert_eq!(VolumeSource::is_volume(&path).expect("it reads"), is_volume, "{shape}");
-        assert_eq!(VolumeSource::open(&path).is_ok(), is_volume, "{shape}");
+        assert_eq!(volumes::is_volume(&path).expect("it reads"), is_volume, "{shape}");
+        assert_eq!(volumes::open(&path, None).is_ok(), is_volume, "{shape}");
     }
 }

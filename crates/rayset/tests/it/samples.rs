@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use rayset::grid::Grid;
 use rayset::grid::build::{self as grid_build, GridBuildOptions};
-use rayset::grid::read::VolumeSource;
 use rayset::octree::build::{BuildControl, BuildOptions};
 use rayset::points::{ArraySource, ColumnInfo, ColumnType, Values};
+use rayset::volumes::RawLayout;
 
 use crate::common::{Random, build_at, folder};
 
@@ -106,8 +106,8 @@ fn a_sample_of_a_grid_has_every_voxel_once_if_there_is_room_for_all() {
     let voxels: Vec<u8> = (0..size.iter().product::<u64>()).map(|i| (i * i % 251) as u8).collect();
     let raw = folder.path().join("v.raw");
     std::fs::write(&raw, &voxels).expect("a write");
-    let layout = "70x33x65,u8".parse().expect("a layout");
-    let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+    let layout: RawLayout = "70x33x65,u8".parse().expect("a layout");
+    let source = layout.open(&raw).expect("it opens");
     let path = folder.path().join("g.rset");
     grid_build::build(source, &path, &GridBuildOptions::default(), &BuildControl::default())
         .expect("it builds");

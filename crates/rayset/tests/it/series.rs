@@ -1,6 +1,6 @@
 //! Series of volumes in one file, and volumes of which a reader makes more than the file says.
 
-use rayset::grid::read::VolumeSource;
+use rayset::volumes;
 
 use crate::common::folder;
 use crate::other_tables::archive;
@@ -13,7 +13,7 @@ fn volume(name: &str, bytes: &[u8], index: Option<u64>) -> Result<(Vec<f32>, Str
     let folder = folder();
     let path = folder.path().join(name);
     std::fs::write(&path, bytes).expect("a write");
-    let mut source = VolumeSource::open_of_series(&path, index).map_err(|error| error.to_string())?;
+    let mut source = volumes::open(&path, index).map_err(|error| error.to_string())?;
     let voxels = numbers(&mut source)?;
     Ok((voxels, source.about.join("\n")))
 }
@@ -121,14 +121,14 @@ fn any_volume_of_a_metaimage_of_four_dimensions_is_read_and_which_one_is_said() 
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).expect("a write");
         for index in [None, Some(0), Some(1), Some(2)] {
-            let mut source = VolumeSource::open_of_series(&path, index).unwrap_or_else(|e| panic!("{e}"));
+            let mut source = volumes::open(&path, index).unwrap_or_else(|e| panic!("{e}"));
             assert_eq!(numbers(&mut source).expect("voxels"), expected(index.unwrap_or(0)), "{name}");
             let about = source.about.join("\n");
             assert!(about.contains(&format!("volume {} of a series of 3", index.unwrap_or(0))), "{about}");
             let place = source.space_from_voxel.transform_point3([1.0, 1.0, 1.0].into());
             assert_eq!(place.to_array(), [7.0 + 3.0, 8.0 + 2.0, 9.0 + 4.0], "{name}");
         }
-        let said = VolumeSource::open_of_series(&path, Some(3)).err().expect("there are three").to_string();
+        let said = volumes::open(&path, Some(3)).err().expect("there are three").to_string();
         assert!(said.contains("--volume-index 3: the file has 3 volumes"), "{said}");
     }
     // One dimension less or more than the header says.
@@ -189,7 +189,7 @@ fn any_volume_of_an_array_of_more_than_three_axes_is_read_and_which_one_is_said(
         let folder = folder();
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).expect("a write");
-        assert!(!VolumeSource::is_volume(&path).expect("it reads"), "{name}");
+        assert!(!volumes::is_volume(&path).expect("it reads"), "{name}");
     }
 }
 
@@ -234,8 +234,8 @@ fn rectilinear_grids_are_read_if_they_are_evenly_spaced_and_otherwise_the_axis_i
         // Steps of a tenth, rounded, far from the origin.
         let even = [100.0, 100.1, 100.2, 100.3];
         std::fs::write(&path, rectilinear(kind, even)).expect("a write");
-        assert!(VolumeSource::is_volume(&path).expect("it reads"));
-        let mut source = VolumeSource::open(&path).unwrap_or_else(|e| panic!("{e}"));
+        assert!(volumes::is_volume(&path).expect("it reads"));
+        let mut source = volumes::open(&path, None).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(source.size, [3, 2, 4], "{name}");
         let last = source.space_from_voxel.transform_point3([2.0, 1.0, 3.0].into());
         let there = [2.0, 2.0, f64::from(100.3_f32)];
@@ -244,7 +244,7 @@ fn rectilinear_grids_are_read_if_they_are_evenly_spaced_and_otherwise_the_axis_i
         assert_eq!(first, [1.0, 3.0, 100.0], "{name}");
         assert_eq!(numbers(&mut source).expect("it reads")[5], 2.5, "{name}");
         std::fs::write(&path, rectilinear(kind, [0.0, 1.0, 4.0, 9.0])).expect("a write");
-        let said = VolumeSource::open(&path).err().expect("it is refused").to_string();
+        let said = volumes::open(&path, None).err().expect("it is refused").to_string();
         for part in [
             "evenly spaced along z",
             "point 1, counted from 0, is at 1,",
@@ -254,11 +254,12 @@ fn rectilinear_grids_are_read_if_they_are_evenly_spaced_and_otherwise_the_axis_i
             assert!(said.contains(part), "{name}: {said}");
         }
         std::fs::write(&path, rectilinear(kind, [0.0, f32::NAN, 4.0, 9.0])).expect("a write");
-        assert!(VolumeSource::open(&path).is_err(), "{name}");
+        assert!(volumes::open(&path, None).is_err(), "{name}");
         let whole = rectilinear(kind, even);
         for length in (0..whole.len()).step_by(7) {
             std::fs::write(&path, &whole[..length]).expect("a write");
-            let read = VolumeSource::open(&path).map_err(|e| e.to_string()).and_then(|mut s| numbers(&mut s));
+            let read =
+                volumes::open(&path, None).map_err(|e| e.to_string()).and_then(|mut s| numbers(&mut s));
             assert!(read.is_err() || length + 3 > whole.len(), "{name}: cut off at {length}");
         }
     }
@@ -301,7 +302,7 @@ fn cells_of_vtk_have_their_values_at_their_centres_whatever_ends_the_file() {
         let folder = folder();
         let path = folder.path().join("a.vtk");
         std::fs::write(&path, bytes).expect("a write");
-        let mut source = VolumeSource::open(&path).expect("it opens");
+        let mut source = volumes::open(&path, None).expect("it opens");
         assert_eq!(source.size, [2, 2, 2]);
         assert_eq!(source.space_from_voxel.translation.to_array(), [2.0, 3.0, 4.0]);
         assert_eq!(numbers(&mut source).expect("it reads"), values);

@@ -3,7 +3,7 @@
 use rayset::build::BuildControl;
 use rayset::geometry::DVec3;
 use rayset::grid::build::{GridBuildError, GridBuildOptions, build};
-use rayset::grid::read::VolumeSource;
+use rayset::volumes;
 
 use crate::common::{folder, real_data};
 use crate::volume_fixtures::{compare, cut_off, expected, flipped, read, unzipped};
@@ -74,7 +74,7 @@ fn a_build_counts_the_memory_of_the_window_of_voxels() {
     std::fs::write(&path, unzipped("vdb", "flat.vdb")).expect("a write");
     let options = |memory_bytes| GridBuildOptions { memory_bytes, temp_dir: None };
     let built = |memory_bytes| {
-        let source = VolumeSource::open(&path).expect("it opens");
+        let source = volumes::open(&path, None).expect("it opens");
         build(source, &output, &options(memory_bytes), &BuildControl::default())
     };
     let Err(GridBuildError::Memory { needed, .. }) = built(8 << 20) else { panic!("8 MiB suffice") };
@@ -103,12 +103,12 @@ fn in_files_that_houdini_has_signed_y_is_up() {
         assert_eq!(bytes[METADATA..METADATA + 4], [0; 4]);
         let signed = [&bytes[..METADATA], &metadata, &bytes[METADATA + 4..]].concat();
         std::fs::write(&path, signed).expect("a write");
-        VolumeSource::open(&path).expect("a volume").up
+        volumes::open(&path, None).expect("a volume").up
     };
     assert_eq!(up("Houdini/SOP_OpenVDB_Write"), Some(DVec3::Y));
     assert_eq!(up("Blender/OpenVDBWriter"), None);
     std::fs::write(&path, &bytes).expect("a write");
-    assert_eq!(VolumeSource::open(&path).expect("a volume").up, None);
+    assert_eq!(volumes::open(&path, None).expect("a volume").up, None);
 }
 
 #[test]
@@ -127,7 +127,7 @@ fn what_a_reader_chose_and_knows_of_a_volume_is_kept_in_its_grid() {
     let folder = folder();
     let path = folder.path().join("several.vdb");
     std::fs::write(&path, unzipped("vdb", "several.vdb")).expect("a write");
-    let source = VolumeSource::open(&path).expect("a volume");
+    let source = volumes::open(&path, None).expect("a volume");
     let about = source.about.clone();
     assert!(about.iter().any(|sentence| sentence.contains("is read, of")), "{about:?}");
     let output = folder.path().join("g.rset");

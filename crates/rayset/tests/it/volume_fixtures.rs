@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use flate2::Crc;
 use flate2::read::GzDecoder;
 use rayset::geometry::DVec3;
-use rayset::grid::read::VolumeSource;
+use rayset::volumes::{self, VolumeSource};
 use serde_json::Value;
 
 /// A folder below `tests/fixtures`.
@@ -43,7 +43,7 @@ pub(crate) fn numbers(source: &mut VolumeSource) -> Result<Vec<f32>, String> {
 
 /// Opens a volume and reads all of it. An error as its text, which has to be a sentence.
 pub(crate) fn read(path: &Path) -> Result<(VolumeSource, Vec<f32>), String> {
-    let read = VolumeSource::open(path).map_err(|e| e.to_string()).and_then(|mut source| {
+    let read = volumes::open(path, None).map_err(|e| e.to_string()).and_then(|mut source| {
         let numbers = numbers(&mut source)?;
         Ok((source, numbers))
     });
@@ -112,7 +112,7 @@ pub(crate) fn flipped(path: &Path, bytes: &[u8], flips: usize) {
     for flip in 0..flips {
         let at = if flip % 2 == 0 { flip / 2 % 600 } else { flip * 7919 } % bytes.len();
         put(at, bytes[at] ^ (1 << (flip / 3 % 8)));
-        match VolumeSource::open(path) {
+        match volumes::open(path, None) {
             Ok(mut source) if source.size.iter().product::<u64>() < 1 << 20 => drop(numbers(&mut source)),
             Ok(_) => {}
             Err(error) => assert!(error.to_string().contains(": "), "{error}"),

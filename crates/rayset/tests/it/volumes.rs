@@ -9,7 +9,7 @@ use proptest::prelude::*;
 use rayset::geometry::DVec3;
 use rayset::grid::Grid;
 use rayset::grid::build::{GridBuildOptions, build};
-use rayset::grid::read::{RawLayout, VolumeSource};
+use rayset::volumes::{self, RawLayout, VolumeSource};
 
 use crate::common::folder;
 use crate::vti_text::{base64, blocks, vti, zipped};
@@ -39,7 +39,7 @@ fn built_from(path: &Path) -> Result<Vec<u8>, String> {
     let output = path.with_file_name("out.rset");
     let _ = std::fs::remove_file(&output);
     let before = std::fs::read_dir(path.parent().expect("a folder")).expect("it lists").count();
-    let built = VolumeSource::open(path).map_err(|e| e.to_string()).and_then(|source| {
+    let built = volumes::open(path, None).map_err(|e| e.to_string()).and_then(|source| {
         build(source, &output, &GridBuildOptions::default(), &rayset::build::BuildControl::default())
             .map_err(|e| e.to_string())
     });
@@ -316,7 +316,7 @@ fn a_library_user_cannot_build_a_grid_that_does_not_open() {
         |source| source.space_from_voxel.matrix3.x_axis = DVec3::ZERO,
     ];
     for (number, change) in change.iter().enumerate() {
-        let mut source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+        let mut source = layout.open(&raw).expect("it opens");
         change(&mut source);
         let output = folder.path().join("out.rset");
         let outcome =
@@ -344,10 +344,10 @@ fn volumes_larger_than_their_files_are_refused_before_anything_is_written() {
     let raw = f.join("v.raw");
     std::fs::write(&raw, voxels()).expect("a write");
     let layout: RawLayout = "60000x60000x600,i16".parse().expect("a layout");
-    let what = VolumeSource::open_raw(&raw, &layout).err().expect("too short").to_string();
+    let what = layout.open(&raw).err().expect("too short").to_string();
     assert!(what.contains("ends before"), "{what}");
     let layout: RawLayout = "5x4x3,i16,spacing=1xnanx1".parse().expect("a layout");
-    let what = VolumeSource::open_raw(&raw, &layout).err().expect("no spacing").to_string();
+    let what = layout.open(&raw).err().expect("no spacing").to_string();
     assert!(what.contains("spacing"), "{what}");
 }
 
@@ -361,7 +361,7 @@ fn voxels_that_are_no_numbers_become_0_and_those_too_large_are_errors() {
         let raw = folder.path().join("v.raw");
         std::fs::write(&raw, bytes).expect("a write");
         let layout: RawLayout = format!("2x2x2,{name}").parse().expect("a layout");
-        let source = VolumeSource::open_raw(&raw, &layout).expect("it opens");
+        let source = layout.open(&raw).expect("it opens");
         let output = folder.path().join("out.rset");
         let header =
             build(source, &output, &GridBuildOptions::default(), &rayset::build::BuildControl::default())

@@ -2,7 +2,7 @@
 
 use rayset::grid::Grid;
 use rayset::grid::build::{GridBuildOptions, build};
-use rayset::grid::read::VolumeSource;
+use rayset::volumes;
 
 use crate::common::folder;
 use crate::volumes::{SIZE, built, reference, refused, voxels};
@@ -268,7 +268,7 @@ fn values_of_cells_stand_at_their_centres() {
         .replace("PointData", "CellData")
         .replace("0 4 0 3 0 2", "2 7 0 4 0 3");
     std::fs::write(&path, text).expect("a write");
-    let source = VolumeSource::open(&path).expect("it opens");
+    let source = volumes::open(&path, None).expect("it opens");
     let header = build(
         source,
         &folder.path().join("a.rset"),

@@ -1,0 +1,324 @@
+//! The steps that measure radii: a stretch of the curve is sorted, its radii are measured with the neighbours in all
+//! stretches, and they are settled by what is usual in the whole cloud.
+
+use std::io::{BufReader, BufWriter, Read, Write};
+
+use super::super::context::Context;
+use super::super::control::Stage;
+use super::super::curve::{Boxes, Crowd, Curve, GRAIN, Sketch, most_boxes};
+use super::super::error::BuildError;
+use super::super::pieces::Assemble;
+use super::super::plan::Cell;
+use super::super::record;
+use super::super::spacing::{Copy, curve_keys, stored};
+use super::super::survey::{NO_RANGE, Survey};
+use super::super::typical::{Measured, Typical};
+use super::divide::{self, Counted};
+use super::exchange::{DataFile, Part};
+use super::job::Job;
+use super::step::BuildStep;
+use super::work::{self, Records, Sorting};
+use rayset_base::geometry::{Aabb, DVec3};
+use rayset_store::container::record_hash;
+use rayset_store::output::OutputWriter;
+use rayset_store::spill::{Joined, Spill};
+
+const BUFFER_BYTES: usize = 1 << 20;
+/// Number of records that are read at a time.
+const CHUNK_RECORDS: usize = 8192;
+/// Bytes of the position of a record, after which its radius is.
+const POSITION: usize = 24;
+
+/// The order of the curve.
+pub(super) fn curve_sorting(survey: &Survey) -> Sorting {
+    Sorting {
+        keys: curve_keys(survey),
+        stride: survey.layout.stride(),
+        stage: Stage::Spacing,
+        count: BuildStep::SpacingCount,
+        scatter: BuildStep::SpacingScatter,
+    }
+}
+
+/// Writes sorted records, and keeps boxes and crowds of them.
+struct CurveWriter<'a> {
+    context: &'a Context<'a>,
+    data: &'a DataFile,
+    output: BufWriter<OutputWriter>,
+    sketch: Sketch,
+    stride: usize,
+    /// The sum of the hashes of the records.
+    sum: u64,
+    total: u64,
+}
+
+impl Assemble<Vec<u8>> for CurveWriter<'_> {
+    fn open(&mut self, _: Cell) {}
+
+    fn own(&mut self, records: Vec<u8>) -> Result<(), BuildError> {
+        for record in records.chunks_exact(self.stride) {
+            self.sketch.follow(record);
+            self.sum = self.sum.wrapping_add(record_hash(record));
+        }
+        self.context.progress(Stage::Spacing, self.sketch.count, self.total);
+        self.output.write_all(&records).map_err(|e| self.data.failed(e))
+    }
+
+    fn subtree(&mut self, _: Cell, records: Vec<u8>) -> Result<(), BuildError> {
+        self.own(records)
+    }
+
+    fn close(&mut self) -> Result<(), BuildError> {
+        Ok(())
+    }
+}
+
+/// Sorts the stretch of a part.
+pub(super) fn sort(job: &Job<'_>) -> Result<(), BuildError> {
+    let data = job.create_data()?;
+    let destination = data.destination.clone();
+    let context = job.context(&destination);
+    let survey = &job.overview.survey;
+    let sorting = curve_sorting(survey);
+    // The same for all parts, so that all boxes together have room in the memory of any.
+    let most = most_boxes(job.overview.memory_bytes) as u64;
+    let mut grain = GRAIN;
+    while survey.count / grain > most {
+        grain *= 2;
+    }
+    let mut writer = CurveWriter {
+        context: &context,
+        data: &data,
+        output: BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?),
+        sketch: Sketch::new(sorting.keys, grain, usize::MAX),
+        stride: sorting.stride,
+        sum: 0,
+        total: survey.count / u64::from(job.exchange.parts),
+    };
+    work::order(job, &context, &sorting, &Copy, &mut writer)?;
+    let CurveWriter { mut output, mut sketch, sum, .. } = writer;
+    output.flush().map_err(|e| data.failed(e))?;
+    drop(output);
+    sketch.end_crowd();
+    let bytes = sketch.count * sorting.stride as u64;
+    job.publish(Some((data, bytes)), &encode(&sketch, sum))
+}
+
+fn corners(bounds: &Aabb) -> [u64; 6] {
+    let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
+    [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits)
+}
+
+/// Number of records and sum of their hashes, grain, numbers of boxes and crowds; corners of the boxes; range, corners and
+/// places of the crowds.
+fn encode(sketch: &Sketch, sum: u64) -> Vec<u8> {
+    let front = [sketch.count, sum, sketch.grain, sketch.boxes.len() as u64, sketch.crowds.len() as u64];
+    let boxes = sketch.boxes.iter().flat_map(corners);
+    let crowds = sketch.crowds.iter().flat_map(|crowd| {
+        let range = [crowd.records.start, crowd.records.end];
+        range.into_iter().chain(corners(&crowd.bounds)).chain([crowd.places])
+    });
+    divide::encode(front.into_iter().chain(boxes).chain(crowds))
+}
+
+/// The sorted records of a part, as its payload says.
+struct Stretch {
+    count: u64,
+    sum: u64,
+    grain: u64,
+    boxes: Vec<Aabb>,
+    crowds: Vec<Crowd>,
+}
+
+impl Stretch {
+    fn of(part: &Part) -> Result<Self, BuildError> {
+        let numbers = divide::numbers(part, None)?;
+        Self::decode(&numbers).ok_or_else(|| part.wrong("its boxes make no sense; run that step again"))
+    }
+
+    fn decode(numbers: &[u64]) -> Option<Self> {
+        let (&[count, sum, grain, boxes, crowds], rest) = numbers.split_first_chunk()?;
+        if grain == 0 || boxes != count.div_ceil(grain) {
+            return None;
+        }
+        let (boxes, rest) = rest.split_at_checked(usize::try_from(boxes).ok()?.checked_mul(6)?)?;
+        if rest.len() as u64 != crowds.checked_mul(9)? {
+            return None;
+        }
+        let bounds = |corners: &[u64]| {
+            let [a, b, c, d, e, f] = std::array::from_fn(|i| f64::from_bits(corners[i]));
+            Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) }
+        };
+        let crowd = |n: &[u64]| Crowd::new(n[0]..n[1], bounds(&n[2..8]), n[8]);
+        Some(Self {
+            count,
+            sum,
+            grain,
+            boxes: boxes.chunks_exact(6).map(bounds).collect(),
+            crowds: rest.chunks_exact(9).map(crowd).collect(),
+        })
+    }
+}
+
+/// Measures the radii of the stretch of a part.
+pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
+    let data = job.create_data()?;
+    let destination = data.destination.clone();
+    let context = job.context(&destination);
+    let survey = &job.overview.survey;
+    let stride = survey.layout.stride();
+    let (mut files, mut counts, mut crowds, mut boxes) =
+        (Vec::new(), Vec::new(), Vec::new(), Boxes::default());
+    job.all(BuildStep::SpacingSort, |part| {
+        let stretch = Stretch::of(&part)?;
+        let before: u64 = counts.iter().sum();
+        let shifted = |crowd: Crowd| {
+            let records = crowd.records.start + before..crowd.records.end + before;
+            Crowd::new(records, crowd.bounds, crowd.places)
+        };
+        crowds.extend(stretch.crowds.into_iter().map(shifted));
+        boxes.push(&stretch.boxes, stretch.grain, stretch.count);
+        files.push(job.exchange.open_data(&part)?);
+        counts.push(stretch.count);
+        Ok(())
+    })?;
+    let mut joined = Joined::new(files);
+    counts.iter().enumerate().for_each(|(file, &count)| joined.push(file, 0, count * stride as u64));
+    let spill = Spill::Joined(joined);
+    let curve = Curve { spill: &spill, stride, crowds, boxes };
+    let own = job.part as usize - 1;
+    let first: u64 = counts[..own].iter().sum();
+    let range = first..first + counts[own];
+    let mut output = BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?);
+    let (scale, nowhere) = (survey.auto_scale, |_: &_, _: &_| Ok(()));
+    let mut checksum = 0;
+    let measured = curve.measure(&context, scale, &range, nowhere, |radii| {
+        let bytes: Vec<u8> = radii.iter().flat_map(|&radius| stored(radius).to_le_bytes()).collect();
+        checksum = crc32c::crc32c_append(checksum, &bytes);
+        output.write_all(&bytes).map_err(|e| data.failed(e))
+    })?;
+    output.flush().map_err(|e| data.failed(e))?;
+    drop(output);
+    let payload = divide::encode(std::iter::once(u64::from(checksum)).chain(measured.to_words()));
+    job.publish(Some((data, 4 * counts[own])), &payload)?;
+    // All parts have sorted what was scattered to them.
+    job.exchange.remove_data(BuildStep::SpacingScatter, job.part);
+    Ok(())
+}
+
+/// The checksum of the radii that a part has measured, and their counts.
+fn radii(part: &Part) -> Result<(u32, Measured), BuildError> {
+    let numbers = divide::numbers(part, None)?;
+    let (checksum, measured) = numbers.split_first().unzip();
+    let measured = measured.and_then(Measured::from_words);
+    let radii = checksum.map(|&checksum| checksum as u32).zip(measured);
+    radii.ok_or_else(|| part.wrong("its counts of radii make no sense; run that step again"))
+}
+
+/// What is usual among all radii.
+fn typical(job: &Job<'_>) -> Result<Typical, BuildError> {
+    let mut all = Measured::default();
+    job.all(BuildStep::SpacingMeasure, |part| {
+        let (_, measured) = radii(&part)?;
+        all.merge(&measured);
+        Ok(())
+    })?;
+    all.check_range(job.options.length_scale, &job.overview.survey)?;
+    Ok(all.typical(&job.overview.survey))
+}
+
+/// Writes the records of a part's stretch with their radii, and counts them by octree cells.
+pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> {
+    let typical = typical(job)?;
+    let data = job.create_data()?;
+    let destination = data.destination.clone();
+    let context = job.context(&destination);
+    let mut counted = Counted { count: 0, sum: 0, radius_range: NO_RANGE };
+    let mut output = BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?);
+    let pyramid = divide::pyramid(job);
+    let mut whole = Vec::with_capacity(sorting.stride);
+    settle(job, &context, |record, measured| {
+        let radius = typical.settled(measured);
+        whole.clear();
+        whole.extend_from_slice(&record[..POSITION]);
+        whole.extend_from_slice(&radius.to_le_bytes());
+        whole.extend_from_slice(&record[POSITION..]);
+        counted.count += 1;
+        counted.sum = counted.sum.wrapping_add(record_hash(&whole));
+        let range = &mut counted.radius_range;
+        *range = (range.0.min(radius), range.1.max(radius));
+        pyramid.count(&sorting.keys, &whole);
+        output.write_all(&whole).map_err(|e| data.failed(e))
+    })?;
+    output.flush().map_err(|e| data.failed(e))?;
+    drop(output);
+    let bytes = counted.count * sorting.stride as u64;
+    job.publish(Some((data, bytes)), &counted.encode(&pyramid))?;
+    // All parts have measured their radii with these.
+    job.exchange.remove_data(BuildStep::SpacingSort, job.part);
+    job.exchange.remove_data(BuildStep::SpacingMeasure, job.part);
+    Ok(())
+}
+
+/// Passes the sorted records of a part's stretch, each with its measured radius, to `visit`.
+fn settle(
+    job: &Job<'_>,
+    context: &Context<'_>,
+    mut visit: impl FnMut(&[u8], f32) -> Result<(), BuildError>,
+) -> Result<(), BuildError> {
+    let (sorted, measured) = (job.own(BuildStep::SpacingSort)?, job.own(BuildStep::SpacingMeasure)?);
+    let Stretch { count, sum, .. } = Stretch::of(&sorted)?;
+    let stride = job.overview.survey.layout.stride();
+    if sorted.head.data_bytes != Some(count * stride as u64) || measured.head.data_bytes != Some(4 * count) {
+        return Err(
+            measured.wrong("it has not the radii of the records that were sorted; run that step again")
+        );
+    }
+    let buffered = |file| BufReader::with_capacity(BUFFER_BYTES, file);
+    let mut records = buffered(job.exchange.open_data(&sorted)?);
+    let mut radii = buffered(job.exchange.open_data(&measured)?);
+    let failed = |part: &Part| {
+        let path = part.path.with_extension("data");
+        move |source| BuildError::Io { action: "read", path: path.clone(), source }
+    };
+    let (mut some, mut their_radii) = (Vec::new(), Vec::new());
+    let (mut found_sum, mut found_checksum) = (0_u64, 0);
+    for first in (0..count).step_by(CHUNK_RECORDS) {
+        context.check()?;
+        context.progress(Stage::Write, first, count);
+        let length = (count - first).min(CHUNK_RECORDS as u64) as usize;
+        some.resize(length * stride, 0);
+        their_radii.resize(length * 4, 0);
+        records.read_exact(&mut some).map_err(failed(&sorted))?;
+        radii.read_exact(&mut their_radii).map_err(failed(&measured))?;
+        found_checksum = crc32c::crc32c_append(found_checksum, &their_radii);
+        for (record, radius) in some.chunks_exact(stride).zip(their_radii.chunks_exact(4)) {
+            found_sum = found_sum.wrapping_add(record_hash(record));
+            visit(record, record::float(radius, 0))?;
+        }
+    }
+    if found_sum != sum || found_checksum != self::radii(&measured)?.0 {
+        return Err(
+            measured.wrong("its data or those that were sorted are damaged: begin again in another folder")
+        );
+    }
+    Ok(())
+}
+
+/// The records of a part with their radii.
+pub(super) fn settled_records(job: &Job<'_>, stride: usize) -> Result<Records, BuildError> {
+    let part = job.own(BuildStep::Count)?;
+    let counted = Counted::of(&part)?;
+    Records::of(job, &part, (counted.count, counted.sum), stride)
+}
+
+/// The range of all radii.
+pub(super) fn radius_range(job: &Job<'_>) -> Result<(f32, f32), BuildError> {
+    let mut range = NO_RANGE;
+    job.all(BuildStep::Count, |part| {
+        let (least, most) = Counted::of(&part)?.radius_range;
+        range = (range.0.min(least), range.1.max(most));
+        Ok(())
+    })?;
+    Ok(range)
+}

@@ -1,0 +1,494 @@
+//! Point pages: runs of at most 128 points, each with its own frame, tight bounds and columns.
+//!
+//! A run stores positions as offsets from its own corner, in steps that are a power of two, so that decoding to
+//! coordinates about the run's centre is exact in `f32` for the usual 16-bit encoding.
+
+use super::format::Header;
+use super::layout::{ColumnLayout, RUN_HEAD_BYTES, RUN_POINTS, RootCell};
+use rayset_base::geometry::{Aabb, DVec3};
+use rayset_store::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
+
+/// Run corners lie on a lattice of this many steps along the root cell's edge.
+const ORIGIN_STEPS: f64 = 16_777_216.0;
+/// Negated exponent of the coarsest step, which is `root_size · 2^-COARSEST_STEP`.
+const COARSEST_STEP: i32 = 15;
+/// Number of step codes, which have seven bits in the record.
+const STEP_CODES: i32 = 128;
+
+/// How a run stores its positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Three columns of 16-bit offsets.
+    U16,
+    /// Three columns of 32-bit offsets.
+    U32,
+    /// Three columns of `f64` world coordinates: exact.
+    F64,
+}
+
+impl Encoding {
+    fn from_code(code: u16) -> Option<Self> {
+        [Self::U16, Self::U32, Self::F64].get(usize::from(code)).copied()
+    }
+
+    fn code(self) -> u16 {
+        match self {
+            Self::U16 => 0,
+            Self::U32 => 1,
+            Self::F64 => 2,
+        }
+    }
+
+    /// Number of steps in one unit of a run's extent.
+    fn extent_steps(self) -> f64 {
+        if self == Self::U32 { 16_777_216.0 } else { 256.0 }
+    }
+
+    /// Bytes of one point's position.
+    #[must_use]
+    pub fn position_bytes(self) -> usize {
+        match self {
+            Self::U16 => 6,
+            Self::U32 => 12,
+            Self::F64 => 24,
+        }
+    }
+}
+
+/// A run's record, decoded. Its place in the page is set when the run is placed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RunHead {
+    /// Corner, in units of the root cell's edge / 2²⁴.
+    origin: [u32; 3],
+    /// Edge lengths of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding), rounded up.
+    extent: [u8; 3],
+    radius_max: u16,
+    count: u8,
+    encoding: Encoding,
+    step_code: u8,
+    /// Start of the run's data in its page, in units of four bytes.
+    offset_words: u16,
+}
+
+/// 2^−(COARSEST_STEP + code), constructed from its bits because it is needed for every run near a ray.
+fn step_fraction(code: u8) -> f64 {
+    f64::from_bits((1023 - COARSEST_STEP as u64 - u64::from(code)) << 52)
+}
+
+impl RunHead {
+    /// Reads the record from its 18 bytes.
+    pub fn decode(bytes: &[u8]) -> Result<Self, PageError> {
+        let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let u24_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]);
+        let shape = u16_at(14);
+        let encoding = Encoding::from_code(shape >> 7 & 3)
+            .ok_or(PageError::Content { what: "a run of unknown encoding" })?;
+        Ok(Self {
+            origin: [u24_at(0), u24_at(3), u24_at(6)],
+            extent: [bytes[9], bytes[10], bytes[11]],
+            radius_max: u16_at(12),
+            count: (shape & 0x7f) as u8 + 1,
+            encoding,
+            step_code: (shape >> 9) as u8,
+            offset_words: u16_at(16),
+        })
+    }
+
+    /// Writes the record into its 18 bytes.
+    pub fn encode(&self, bytes: &mut [u8]) {
+        for axis in 0..3 {
+            bytes[3 * axis..3 * axis + 3].copy_from_slice(&self.origin[axis].to_le_bytes()[..3]);
+            bytes[9 + axis] = self.extent[axis];
+        }
+        let shape = u16::from(self.count - 1) | self.encoding.code() << 7 | u16::from(self.step_code) << 9;
+        bytes[12..14].copy_from_slice(&self.radius_max.to_le_bytes());
+        bytes[14..16].copy_from_slice(&shape.to_le_bytes());
+        bytes[16..18].copy_from_slice(&self.offset_words.to_le_bytes());
+    }
+
+    /// The same record with its data at another place in the page, in units of four bytes.
+    pub fn placed_at(self, words: usize) -> Self {
+        Self { offset_words: words as u16, ..self }
+    }
+
+    /// Where its data are in the page, in units of four bytes.
+    pub fn place(&self) -> usize {
+        usize::from(self.offset_words)
+    }
+
+    /// Number of points, 1 to 128.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "a run holds at least one point")]
+    pub fn len(&self) -> usize {
+        usize::from(self.count)
+    }
+
+    /// How positions are stored.
+    #[must_use]
+    pub fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    /// An upper bound on the radii of the run, at most 1/128 above the largest.
+    #[must_use]
+    pub fn radius_max(&self) -> f32 {
+        f32::from_bits(u32::from(self.radius_max) << 16)
+    }
+
+    /// The record of a run whose radii are multiplied by a factor above 0.
+    fn with_radii_scaled(self, factor: f32) -> Self {
+        Self {
+            radius_max: round_up_to_16_bits((self.radius_max() * factor).clamp(f32::MIN_POSITIVE, 1e30)),
+            ..self
+        }
+    }
+
+    /// Length of one offset step, world space.
+    #[must_use]
+    pub fn step(&self, root: RootCell) -> f64 {
+        root.size * step_fraction(self.step_code)
+    }
+
+    /// The box that contains the run's positions.
+    #[must_use]
+    pub fn position_bounds(&self, root: RootCell) -> Aabb {
+        let min = root.min + DVec3::from_array(self.origin.map(f64::from)) * (root.size / ORIGIN_STEPS);
+        let unit = self.step(root) * self.encoding.extent_steps();
+        Aabb::new(min, min + DVec3::from_array(self.extent.map(f64::from)) * unit)
+    }
+
+    /// Size of the run's data in bytes.
+    #[must_use]
+    pub fn data_bytes(&self, columns: ColumnLayout) -> usize {
+        (self.len() * self.encoding.position_bytes()).next_multiple_of(4) + columns.run_bytes(self.len())
+    }
+}
+
+/// The columns of one run, as provided by the builder.
+#[derive(Clone, Copy, Debug)]
+pub struct RunColumns<'a> {
+    /// Positions in world space, 1 to 128 of them.
+    pub position: &'a [[f64; 3]],
+    /// Radii.
+    pub radius: &'a [f32],
+    /// Whether the radii are stored.
+    pub store_radius: bool,
+    /// Weights, if they are stored.
+    pub weight: Option<&'a [f32]>,
+    /// Colours, if they are stored.
+    pub color: Option<&'a [[u8; 3]]>,
+    /// Attribute columns, each value in its own type, little-endian.
+    pub attributes: &'a [&'a [u8]],
+}
+
+/// A run ready to be placed in a page.
+#[derive(Clone, Debug)]
+pub struct EncodedRun {
+    /// The record; its offset is set when the run is placed.
+    pub head: RunHead,
+    /// Largest distance between a stored and a given position, world space.
+    pub position_error: f64,
+    /// The same divided by the smallest radius of the run.
+    pub position_error_radii: f64,
+}
+
+/// Encodes a run, appending its data to `data`.
+///
+/// `precision` is the largest position error allowed, as a fraction of the smallest radius of the run; with zero, positions
+/// are stored exactly.
+pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &mut Vec<u8>) -> EncodedRun {
+    let mut bounds = Aabb::EMPTY;
+    run.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
+    let cell = root.size / ORIGIN_STEPS;
+    let origin =
+        ((bounds.min - root.min) / cell).floor().max(DVec3::ZERO).min(DVec3::splat(ORIGIN_STEPS - 1.0));
+    let corner = root.min + origin * cell;
+    let extent = (bounds.max - corner).max(DVec3::ZERO);
+    let radius_min = f64::from(run.radius.iter().copied().fold(f32::INFINITY, f32::min));
+    let radius_max = run.radius.iter().copied().fold(0.0, f32::max);
+
+    // For each encoding, the finest step whose largest offset fits; of the encodings, the smallest that is precise enough.
+    let finest = |steps: f64| step_code_for(extent.max_element() / steps, root.size);
+    let step = |code: u8| root.size * step_fraction(code);
+    let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
+    let good = |code: u8| worst_error(code) <= precision * radius_min;
+    let (code_u16, code_u32) = (finest(65279.0), finest(4_278_000_000.0));
+    let (encoding, step_code) = if precision > 0.0 && good(code_u16) {
+        (Encoding::U16, code_u16)
+    } else if precision > 0.0 && good(code_u32) {
+        (Encoding::U32, code_u32)
+    } else {
+        (Encoding::F64, code_u16)
+    };
+    let unit = step(step_code) * encoding.extent_steps();
+
+    let (mut error_squared, mut worst_axis) = (0.0_f64, 0.0_f64);
+    let start = data.len();
+    for axis in 0..3 {
+        for p in run.position {
+            let offset = ((p[axis] - corner[axis]) / step(step_code)).round();
+            match encoding {
+                Encoding::U16 => data.extend_from_slice(&(offset as u16).to_le_bytes()),
+                Encoding::U32 => data.extend_from_slice(&(offset as u32).to_le_bytes()),
+                Encoding::F64 => data.extend_from_slice(&p[axis].to_le_bytes()),
+            }
+        }
+    }
+    if encoding != Encoding::F64 {
+        for p in run.position {
+            let p = DVec3::from_array(*p);
+            let stored = corner + ((p - corner) / step(step_code)).round() * step(step_code);
+            error_squared = error_squared.max(stored.distance_squared(p));
+            worst_axis = worst_axis.max((stored - p).abs().max_element());
+        }
+    }
+    data.resize(start + (data.len() - start).next_multiple_of(4), 0);
+    let mut put = |values: &[f32]| values.iter().for_each(|v| data.extend_from_slice(&v.to_le_bytes()));
+    if run.store_radius {
+        put(run.radius);
+    }
+    if let Some(weight) = run.weight {
+        put(weight);
+    }
+    if let Some(color) = run.color {
+        color.iter().for_each(|c| data.extend_from_slice(&[c[0], c[1], c[2], 0]));
+    }
+    for attribute in run.attributes {
+        data.extend_from_slice(attribute);
+        data.resize(start + (data.len() - start).next_multiple_of(4), 0);
+    }
+
+    // Rounded offsets may exceed the exact extent by half a step, so the stored extent is rounded up.
+    let extent = (extent / unit + 0.5 / encoding.extent_steps()).ceil().min(DVec3::splat(255.0));
+    let head = RunHead {
+        origin: origin.to_array().map(|v| v as u32),
+        extent: extent.to_array().map(|v| v as u8),
+        radius_max: round_up_to_16_bits(radius_max),
+        count: run.position.len() as u8,
+        encoding,
+        step_code,
+        offset_words: 0,
+    };
+    // Squares of errors below 1e-154 underflow, but a nonzero error must not be reported as zero.
+    let position_error = error_squared.sqrt().max(worst_axis);
+    EncodedRun { head, position_error, position_error_radii: position_error / radius_min }
+}
+
+/// The largest code whose step is at least `step`.
+fn step_code_for(step: f64, root_size: f64) -> u8 {
+    let exponent = if step > 0.0 { (root_size / step).log2().floor() as i32 } else { i32::MAX };
+    let mut code = exponent.saturating_sub(COARSEST_STEP).clamp(0, STEP_CODES - 1);
+    while code > 0 && root_size * 2_f64.powi(-COARSEST_STEP - code) < step {
+        code -= 1;
+    }
+    code as u8
+}
+
+/// The upper half of a positive `f32`, rounded up.
+fn round_up_to_16_bits(v: f32) -> u16 {
+    let bits = v.to_bits();
+    ((bits >> 16) + u32::from(bits & 0xffff != 0)) as u16
+}
+
+/// A point page whose records have been checked.
+#[derive(Clone, Copy, Debug)]
+pub struct PointPage<'a> {
+    bytes: &'a [u8],
+    runs: usize,
+    columns: ColumnLayout,
+    radius_scale: f32,
+}
+
+impl<'a> PointPage<'a> {
+    /// Checks a page: its head, and that every run lies within it.
+    ///
+    /// # Errors
+    /// [`PageError`], which says what is wrong.
+    pub fn check(bytes: &'a [u8], page: u32, header: &Header) -> Result<Self, PageError> {
+        let head = PageHead::check(bytes, PageKind::Points, page, header.identity)?;
+        let page = Self::trusted(bytes, header);
+        debug_assert_eq!(page.runs, head.records as usize);
+        if PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES > bytes.len() {
+            return Err(PageError::Content { what: "more runs than fit the page" });
+        }
+        for index in 0..page.runs {
+            let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
+            let run = RunHead::decode(&bytes[at..at + RUN_HEAD_BYTES])?;
+            let start = 4 * usize::from(run.offset_words);
+            if start < PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES {
+                return Err(PageError::Content { what: "a run whose data begin within the records" });
+            }
+            if start + run.data_bytes(page.columns) > head.used_bytes as usize {
+                return Err(PageError::Content { what: "a run that ends beyond the page" });
+            }
+            if !(run.radius_max().is_finite() && run.radius_max() > 0.0) {
+                return Err(PageError::Content {
+                    what: "a run whose largest radius is not a positive number",
+                });
+            }
+        }
+        Ok(page)
+    }
+
+    /// A page that has already passed [`check`](Self::check).
+    #[must_use]
+    pub fn trusted(bytes: &'a [u8], header: &Header) -> Self {
+        let runs = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
+        Self { bytes, runs, columns: header.columns, radius_scale: header.radius_scale }
+    }
+
+    /// Number of runs.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.runs
+    }
+
+    /// Whether the page holds no run.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.runs == 0
+    }
+
+    /// A run's record. Panics if `index` is not less than [`len`](Self::len).
+    #[must_use]
+    pub fn head(&self, index: usize) -> RunHead {
+        assert!(index < self.runs, "run {index} of {}", self.runs);
+        let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
+        let head =
+            RunHead::decode(&self.bytes[at..at + RUN_HEAD_BYTES]).expect("checked when the page was read");
+        if self.radius_scale == 1.0 { head } else { head.with_radii_scaled(self.radius_scale) }
+    }
+
+    /// A run with its data.
+    #[must_use]
+    pub fn run(&self, index: usize) -> Run<'a> {
+        let head = self.head(index);
+        let start = 4 * usize::from(head.offset_words);
+        Run { head, data: &self.bytes[start..start + head.data_bytes(self.columns)] }
+    }
+}
+
+/// A run and its bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct Run<'a> {
+    /// The record.
+    pub head: RunHead,
+    data: &'a [u8],
+}
+
+impl<'a> Run<'a> {
+    fn words(&self, byte: usize, count: usize) -> impl Iterator<Item = [u8; 4]> + use<'a> {
+        self.data[byte..byte + 4 * count].chunks_exact(4).map(|w| [w[0], w[1], w[2], w[3]])
+    }
+
+    /// Calls `value(axis, index, coordinate)` with coordinates relative to the centre of the run's
+    /// [`position_bounds`](RunHead::position_bounds), exact in `f64` for the integer encodings.
+    #[inline(always)]
+    fn for_each_offset(&self, root: RootCell, mut value: impl FnMut(usize, usize, f64)) {
+        let n = self.head.len();
+        let (step, bounds) = (self.head.step(root), self.head.position_bounds(root));
+        let half = (bounds.size() * 0.5).to_array();
+        for axis in 0..3 {
+            match self.head.encoding {
+                Encoding::U16 => {
+                    let column = &self.data[2 * n * axis..2 * n * (axis + 1)];
+                    for (i, b) in column.chunks_exact(2).enumerate() {
+                        value(axis, i, f64::from(u16::from_le_bytes([b[0], b[1]])) * step - half[axis]);
+                    }
+                }
+                Encoding::U32 => {
+                    for (i, b) in self.words(4 * n * axis, n).enumerate() {
+                        value(axis, i, f64::from(u32::from_le_bytes(b)) * step - half[axis]);
+                    }
+                }
+                Encoding::F64 => {
+                    let center = bounds.center()[axis];
+                    for (i, b) in self.data[8 * n * axis..8 * n * (axis + 1)].chunks_exact(8).enumerate() {
+                        let b = [b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]];
+                        value(axis, i, f64::from_le_bytes(b) - center);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Decodes coordinates relative to the centre of the run's position bounds, in `f32`, into the first `len` elements of
+    /// `out`.
+    #[inline(always)]
+    pub fn decode_local(&self, root: RootCell, out: &mut [[f32; RUN_POINTS]; 3]) {
+        if self.head.encoding == Encoding::U16 {
+            // Exact: a 16-bit integer minus half of one needs at most 17 bits, and the step is a power of two.
+            let n = self.head.len();
+            let step = self.head.step(root) as f32;
+            for axis in 0..3 {
+                let half = f32::from(self.head.extent[axis]) * 128.0;
+                let column = &self.data[2 * n * axis..2 * n * (axis + 1)];
+                for (o, b) in out[axis][..n].iter_mut().zip(column.chunks_exact(2)) {
+                    *o = (f32::from(u16::from_le_bytes([b[0], b[1]])) - half) * step;
+                }
+            }
+        } else {
+            self.for_each_offset(root, |axis, i, v| out[axis][i] = v as f32);
+        }
+    }
+
+    /// Decodes the same coordinates in `f64`.
+    pub fn decode_local_f64(&self, root: RootCell, out: &mut [[f64; RUN_POINTS]; 3]) {
+        self.for_each_offset(root, |axis, i, v| out[axis][i] = v);
+    }
+
+    /// The stored positions in world space.
+    #[must_use]
+    pub fn positions(&self, root: RootCell) -> Vec<DVec3> {
+        let mut local = [[0.0; RUN_POINTS]; 3];
+        self.decode_local_f64(root, &mut local);
+        let center = self.head.position_bounds(root).center();
+        (0..self.head.len()).map(|i| center + DVec3::new(local[0][i], local[1][i], local[2][i])).collect()
+    }
+
+    fn column_start(&self) -> usize {
+        (self.head.len() * self.head.encoding.position_bytes()).next_multiple_of(4)
+    }
+
+    fn f32_column(&self, column: usize) -> impl Iterator<Item = f32> + use<'a> {
+        let n = self.head.len();
+        self.words(self.column_start() + 4 * n * column, n).map(f32::from_le_bytes)
+    }
+
+    /// The stored radii, scaled as the header says, if it says that there are any.
+    pub fn radii(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
+        let scale = header.radius_scale;
+        header.radius.is_stored().then(|| self.f32_column(0).map(move |radius| radius * scale))
+    }
+
+    /// The stored weights, if the header says that there are any.
+    pub fn weights(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
+        header.weight.is_stored().then(|| self.f32_column(usize::from(header.radius.is_stored())))
+    }
+
+    /// The display-encoded (sRGB) colours, if the header says that there are any.
+    pub fn colors(&self, header: &Header) -> Option<impl Iterator<Item = [u8; 3]> + use<'a>> {
+        let column = usize::from(header.radius.is_stored()) + usize::from(header.weight.is_stored());
+        let n = self.head.len();
+        header
+            .has_color
+            .then(|| self.words(self.column_start() + 4 * n * column, n).map(|w| [w[0], w[1], w[2]]))
+    }
+
+    /// An attribute column, by its index in the header, rounded to `f32`.
+    pub fn attribute(&self, header: &Header, index: usize) -> impl Iterator<Item = f32> + use<'a> {
+        let kind = header.attributes[index].kind;
+        self.attribute_bytes(header, index).chunks_exact(kind.bytes()).map(move |b| kind.decode(b) as f32)
+    }
+
+    /// The bytes of an attribute column, by its index in the header: values of its own type, little-endian.
+    #[must_use]
+    pub fn attribute_bytes(&self, header: &Header, index: usize) -> &'a [u8] {
+        let n = self.head.len();
+        let start = self.column_start() + header.column_layout(index).run_bytes(n);
+        &self.data[start..start + n * header.attributes[index].kind.bytes()]
+    }
+}
+
+#[cfg(test)]
+mod tests;

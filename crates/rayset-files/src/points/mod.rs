@@ -1,0 +1,16 @@
+//! Points as builds take them: a [`PointSource`] delivers them in batches. Readers of formats are in `rayset-formats`.
+
+mod array;
+mod column;
+mod error;
+pub mod roles;
+mod slices;
+mod source;
+mod synthetic;
+
+pub use self::array::ArraySource;
+pub use self::column::{ColumnInfo, ColumnType, Values};
+pub use self::error::{Place, ReadError};
+pub use self::slices::{ColumnLengthError, ColumnSlice, PositionSlice, SliceSource};
+pub use self::source::{ColorDepth, PointBatch, PointSource, Schema};
+pub use self::synthetic::{View, Workload};

@@ -1,0 +1,397 @@
+//! The formats that points are read from, and how the format of a file is recognized: by its first bytes, and only where
+//! these say nothing by its name.
+
+use std::io::Read;
+use std::path::Path;
+
+#[cfg(feature = "e57")]
+use super::e57::E57Source;
+use super::gadget::{self, GadgetSource};
+#[cfg(feature = "las")]
+use super::las::LasSource;
+use super::mesh::{MeshFormat, MeshSource, ObjSource, begins_as_off};
+use super::npy::{self, NpySource};
+use super::packed::Packing;
+use super::pcd::{self, PcdSource};
+use super::ply::PlySource;
+use super::ply_body::Body;
+use super::ply_header::Property;
+use super::ptx::{self, PtxSource};
+#[cfg(feature = "hdf5")]
+use super::snapshot::SnapshotSource;
+use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
+use super::stream::Stream;
+use super::text::TextSource;
+use super::velodyne::VelodyneSource;
+use super::vtk::{self, VtkSource};
+use super::{Place, PointSource, ReadError, geographic, refusals, roles};
+use rayset_base::setters;
+use rayset_store::storage::input_file::{self, InputFile, Named};
+
+/// Information for a reader that some formats do not contain.
+#[derive(Clone, Debug, Default)]
+#[cfg_attr(not(feature = "internals"), non_exhaustive)]
+pub struct ReadOptions {
+    /// Names of all columns of text files, of arrays of NumPy and of snapshots in HDF5, overriding their own; `-` or an empty
+    /// name skips a column.
+    pub text_columns: Option<Vec<String>>,
+    /// Points to sample on the faces of a mesh, evenly by area. If `None`, ten points are sampled for each triangle, at least a
+    /// million and at most 20 million; of a PLY file with 20 000 vertices or more, or with measurements of each, its vertices
+    /// are the points.
+    pub mesh_points: Option<u64>,
+    /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
+    /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
+    pub particles: Option<Vec<String>>,
+}
+
+setters!(ReadOptions {
+    with_text_columns => text_columns: Option<Vec<String>>,
+    with_mesh_points => mesh_points: Option<u64>,
+    with_particles => particles: Option<Vec<String>>,
+});
+
+/// Bytes from the start of a file by which its format is recognized.
+const HEAD_BYTES: u64 = 4096;
+
+type Opened = Result<Box<dyn PointSource>, ReadError>;
+
+/// A format that points are read from.
+struct Format {
+    /// Endings of the names of its files, without the dot, in lower case.
+    extensions: &'static [&'static str],
+    /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of this format, whatever its
+    /// name.
+    begins: fn(&[u8]) -> bool,
+    open: fn(&Path, &ReadOptions) -> Opened,
+}
+
+/// In this order: the first that recognizes the beginning of a file reads it.
+const FORMATS: &[Format] = &[
+    Format {
+        extensions: &["ply"],
+        begins: |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
+        open: open_ply,
+    },
+    Format {
+        extensions: &["spz"],
+        begins: SpzSource::begins,
+        open: |path, _| Ok(Box::new(SpzSource::open(path)?)),
+    },
+    Format {
+        extensions: &["splat"],
+        // Nothing but records.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(SplatSource::open(path)?)),
+    },
+    Format {
+        extensions: &["ksplat"],
+        // A version alone.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(KsplatSource::open(path)?)),
+    },
+    Format {
+        extensions: &["stl"],
+        // Binary files begin with anything, even with this word.
+        begins: |head| head.starts_with(b"solid") && head.windows(12).any(|part| part == b"facet normal"),
+        open: |path, options| Ok(Box::new(MeshSource::survey(path, MeshFormat::Stl, options.mesh_points)?)),
+    },
+    Format {
+        extensions: &["obj"],
+        // Statements in any order.
+        begins: |_| false,
+        open: open_obj,
+    },
+    Format {
+        extensions: &["off"],
+        begins: begins_as_off,
+        open: |path, options| {
+            let mesh = MeshSource::survey(path, MeshFormat::Off, options.mesh_points)?;
+            Ok(Box::new(mesh))
+        },
+    },
+    Format {
+        extensions: &["gadget", "gadget2"],
+        begins: gadget::begins,
+        open: |path, options| Ok(Box::new(GadgetSource::open(path, options.particles.as_deref())?)),
+    },
+    Format {
+        extensions: &["npy", "npz"],
+        begins: npy::begins,
+        open: |path, options| Ok(Box::new(NpySource::open(path, options.text_columns.as_deref())?)),
+    },
+    Format { extensions: &["hdf5", "h5", "hdf"], begins: is_hdf5, open: open_hdf5 },
+    Format {
+        extensions: &["vtk", "vtp", "vtu"],
+        begins: vtk::begins,
+        open: |path, _| Ok(Box::new(VtkSource::open(path)?)),
+    },
+    Format { extensions: &["e57"], begins: |head| head.starts_with(b"ASTM-E57"), open: open_e57 },
+    Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
+    Format {
+        extensions: &["pcd"],
+        begins: pcd::begins,
+        open: |path, _| Ok(Box::new(PcdSource::open(path)?)),
+    },
+    Format {
+        extensions: &["ptx"],
+        begins: ptx::begins,
+        open: |path, _| Ok(Box::new(PtxSource::open(path)?)),
+    },
+    Format {
+        extensions: &["bin", "velodyne"],
+        // Nothing but records.
+        begins: |_| false,
+        open: |path, _| Ok(Box::new(VelodyneSource::open(path)?)),
+    },
+    Format {
+        extensions: &["xyz", "txt", "csv", "asc", "pts"],
+        // Any text may be a table; others may be, too.
+        begins: |_| false,
+        open: |path, options| Ok(Box::new(TextSource::open(path, options.text_columns.as_deref())?)),
+    },
+];
+
+/// Meshes in PLY with fewer vertices than this are shapes, whose faces are what they are; those with more are of scans, whose
+/// vertices are the points that were measured.
+const SHAPE_VERTICES: u64 = 20_000;
+
+/// Whether a property of a vertex is part of a shape and its colours; others are measurements, which faces do not have.
+fn is_of_shape(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let colour = name.strip_prefix("diffuse_").unwrap_or(&name);
+    matches!(colour, "red" | "green" | "blue" | "alpha")
+        || matches!(
+            &*name,
+            "x" | "y" | "z" | "nx" | "ny" | "nz" | "r" | "g" | "b" | "a" | "s" | "t" | "u" | "v"
+        )
+        || matches!(&*name, "texture_u" | "texture_v" | "texnumber")
+}
+
+/// Whether properties have a colour among them.
+fn has_color(names: &[&str]) -> bool {
+    let has = |name: &str| names.iter().any(|known| known.eq_ignore_ascii_case(name));
+    ["red", "green", "blue"].iter().all(|name| has(name)) || roles::color_places(names).is_some()
+}
+
+/// Opens the vertices of a PLY file, which may be Gaussians, or its faces.
+fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
+    let io = |source| ReadError::Io { path: path.to_owned(), source };
+    // A pipe is read only once.
+    if matches!(input_file::look(path).map_err(io)?, Named::File(_)) {
+        let (header, _) = Body::open(path)?;
+        let vertex = header.elements.iter().find(|element| element.name == "vertex");
+        let names: Vec<&str> = vertex.iter().flat_map(|v| &v.properties).map(Property::name).collect();
+        if CompressedPlySource::has_layout(&names) {
+            return Ok(Box::new(CompressedPlySource::open(path)?));
+        }
+        if GaussianPlySource::has_layout(&names) {
+            return Ok(Box::new(GaussianPlySource::open(path)?));
+        }
+        let faces =
+            header.elements.iter().find(|element| element.name == "face").map_or(0, |face| face.count);
+        if options.mesh_points.is_some() && header.elements.iter().any(|element| element.name == "face") {
+            return Ok(Box::new(MeshSource::survey(path, MeshFormat::Ply, options.mesh_points)?));
+        }
+        if let Some(vertex) = vertex.filter(|_| faces > 0) {
+            // Faces without an area, or that cannot be read, leave the vertices. Colours of faces alone are on faces.
+            let of_faces = header.elements.iter().filter(|element| element.name == "face");
+            let of_faces: Vec<&str> =
+                of_faces.flat_map(|face| &face.properties).map(Property::name).collect();
+            let is_few = vertex.count < SHAPE_VERTICES || has_color(&of_faces) && !has_color(&names);
+            let is_shape = is_few && names.iter().all(|name| is_of_shape(name));
+            if let Some(mesh) = is_shape.then(|| MeshSource::of_faces(path, MeshFormat::Ply)).flatten() {
+                return Ok(Box::new(mesh));
+            }
+            let vertices = PlySource::open(path)?;
+            return Ok(Box::new(vertices.with_warning(format!(
+                "the {} vertices are read, not the {faces} faces; `rayset build --mesh-points N` has points on the faces",
+                vertex.count
+            ))));
+        }
+    }
+    Ok(Box::new(PlySource::open(path)?))
+}
+
+/// Opens the faces of an OBJ file or, where there are none, its vertices.
+fn open_obj(path: &Path, options: &ReadOptions) -> Opened {
+    let mesh = MeshSource::survey(path, MeshFormat::Obj, options.mesh_points)?;
+    if mesh.triangles() > 0 {
+        return Ok(Box::new(mesh));
+    }
+    let has_colors = !mesh.schema().columns.is_empty();
+    Ok(Box::new(ObjSource::open(path, mesh.vertices(), has_colors)?))
+}
+
+/// Whether a file is HDF5: its signature is at the start, or after a block of the user's of 512, 1024, 2048, … bytes.
+fn is_hdf5(head: &[u8]) -> bool {
+    [0, 512, 1024, 2048].iter().any(|&at| head.get(at..).is_some_and(|h| h.starts_with(b"\x89HDF\r\n\x1a\n")))
+}
+
+#[cfg(feature = "hdf5")]
+fn open_hdf5(path: &Path, options: &ReadOptions) -> Opened {
+    let (particles, names) = (options.particles.as_deref(), options.text_columns.as_deref());
+    Ok(Box::new(SnapshotSource::open(path, particles, names)?))
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "hdf5" })
+}
+
+/// Formats that are looked for within gzip and zstd, by their first extensions: those that are read from start to end.
+const LOOKED_THROUGH: &[&str] = &["ply", "pcd", "ptx", "xyz"];
+/// Formats, by their first extensions, of which compression is a part.
+const COMPRESSED: &[&str] = &["spz"];
+
+#[cfg(feature = "las")]
+fn open_las(path: &Path, _: &ReadOptions) -> Opened {
+    Ok(Box::new(LasSource::open(path)?))
+}
+
+#[cfg(not(feature = "las"))]
+fn open_las(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "las" })
+}
+
+#[cfg(feature = "e57")]
+fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
+    Ok(Box::new(E57Source::open(path)?))
+}
+
+#[cfg(not(feature = "e57"))]
+fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
+    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "e57" })
+}
+
+impl ReadOptions {
+    /// Endings of the names of files of points, without the dot, in lower case; and those of what may be around them.
+    pub fn extensions() -> impl Iterator<Item = &'static str> {
+        let packings = [Packing::Gzip, Packing::Zstd].map(|packing| packing.ending().trim_start_matches('.'));
+        FORMATS.iter().flat_map(|format| format.extensions).copied().chain(packings)
+    }
+}
+
+/// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name. Text,
+/// PLY, PCD and PTX may be compressed with gzip or zstd. Positions in degrees of longitude and latitude become metres.
+///
+/// # Errors
+/// [`ReadError`] if the file cannot be opened, its header is malformed, or its format is unknown.
+pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
+    geographic::in_metres(path, open_as_it_is(path, options)?, || open_as_it_is(path, options))
+}
+
+/// Opens a pipe, which is read only once: its first bytes tell what it is, or its name, otherwise it is a table.
+fn open_pipe(path: &Path, options: &ReadOptions) -> Opened {
+    let mut stream = Stream::open(path)?;
+    let head = stream.head(HEAD_BYTES).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let packing = [Packing::Gzip, Packing::Zstd].into_iter().find_map(|p| name.strip_suffix(p.ending()));
+    let inner = packing.unwrap_or(&name);
+    let ends = |extension: &&str| inner.ends_with(&format!(".{extension}"));
+    let named = || FORMATS.iter().find(|format| format.extensions.iter().any(ends));
+    let found = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(named);
+    match found.map(|format| format.extensions[0]) {
+        Some("ply") => Ok(Box::new(PlySource::of(stream)?)),
+        Some("pcd") => Ok(Box::new(PcdSource::of(stream)?)),
+        Some("ptx") => Ok(Box::new(PtxSource::of(stream)?)),
+        None | Some("xyz") if !head.is_empty() && !refusals::is_recognized(path, &head) => {
+            Ok(Box::new(TextSource::of(stream, options.text_columns.as_deref())?))
+        }
+        Some(other) if !head.is_empty() => {
+            let what = format!(
+                "{} is read in many places, which a pipe does not allow; write it to a file. A pipe may have text, PLY, PCD or \
+                 PTX, compressed or not",
+                other.to_uppercase()
+            );
+            Err(ReadError::malformed(path, Place::Byte(0), what))
+        }
+        _ => {
+            let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+            let advice = refusals::advice(path, &head, &known.join(", "));
+            Err(ReadError::UnknownFormat { path: path.to_owned(), advice })
+        }
+    }
+}
+
+fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
+    if matches!(input_file::look(path), Ok(Named::Other)) {
+        return open_pipe(path, options);
+    }
+    let head = head(path)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let begins = |head: &[u8]| FORMATS.iter().find(|format| (format.begins)(head));
+    let named = |name: &str| {
+        let ends = |extension: &&str| name.ends_with(&format!(".{extension}"));
+        FORMATS.iter().find(|format| format.extensions.iter().any(ends))
+    };
+    let unknown = || {
+        let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+        let advice = refusals::advice(path, &head, &known.join(", "));
+        ReadError::UnknownFormat { path: path.to_owned(), advice }
+    };
+    if head.is_empty()
+        && input_file::is_file(path)
+        && !named(&name).is_some_and(|format| format.extensions.contains(&"txt"))
+    {
+        let what = "this file is empty: it was not written, or not copied".to_owned();
+        return Err(named(&name).map_or_else(unknown, |_| ReadError::malformed(path, Place::Byte(0), what)));
+    }
+    let Some(packing) = Packing::of(&head) else {
+        if let Some(format) = begins(&head) {
+            return (format.open)(path, options);
+        }
+        if refusals::is_marked(&head) {
+            return Err(unknown());
+        }
+        // Names of other files end as those of scans do.
+        let is_other = name.ends_with("bin") && refusals::is_recognized(path, &head);
+        if let Some(format) = named(&name).filter(|_| !is_other) {
+            return (format.open)(path, options);
+        }
+        // Any text may be a table, under any name.
+        // Bytes of 0 may follow the last line.
+        let used = head.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+        let is_text = used > 0 && !head[..used].contains(&0) && !refusals::is_recognized(path, &head);
+        let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
+        return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
+    };
+    // A format of which compression is a part has files that begin so, or a name of its own.
+    let content = unpacked_head(path)?;
+    let inner = name.strip_suffix(packing.ending()).unwrap_or(&name);
+    let within = begins(&content).or_else(|| named(inner).filter(|_| inner.len() < name.len()));
+    let Some(format) = begins(&head).or(within).or_else(|| named(&name)) else {
+        // Any text may be a table, under any name.
+        let is_text = !content.contains(&0) && !refusals::is_recognized(Path::new(inner), &content);
+        let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
+        return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
+    };
+    let is_within = within.is_some_and(|within| std::ptr::eq(within, format));
+    let reads = |formats: &[&str]| formats.contains(&format.extensions[0]);
+    if is_within && !reads(LOOKED_THROUGH) && !reads(COMPRESSED) {
+        let what = format!(
+            "this is {} around a {} file, which is not read from start to end; decompress it first",
+            packing.name(),
+            format.extensions[0].to_uppercase()
+        );
+        return Err(ReadError::malformed(path, Place::Byte(0), what));
+    }
+    (format.open)(path, options)
+}
+
+/// The first bytes of what a compressed file holds.
+fn unpacked_head(path: &Path) -> Result<Vec<u8>, ReadError> {
+    let mut head = Vec::new();
+    let read = Stream::open(path)?.take(HEAD_BYTES).read_to_end(&mut head);
+    read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    Ok(head)
+}
+
+/// The first bytes of a file. Empty if it is a pipe or a device, whose bytes can be read only once.
+fn head(path: &Path) -> Result<Vec<u8>, ReadError> {
+    let io = |source| ReadError::Io { path: path.to_owned(), source };
+    let mut head = Vec::new();
+    if matches!(input_file::look(path).map_err(io)?, Named::File(_)) {
+        InputFile::open(path).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    }
+    Ok(head)
+}

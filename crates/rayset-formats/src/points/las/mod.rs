@@ -1,0 +1,260 @@
+//! LAS 1.0 to 1.5 and LAZ, in batches.
+//!
+//! Follows the ASPRS LAS Specification 1.4 R15 and, for compressed points, LASzip as its authors describe it (M. Isenburg,
+//! "LASzip: lossless compression of LiDAR data", 2013, and the layout of its record and tables in LASzip itself). The `laz`
+//! crate decompresses the records, except for the items with GPS times, for which a few bytes could make it recurse until
+//! its stack overflows. Everything around the records is read here, because a length in a file is only a claim: each is
+//! checked against the file before it is used to allocate or to skip. Memory does not grow with the file, its extended
+//! records or its number of chunks. Only a chunk of points compressed in layers (point formats 6 to 10) is held as a whole,
+//! which [`memory_needed`](PointSource::memory_needed) includes.
+//!
+//! Not supported: waveforms, the hierarchy of COPC files (their points are read in file order), and LASzip's compatibility
+//! mode, in which points of formats 6 to 10 are stored as other formats; they are read in the format in which they are
+//! stored.
+
+mod chunk_table;
+mod compressed;
+mod fields;
+mod gps_time;
+mod header;
+mod method;
+mod point14;
+mod records;
+mod trouble;
+mod words;
+
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use laz::DecompressionSelection as Layers;
+
+use self::compressed::CompressedPoints;
+use self::fields::Field;
+use self::header::Header;
+use self::method::Method;
+use self::records::Records;
+use self::trouble::Trouble;
+use super::stretch::Stretch;
+use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, quiet};
+use rayset_store::storage::input_file::Shared;
+
+/// Bytes of records that are decoded at a time; a longer record is decoded on its own.
+const BLOCK_BYTES: usize = 128 << 10;
+
+/// The points of a LAS or LAZ file.
+pub struct LasSource {
+    path: PathBuf,
+    header: Header,
+    schema: Schema,
+    fields: Vec<Field>,
+    selected: Vec<usize>,
+    points: Points,
+    block: Vec<u8>,
+    next: u64,
+    /// The decompressor has panicked, and its state is unusable.
+    is_broken: bool,
+}
+
+enum Points {
+    Plain(Stretch),
+    Compressed(Box<CompressedPoints>),
+}
+
+impl LasSource {
+    /// Opens a file, reads its header and variable length records, and checks them against the file.
+    ///
+    /// # Errors
+    /// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let failed = |source| ReadError::Io { path: path.to_owned(), source };
+        let file = Shared::open(path).map_err(failed)?;
+        let file_bytes = file.length().map_err(failed)?;
+        let header = Header::read(path, &mut Stretch::new(&file, 0, file_bytes))?;
+        let records = Records::read(path, &file, &header)?;
+        let points = if header.is_compressed {
+            let bad = |byte, what| ReadError::malformed(path, Place::Byte(byte), what);
+            let record = records.laszip.as_deref().ok_or_else(|| {
+                bad(header.header_bytes, "points are compressed, and no LASzip record says how".to_owned())
+            })?;
+            let method = Method::read(&header, record).map_err(|what| bad(header.header_bytes, what))?;
+            let opened = quiet::catch(|| CompressedPoints::open(&file, &header, method));
+            match opened {
+                Some(Ok(points)) => Points::Compressed(Box::new(points)),
+                Some(Err(Trouble::Io(source))) => return Err(failed(source)),
+                Some(Err(Trouble::Damaged { byte, what })) => return Err(bad(byte, what)),
+                None => return Err(bad(header.points_start, "the table of chunks is damaged".to_owned())),
+            }
+        } else {
+            Points::Plain(plain_points(path, &file, &header)?)
+        };
+        let fields = fields::of_file(&header, records.extra_bytes.as_deref());
+        // The specification requires 16-bit colours, but many writers store 8-bit ones.
+        let schema = Schema {
+            crs: match words::reference_system(&header, &records) {
+                crs if crs.is_empty() && is_in_degrees(&header) => "EPSG:4326".to_owned(),
+                crs => crs,
+            },
+            description: words::description(&header),
+            step: Some(header.scale.map(f64::abs)).filter(|step| step.iter().all(|&v| v > 0.0)),
+            ..Schema::new(fields.iter().map(|f| f.info.clone()).collect(), ColorDepth::Guess)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            header,
+            schema,
+            fields,
+            selected: Vec::new(),
+            points,
+            block: Vec::new(),
+            next: 0,
+            is_broken: false,
+        })
+    }
+
+    /// Fills the block with the next `points` points.
+    fn read_block(&mut self, points: usize) -> Result<(), ReadError> {
+        let record_bytes = self.header.record_bytes;
+        self.block.resize(points * record_bytes, 0);
+        let mut done = 0;
+        let trouble = match &mut self.points {
+            Points::Plain(stretch) => {
+                let byte = self.header.points_start + self.next * record_bytes as u64;
+                let what = "the points end here, since the file was made shorter while it was read";
+                let read = stretch.read_exact(&mut self.block);
+                read.map_err(|e| Trouble::from_io(e, byte, what)).err()
+            }
+            Points::Compressed(compressed) if !self.is_broken => {
+                match quiet::catch(|| compressed.read(&mut self.block, &mut done)) {
+                    Some(result) => result.err(),
+                    None => {
+                        self.is_broken = true;
+                        Some(damaged(compressed))
+                    }
+                }
+            }
+            Points::Compressed(compressed) => Some(damaged(compressed)),
+        };
+        trouble.map_or(Ok(()), |trouble| Err(self.failed(trouble, done)))
+    }
+
+    /// The error of a block of which `done` points were read.
+    fn failed(&self, trouble: Trouble, done: usize) -> ReadError {
+        match trouble {
+            Trouble::Io(source) => ReadError::Io { path: self.path.clone(), source },
+            Trouble::Damaged { byte, what } => ReadError::Las {
+                path: self.path.clone(),
+                byte,
+                what,
+                read: self.next + done as u64,
+                count: self.header.count,
+            },
+        }
+    }
+}
+
+fn damaged(points: &CompressedPoints) -> Trouble {
+    Trouble::at(points.chunk_start(), "the compressed points of the chunk that begins here are damaged")
+}
+
+/// The points of an uncompressed file, after a check that the file is long enough for them.
+fn plain_points(path: &Path, file: &Shared, header: &Header) -> Result<Stretch, ReadError> {
+    let (start, end) = (header.points_start, header.points_end());
+    let most = (end - start) / header.record_bytes as u64;
+    if header.count > most {
+        let what = format!(
+            "the header counts {} points of {} bytes, and the file holds at most {most} between bytes {start} and \
+             {end}; it is cut off or damaged",
+            header.count, header.record_bytes
+        );
+        return Err(ReadError::malformed(path, Place::Byte(end), what));
+    }
+    Ok(Stretch::new(file, start, end))
+}
+
+/// Whether coordinates are degrees, though no reference system says so: they are stored in millionths or less, and heights are
+/// not.
+fn is_in_degrees(header: &Header) -> bool {
+    let ([x, y, z], offset) = (header.scale, header.offset);
+    x.max(y) <= 1e-6 && z >= 1e-5 && offset[0].abs() <= 180.0 && offset[1].abs() <= 90.0
+}
+
+impl PointSource for LasSource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.header.count)
+    }
+
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+        if let Points::Compressed(points) = &mut self.points {
+            let layers = columns.iter().map(|&column| self.fields[column].layers);
+            points.select(layers.fold(Layers::Z, |all, layers| all | layers));
+        }
+    }
+
+    fn memory_needed(&self) -> u64 {
+        let block = self.header.record_bytes.max(BLOCK_BYTES) as u64;
+        block
+            + match &self.points {
+                Points::Plain(_) => 0,
+                Points::Compressed(points) => points.memory_needed(),
+            }
+    }
+
+    fn can_skip(&self) -> bool {
+        match &self.points {
+            Points::Plain(_) => true,
+            Points::Compressed(points) => points.can_skip(),
+        }
+    }
+
+    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
+        let count = count.min(self.header.count - self.next);
+        let trouble = match &mut self.points {
+            Points::Plain(stretch) => {
+                let bytes = count.saturating_mul(self.header.record_bytes as u64) as i64;
+                stretch.seek(SeekFrom::Current(bytes)).map_err(Trouble::Io).err()
+            }
+            Points::Compressed(points) => match quiet::catch(|| points.skip(count)) {
+                Some(result) => result.err(),
+                None => {
+                    self.is_broken = true;
+                    Some(damaged(points))
+                }
+            },
+        };
+        self.next += count;
+        trouble.map_or(Ok(()), |trouble| Err(self.failed(trouble, 0)))
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(&self.schema, &self.selected);
+        let record_bytes = self.header.record_bytes;
+        let left = usize::try_from(self.header.count - self.next).unwrap_or(usize::MAX);
+        let mut wanted = left.min(limit);
+        while wanted > 0 {
+            let points = wanted.min((BLOCK_BYTES / record_bytes).max(1));
+            self.read_block(points)?;
+            let (scale, offset) = (self.header.scale, self.header.offset);
+            batch.position.extend(self.block.chunks_exact(record_bytes).map(|record| {
+                std::array::from_fn(|axis| {
+                    let steps = i32::from_le_bytes(std::array::from_fn(|i| record[4 * axis + i]));
+                    scale[axis] * f64::from(steps) + offset[axis]
+                })
+            }));
+            for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
+                self.fields[index].append(&self.block, record_bytes, column);
+            }
+            self.next += points as u64;
+            wanted -= points;
+        }
+        Ok(())
+    }
+}

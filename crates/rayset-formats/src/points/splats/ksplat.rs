@@ -1,0 +1,195 @@
+//! Gaussian splats as `.ksplat`: sections of splats, at compression levels 1 and 2 in buckets that their positions are
+//! relative to. Sizes and centres of buckets, and splats, are read side by side.
+
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::gaussian::{Gaussian, GaussianColumns};
+use super::ksplat_header::{KsplatHeader, Level, Section};
+use super::ply::UP;
+use super::splat::floats;
+use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use rayset_base::numbers::half;
+use rayset_store::storage::input_file::InputFile;
+
+const BUFFER_BYTES: usize = 64 << 10;
+
+/// A reader of a part of a section.
+struct Part {
+    input: BufReader<InputFile>,
+    at: u64,
+}
+
+impl Part {
+    fn open(path: &Path) -> io::Result<Self> {
+        Ok(Self { input: BufReader::with_capacity(BUFFER_BYTES, InputFile::open(path)?), at: 0 })
+    }
+
+    fn read(&mut self, path: &Path, at: u64, bytes: &mut [u8]) -> Result<(), ReadError> {
+        let skip = at.wrapping_sub(self.at) as i64;
+        let read = self.input.seek_relative(skip).and_then(|()| self.input.read_exact(bytes));
+        self.at = at + bytes.len() as u64;
+        read.map_err(|source| {
+            if source.kind() == io::ErrorKind::UnexpectedEof {
+                let what = "the file has become shorter than it was when it was opened";
+                return ReadError::malformed(path, Place::Byte(at), what);
+            }
+            ReadError::Io { path: path.to_owned(), source }
+        })
+    }
+}
+
+/// The bucket of the next Gaussian of a section.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bucket {
+    /// The number of the bucket behind it.
+    next: u64,
+    /// Gaussians of it that are still to be read.
+    left: u64,
+    center: [f64; 3],
+}
+
+/// The Gaussians of a `.ksplat` file.
+pub(in crate::points) struct KsplatSource {
+    path: PathBuf,
+    header: KsplatHeader,
+    headers: InputFile,
+    sizes: Part,
+    centers: Part,
+    records: Part,
+    /// The section that is read, how many are begun, where the next one starts, and the Gaussians read of this one.
+    section: Option<Section>,
+    begun: u64,
+    start: u64,
+    done: u64,
+    bucket: Bucket,
+    columns: GaussianColumns,
+}
+
+impl KsplatSource {
+    /// Opens a file and checks its headers.
+    ///
+    /// # Errors
+    /// [`ReadError`] if it cannot be read, or its headers do not agree with each other and its size.
+    pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        let mut headers = InputFile::open(path).map_err(io)?;
+        let bytes = headers.length().map_err(io)?;
+        let header = KsplatHeader::read(path, &mut headers, bytes)?;
+        let columns = GaussianColumns::new("ksplat 0.1", ColorDepth::Byte, header.is_view_dependent, UP);
+        let part = || Part::open(path).map_err(io);
+        Ok(Self {
+            path: path.to_owned(),
+            headers,
+            sizes: part()?,
+            centers: part()?,
+            records: part()?,
+            section: None,
+            begun: 0,
+            start: header.first(),
+            done: 0,
+            bucket: Bucket::default(),
+            header,
+            columns,
+        })
+    }
+
+    /// The section of the next Gaussian; `None` behind the last.
+    fn section(&mut self) -> Result<Option<Section>, ReadError> {
+        while self.section.is_none_or(|section| self.done == section.count) {
+            if self.begun == self.header.sections {
+                return Ok(None);
+            }
+            let section = self.header.section(&self.path, &mut self.headers, self.begun, self.start)?;
+            self.start = section.end;
+            self.begun += 1;
+            (self.section, self.done, self.bucket) = (Some(section), 0, Bucket::default());
+        }
+        Ok(self.section)
+    }
+
+    /// Moves on to the bucket of the next Gaussian.
+    fn advance_bucket(&mut self, section: &Section) -> Result<(), ReadError> {
+        while self.bucket.left == 0 {
+            let index = self.bucket.next;
+            if index == section.buckets {
+                let what = format!(
+                    "the buckets of a section have only {} of its {} splats",
+                    self.done, section.count
+                );
+                return Err(ReadError::malformed(&self.path, Place::Byte(section.sizes_at), what));
+            }
+            self.bucket.left = match index.checked_sub(section.full_buckets) {
+                None => section.bucket_size,
+                Some(partial) => {
+                    let at = section.sizes_at + 4 * partial;
+                    let mut size = [0; 4];
+                    // Buckets without a size are none.
+                    if at < section.centers_at {
+                        self.sizes.read(&self.path, at, &mut size)?;
+                    }
+                    u32::from_le_bytes(size).into()
+                }
+            };
+            let mut center = [0; 12];
+            self.centers.read(&self.path, section.centers_at + section.center_stride * index, &mut center)?;
+            self.bucket.center = floats(&center);
+            self.bucket.next += 1;
+        }
+        self.bucket.left -= 1;
+        Ok(())
+    }
+
+    /// Reads the next Gaussian of a section.
+    fn gaussian(&mut self, section: &Section) -> Result<Gaussian, ReadError> {
+        let mut record = [0; 44];
+        let record = &mut record[..self.header.level.record_bytes() as usize];
+        self.records.read(&self.path, section.records_at + section.record_stride * self.done, record)?;
+        let (position, deviations) = if self.header.level == Level::Full {
+            (floats(record), floats(&record[12..]))
+        } else {
+            self.advance_bucket(section)?;
+            let short = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
+            let steps = |axis: usize| f64::from(short(2 * axis)) - f64::from(section.range);
+            (
+                [0, 1, 2].map(|axis| self.bucket.center[axis] + section.step * steps(axis)),
+                [0, 1, 2].map(|axis| f64::from(half::from_bits(short(6 + 2 * axis)))),
+            )
+        };
+        self.done += 1;
+        let [red, green, blue, opacity] = [4, 3, 2, 1].map(|back| f64::from(record[record.len() - back]));
+        Ok(Gaussian { position, color: [red, green, blue], opacity: opacity / 255.0, deviations })
+    }
+}
+
+impl PointSource for KsplatSource {
+    fn schema(&self) -> &Schema {
+        &self.columns.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.header.count)
+    }
+
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
+    fn memory_needed(&self) -> u64 {
+        3 * BUFFER_BYTES as u64
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.columns.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(&self.columns.schema, &self.columns.selected);
+        while batch.len() < limit {
+            let Some(section) = self.section()? else { break };
+            let gaussian = self.gaussian(&section)?;
+            self.columns.append(&gaussian, batch);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,236 @@
+//! Gaussian splats as SPZ, versions 1 to 4: positions in fixed point (version 1: half precision), opacities and colours in
+//! bytes, logarithms of deviations in sixteenths. Rotations and view-dependent colours are not read.
+
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use flate2::read::GzDecoder;
+
+use super::gaussian::{Gaussian, GaussianColumns, color_of_harmonic};
+use super::spz_header::{HEADER_BYTES, MAGIC, SpzHeader, StreamPlace};
+use super::spz_plane::{Packing, Plane, READER_BYTES};
+use crate::points::packed::{WINDOW_LIMIT, zstd_window};
+use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use rayset_base::cancel::CancelToken;
+use rayset_base::numbers::half;
+use rayset_store::storage::input_file::InputFile;
+
+/// Gaussians decoded at a time.
+const CHUNK: usize = 1024;
+/// Attributes that points are made of, the first of the file: positions, opacities, colours, deviations.
+const ATTRIBUTES: usize = 4;
+const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales"];
+/// Coordinates are right, up and back, as in OpenGL.
+const UP: [f64; 3] = [0.0, 1.0, 0.0];
+/// Colours are stored with this factor on the coefficient of the zeroth spherical harmonic.
+const COLOR_SCALE: f64 = 0.15;
+
+/// Where the attributes lie.
+#[derive(Clone, Copy, Debug)]
+enum Layout {
+    /// One behind the other.
+    Planar(Packing),
+    /// Each a stream of its own, with its window in bytes.
+    Streams([Option<(StreamPlace, u64)>; ATTRIBUTES]),
+}
+
+/// The Gaussians of an SPZ file.
+pub(in crate::points) struct SpzSource {
+    path: PathBuf,
+    header: SpzHeader,
+    layout: Layout,
+    /// Readers of the attributes, from the first read on.
+    planes: Vec<Plane>,
+    next: u64,
+    columns: GaussianColumns,
+    buffers: [Vec<u8>; ATTRIBUTES],
+    /// Stops the unpacking of what lies before the attributes, and behind.
+    cancel: CancelToken,
+}
+
+impl SpzSource {
+    /// Whether a file that begins with these bytes is an SPZ file.
+    pub(in crate::points) fn begins(head: &[u8]) -> bool {
+        if !head.starts_with(&[0x1f, 0x8b]) {
+            return head.starts_with(MAGIC);
+        }
+        let mut start = [0; MAGIC.len()];
+        GzDecoder::new(head).read_exact(&mut start).is_ok() && start == *MAGIC
+    }
+
+    /// Opens a file and reads its header.
+    ///
+    /// # Errors
+    /// [`ReadError`] if the file cannot be read, or is not an SPZ file of version 1 to 4.
+    pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
+        let mut file = InputFile::open(path).map_err(io)?;
+        let mut start = Vec::new();
+        (&mut file).take(2).read_to_end(&mut start).map_err(io)?;
+        let packing = if start == [0x1f, 0x8b] { Packing::Gzip } else { Packing::Plain };
+        let mut bytes = [0; HEADER_BYTES];
+        if Plane::open(path, packing, 0, &CancelToken::new())?.read(&mut bytes)? < HEADER_BYTES {
+            return Err(fail(0, "not an SPZ file: its header of 16 bytes is not there".into()));
+        }
+        let header = SpzHeader::parse(&bytes).map_err(|what| fail(0, what))?;
+        let layout = if header.has_streams() {
+            if matches!(packing, Packing::Gzip) {
+                return Err(fail(0, "an SPZ file of version 4 in gzip; expected it as it is".into()));
+            }
+            let bytes = file.length().map_err(io)?;
+            let [positions, alphas, colors, scales, _, _] = header.streams(path, &mut file, bytes)?;
+            Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales])?)
+        } else {
+            Layout::Planar(packing)
+        };
+        let what = format!("SPZ {}", header.version);
+        let columns = GaussianColumns::new(&what, ColorDepth::Unit, header.is_view_dependent(), UP);
+        let buffers = Default::default();
+        Ok(Self {
+            path: path.to_owned(),
+            header,
+            layout,
+            planes: Vec::new(),
+            next: 0,
+            columns,
+            buffers,
+            cancel: CancelToken::new(),
+        })
+    }
+
+    /// Opens a reader for each attribute.
+    fn open_planes(&mut self) -> Result<(), ReadError> {
+        let mut skip = HEADER_BYTES as u64;
+        for (attribute, width) in self.header.widths().into_iter().take(ATTRIBUTES).enumerate() {
+            self.planes.push(match self.layout {
+                Layout::Planar(packing) => Plane::open(&self.path, packing, skip, &self.cancel)?,
+                Layout::Streams(streams) => {
+                    // Without Gaussians, nothing is read.
+                    let Some((place, window)) = streams[attribute] else { continue };
+                    Plane::open(&self.path, Packing::Zstd(place, window), 0, &self.cancel)?
+                }
+            });
+            skip += width * self.header.count;
+        }
+        Ok(())
+    }
+
+    /// Checks what is behind the last Gaussian.
+    fn finish(&mut self) -> Result<(), ReadError> {
+        let unread = match self.layout {
+            // One reader sees all that is left.
+            Layout::Planar(_) => {
+                self.planes.drain(..ATTRIBUTES - 1);
+                self.header.widths()[ATTRIBUTES..].iter().sum::<u64>() * self.header.count
+            }
+            Layout::Streams(_) => 0,
+        };
+        self.planes.iter_mut().try_for_each(|plane| plane.finish(unread))
+    }
+
+    /// Gaussian `index` of the buffers.
+    fn gaussian(&self, index: usize) -> Gaussian {
+        let [positions, alphas, colors, scales] = &self.buffers;
+        let position = match self.header.fractional_bits {
+            Some(bits) => {
+                let p = &positions[9 * index..][..9];
+                let unit = 2_f64.powi(-i32::from(bits));
+                [0, 1, 2].map(|axis| {
+                    // The sign is in the uppermost of 24 bits.
+                    let fixed = i32::from_le_bytes([0, p[3 * axis], p[3 * axis + 1], p[3 * axis + 2]]) >> 8;
+                    f64::from(fixed) * unit
+                })
+            }
+            None => {
+                let p = &positions[6 * index..][..6];
+                [0, 1, 2].map(|axis| f64::from(half::from_le_bytes([p[2 * axis], p[2 * axis + 1]])))
+            }
+        };
+        let color = |channel: usize| {
+            color_of_harmonic((f64::from(colors[3 * index + channel]) / 255.0 - 0.5) / COLOR_SCALE)
+        };
+        Gaussian {
+            position,
+            color: [0, 1, 2].map(color),
+            opacity: f64::from(alphas[index]) / 255.0,
+            deviations: [0, 1, 2].map(|axis| (f64::from(scales[3 * index + axis]) / 16.0 - 10.0).exp()),
+        }
+    }
+}
+
+/// The streams with the windows in bytes that unpacking them needs.
+fn with_windows(
+    path: &Path,
+    file: &mut (impl Read + Seek),
+    streams: [Option<StreamPlace>; ATTRIBUTES],
+) -> Result<[Option<(StreamPlace, u64)>; ATTRIBUTES], ReadError> {
+    let mut all = [None; ATTRIBUTES];
+    for (found, place) in all.iter_mut().zip(streams) {
+        let Some(place) = place else { continue };
+        let mut frame = Vec::new();
+        let read = file.seek(SeekFrom::Start(place.offset));
+        read.and_then(|_| file.take(place.bytes.min(18)).read_to_end(&mut frame))
+            .map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        let window = zstd_window(&frame).filter(|window| *window <= WINDOW_LIMIT).ok_or_else(|| {
+            let what = "not the beginning of a zstd stream that can be unpacked in 128 MiB";
+            ReadError::malformed(path, Place::Byte(place.offset), what)
+        })?;
+        *found = Some((place, window));
+    }
+    Ok(all)
+}
+
+impl PointSource for SpzSource {
+    fn schema(&self) -> &Schema {
+        &self.columns.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.header.count)
+    }
+
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
+    fn memory_needed(&self) -> u64 {
+        let windows = match self.layout {
+            Layout::Planar(_) => 0,
+            Layout::Streams(streams) => streams.iter().flatten().map(|(_, window)| window).sum::<u64>(),
+        };
+        // The ring of a zstd stream grows to a power of two.
+        ATTRIBUTES as u64 * READER_BYTES + 2 * windows
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.columns.selected = columns.to_vec();
+    }
+
+    fn watch(&mut self, cancel: &CancelToken) {
+        self.cancel = cancel.clone();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(&self.columns.schema, &self.columns.selected);
+        let (count, widths) = (self.header.count, self.header.widths());
+        if self.next < count && self.planes.is_empty() {
+            self.open_planes()?;
+        }
+        while batch.len() < limit && self.next < count {
+            let chunk = (count - self.next).min(CHUNK.min(limit - batch.len()) as u64) as usize;
+            for (attribute, (plane, buffer)) in self.planes.iter_mut().zip(&mut self.buffers).enumerate() {
+                buffer.resize(chunk * widths[attribute] as usize, 0);
+                plane.read_exact(buffer, NAMES[attribute], self.next, count)?;
+            }
+            for index in 0..chunk {
+                self.columns.append(&self.gaussian(index), batch);
+            }
+            self.next += chunk as u64;
+            if self.next == count {
+                self.finish()?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,124 @@
+//! Scans of turning LiDARs as KITTI and nuScenes have them: records of four or five floats (x, y, z, intensity, and the number
+//! of the laser), and nothing else.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::plain::Plain;
+use super::{ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema};
+use rayset_store::storage::Storage;
+use rayset_store::storage::input_file::InputFile;
+
+/// Rows that are read at once.
+const ROWS: u64 = 1 << 14;
+/// Rows by which a file is taken for a scan.
+const EXAMINED: u64 = 256;
+/// Farthest return in metres.
+const FARTHEST: f64 = 1000.0;
+/// Names of the floats behind the positions.
+const NAMES: [&str; 2] = ["intensity", "ring"];
+
+/// The points of a scan.
+pub(super) struct VelodyneSource {
+    path: PathBuf,
+    file: Arc<dyn Storage>,
+    table: Plain,
+    rows: u64,
+    next: u64,
+    schema: Schema,
+    selected: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl VelodyneSource {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// [`ReadError`] if it cannot be read, or neither its size nor its first records are those of a scan.
+    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
+        let file = InputFile::open(path).map_err(io)?;
+        let length = file.length().map_err(io)?;
+        let file = file.into_storage();
+        let mut bytes = Vec::new();
+        for width in [4, 5] {
+            let table = Plain { start: 0, kind: ColumnType::F32, width, big_endian: false };
+            let rows = length / table.bytes(1);
+            if rows == 0 || length % table.bytes(1) != 0 {
+                continue;
+            }
+            table.load(&*file, 0, rows.min(EXAMINED) as usize, &mut bytes).map_err(io)?;
+            if is_scan(&table, &bytes) {
+                let columns = NAMES[..width - 3].iter().map(|name| ColumnInfo::new(*name, ColumnType::F32));
+                let mut schema = Schema::new(columns.collect(), ColorDepth::Guess);
+                schema.description = format!("LiDAR scan of {width} floats a point, as of KITTI");
+                schema.up = Some([0.0, 0.0, 1.0]);
+                let (path, selected, bytes) = (path.to_owned(), Vec::new(), Vec::new());
+                return Ok(Self { path, file, table, rows, next: 0, schema, selected, bytes });
+            }
+        }
+        let what = format!(
+            "{length} bytes of an unknown kind: expected a scan as KITTI or nuScenes have them, records of 4 or 5 floats \
+             (x, y, z in metres, intensity, laser). Write others as an array, as in `numpy.save(\"points.npy\", \
+             numpy.fromfile(\"FILE\", \"f4\").reshape(-1, COLUMNS))`"
+        );
+        Err(ReadError::malformed(path, Place::Byte(0), what))
+    }
+}
+
+/// Whether rows are those of a scan: in reach of a sensor, with intensities and, if there are five, numbers of lasers.
+fn is_scan(table: &Plain, bytes: &[u8]) -> bool {
+    let rows = bytes.len() / (table.width * table.kind.bytes());
+    let of_scan = |row: usize| {
+        let get = |component| table.get(bytes, row, component);
+        (0..3).all(|axis| get(axis).abs() < FARTHEST && (get(axis) == 0.0 || get(axis).abs() > 1e-9))
+            && (0.0..=65535.0).contains(&get(3))
+            && (table.width == 4 || get(4).fract() == 0.0 && (0.0..=255.0).contains(&get(4)))
+    };
+    let apart = (0..rows).filter(|&row| table.get(bytes, row, 0) != table.get(bytes, 0, 0)).count();
+    (0..rows).all(of_scan) && (apart > rows / 2 || rows == 1)
+}
+
+impl PointSource for VelodyneSource {
+    fn schema(&self) -> &Schema {
+        &self.schema
+    }
+
+    fn count_hint(&self) -> Option<u64> {
+        Some(self.rows)
+    }
+
+    fn path(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
+    fn memory_needed(&self) -> u64 {
+        self.table.bytes(ROWS)
+    }
+
+    fn select(&mut self, columns: &[usize]) {
+        self.selected = columns.to_vec();
+    }
+
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        batch.reset(&self.schema, &self.selected);
+        while batch.len() < limit && self.next < self.rows {
+            let count = (self.rows - self.next).min(ROWS).min((limit - batch.len()) as u64) as usize;
+            self.table.load(&*self.file, self.next, count, &mut self.bytes).map_err(|source| {
+                if source.kind() == io::ErrorKind::UnexpectedEof {
+                    let at = Place::Byte(self.table.bytes(self.next));
+                    return ReadError::malformed(&self.path, at, "the file has become shorter");
+                }
+                ReadError::Io { path: self.path.clone(), source }
+            })?;
+            let of_row = |row| [0, 1, 2].map(|axis| self.table.get(&self.bytes, row, axis));
+            batch.position.extend((0..count).map(of_row));
+            for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
+                self.table.append(&self.bytes, 3 + index, column);
+            }
+            self.next += count as u64;
+        }
+        Ok(())
+    }
+}

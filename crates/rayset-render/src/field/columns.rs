@@ -1,0 +1,64 @@
+//! Points by columns, as they are tested against rays: those of a run, or the ones among them that are near some rays.
+
+use rayset_files::octree::layout::RUN_POINTS;
+
+/// Points that are tested together.
+pub(super) const CHUNK_POINTS: usize = 8;
+/// Chunks of a whole run.
+pub(super) const CHUNKS: usize = RUN_POINTS / CHUNK_POINTS;
+
+/// Up to 128 points stored by columns, in the order of the file.
+#[derive(Clone, Debug)]
+pub(super) struct PointColumns {
+    /// Relative to the centre of the run.
+    pub(super) position: [[f32; RUN_POINTS]; 3],
+    pub(super) radius: [f32; RUN_POINTS],
+    pub(super) inverse_radius: [f32; RUN_POINTS],
+    /// Infinite for what fills up the last chunk, which so reaches no sample.
+    pub(super) inverse_radius_squared: [f32; RUN_POINTS],
+    /// Weights, multiplied by the kernel's normalisation if it is requested.
+    pub(super) weight: [f32; RUN_POINTS],
+    /// The number of each point in its run.
+    pub(super) number: [u8; RUN_POINTS],
+}
+
+impl Default for PointColumns {
+    /// All points of a run, whose columns are to be filled in.
+    fn default() -> Self {
+        Self {
+            position: [[0.0; RUN_POINTS]; 3],
+            radius: [0.0; RUN_POINTS],
+            inverse_radius: [0.0; RUN_POINTS],
+            inverse_radius_squared: [0.0; RUN_POINTS],
+            weight: [0.0; RUN_POINTS],
+            number: std::array::from_fn(|i| i as u8),
+        }
+    }
+}
+
+impl PointColumns {
+    /// Becomes those of a run's points whose bits are set. Returns a bit for each chunk that they take.
+    #[inline(always)]
+    pub(super) fn select(&mut self, run: &Self, points: [u64; 2]) -> u64 {
+        let mut len = 0;
+        for (half, mut points) in points.into_iter().enumerate() {
+            while points != 0 {
+                let i = (64 * half + points.trailing_zeros() as usize) & (RUN_POINTS - 1);
+                points &= points - 1;
+                let to = len & (RUN_POINTS - 1);
+                self.position[0][to] = run.position[0][i];
+                self.position[1][to] = run.position[1][i];
+                self.position[2][to] = run.position[2][i];
+                self.radius[to] = run.radius[i];
+                self.inverse_radius[to] = run.inverse_radius[i];
+                self.inverse_radius_squared[to] = run.inverse_radius_squared[i];
+                self.weight[to] = run.weight[i];
+                self.number[to] = i as u8;
+                len += 1;
+            }
+        }
+        let chunks = len.div_ceil(CHUNK_POINTS);
+        self.inverse_radius_squared[len..CHUNK_POINTS * chunks].fill(f32::INFINITY);
+        (1 << chunks) - 1
+    }
+}

@@ -1,0 +1,239 @@
+//! Packets of rays and the samples on them.
+//!
+//! The samples of a ray lie on a lattice t = (j + offset)·δ, j = 0, 1, …. The offset is the ray's own; δ is the same
+//! for all rays of a packet. The result at a sample depends only on its ray and its sample number.
+//!
+//! A packet is in world space, or in the local space of a transformed object. There the step has a different length on
+//! every ray, but a sample number denotes the same position.
+
+use rayset_base::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
+
+/// Number of rays in a packet.
+pub const LANES: usize = 64;
+/// Number of samples of a ray that are processed together.
+pub const SLAB_SAMPLES: usize = 32;
+/// Number of samples of a ray to which points are added together: the most that a point covers at a step of a quarter of
+/// its radius.
+pub const BLOCK_SAMPLES: usize = 8;
+/// Blocks of samples in a slab.
+pub(super) const BLOCKS: usize = SLAB_SAMPLES / BLOCK_SAMPLES;
+
+/// Upper bound of sample numbers: beyond it, the distances of samples would not be distinct numbers.
+const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
+
+/// Up to 64 rays, stored by columns.
+#[derive(Clone, Debug)]
+pub struct Packet {
+    pub(super) origin: [[f64; LANES]; 3],
+    /// Unit directions in the packet's space.
+    pub(super) direction: [[f64; LANES]; 3],
+    /// Length in the packet's space of a unit of world-space length along each ray.
+    pub(super) scale: [f64; LANES],
+    /// Distance between samples in the packet's space.
+    pub(super) step: [f64; LANES],
+    pub(super) step_f32: [f32; LANES],
+    pub(super) per_step: [f64; LANES],
+    /// Reciprocal of the length of a block of samples.
+    pub(super) per_block: [f32; LANES],
+    /// Sample offset in steps, in [0, 1).
+    pub(super) sample_offset: [f64; LANES],
+    pub(super) direction_f32: [[f32; LANES]; 3],
+    /// 1 / direction; large and with the right sign if the component is zero.
+    pub(super) inverse_direction: [[f32; LANES]; 3],
+    rays: usize,
+    step_world: f64,
+    least_step: f64,
+}
+
+impl Packet {
+    /// A packet of up to 64 rays, each with its sample offset in steps, that share the step `step_world`.
+    ///
+    /// Panics if there are no rays or more than 64.
+    #[must_use]
+    pub fn new(rays: &[(Ray, f64)], step_world: f64) -> Self {
+        assert!(!rays.is_empty() && rays.len() <= LANES, "a packet of {} rays", rays.len());
+        let mut packet = Self {
+            origin: [[0.0; LANES]; 3],
+            direction: [[0.0; LANES]; 3],
+            scale: [1.0; LANES],
+            step: [step_world; LANES],
+            step_f32: [step_world as f32; LANES],
+            per_step: [1.0 / step_world; LANES],
+            per_block: [per_block(step_world); LANES],
+            sample_offset: [0.0; LANES],
+            direction_f32: [[0.0; LANES]; 3],
+            inverse_direction: [[0.0; LANES]; 3],
+            rays: rays.len(),
+            step_world,
+            least_step: step_world,
+        };
+        for lane in 0..LANES {
+            // Unused lanes repeat the last ray; their results are ignored.
+            let (ray, sample_offset) = rays[lane.min(rays.len() - 1)];
+            packet.set_ray(lane, &ray);
+            packet.sample_offset[lane] = sample_offset;
+        }
+        packet
+    }
+
+    fn set_ray(&mut self, lane: usize, ray: &Ray) {
+        for axis in 0..3 {
+            self.origin[axis][lane] = ray.origin[axis];
+            self.direction[axis][lane] = ray.direction[axis];
+            let direction = ray.direction[axis] as f32;
+            self.direction_f32[axis][lane] = direction;
+            self.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
+        }
+    }
+
+    /// The same rays and samples in the local space of an object. The map must be invertible; `least_stretch` is the
+    /// smallest length to which it takes a vector of length one.
+    #[must_use]
+    pub fn in_local_space(&self, local_from_world: &DAffine3, least_stretch: f64) -> Self {
+        let mut local = self.clone();
+        local.least_step = self.least_step * least_stretch;
+        for lane in 0..LANES {
+            let ray = self.ray(lane);
+            let direction = local_from_world.transform_vector3(ray.direction);
+            let scale = direction.length();
+            let origin = local_from_world.transform_point3(ray.origin);
+            local.set_ray(lane, &Ray { origin, direction: direction / scale });
+            local.scale[lane] = self.scale[lane] * scale;
+            local.step[lane] = self.step[lane] * scale;
+            local.step_f32[lane] = local.step[lane] as f32;
+            local.per_step[lane] = 1.0 / local.step[lane];
+            local.per_block[lane] = per_block(local.step[lane]);
+        }
+        local
+    }
+
+    /// A ray in the packet's space.
+    #[must_use]
+    pub fn ray(&self, lane: usize) -> Ray {
+        let column = |c: &[[f64; LANES]; 3]| DVec3::new(c[0][lane], c[1][lane], c[2][lane]);
+        Ray { origin: column(&self.origin), direction: column(&self.direction) }
+    }
+
+    /// Distance of a sample from the origin of its ray, in the packet's space.
+    #[must_use]
+    pub fn sample_t(&self, lane: usize, sample: u64) -> f64 {
+        (sample as f64 + self.sample_offset[lane]) * self.step[lane]
+    }
+
+    /// Distance of a sample from the origin of its ray, world space.
+    #[must_use]
+    pub fn sample_t_world(&self, lane: usize, sample: u64) -> f64 {
+        (sample as f64 + self.sample_offset[lane]) * self.step_world
+    }
+
+    /// Direction of a ray in single precision.
+    #[must_use]
+    pub fn direction_f32(&self, lane: usize) -> [f32; 3] {
+        std::array::from_fn(|axis| self.direction_f32[axis][lane])
+    }
+
+    /// The sample offset of a ray, in steps.
+    #[must_use]
+    pub fn sample_offset(&self, lane: usize) -> f64 {
+        self.sample_offset[lane]
+    }
+
+    /// A lower bound of the distance between samples in the packet's space, independent of the rays.
+    #[must_use]
+    pub fn least_step(&self) -> f64 {
+        self.least_step
+    }
+
+    /// Number of rays.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.rays
+    }
+
+    /// Always false: a packet has at least one ray.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// A mask with one bit set for every ray.
+    #[must_use]
+    pub fn all(&self) -> u64 {
+        if self.rays == LANES { u64::MAX } else { (1 << self.rays) - 1 }
+    }
+
+    /// Distance between samples, world space.
+    #[must_use]
+    pub fn step_world(&self) -> f64 {
+        self.step_world
+    }
+
+    /// The rays of a mask, in the packet's space.
+    pub fn rays(&self, lanes: u64) -> impl Iterator<Item = Ray> {
+        (0..LANES).filter(move |lane| lanes >> lane & 1 == 1).map(|lane| self.ray(lane))
+    }
+
+    /// Bound of the rays of a mask, parametrised by distance in world space.
+    #[must_use]
+    pub fn beam(&self, lanes: u64) -> Beam {
+        let mut beam = Beam::EMPTY;
+        for lane in (0..LANES).filter(|lane| lanes >> lane & 1 == 1) {
+            let ray = self.ray(lane);
+            beam.include(&Ray { direction: ray.direction * self.scale[lane], ..ray });
+        }
+        beam
+    }
+
+    /// The smallest and the largest distance between samples of the rays of a mask, in the packet's space.
+    #[must_use]
+    pub fn step_range(&self, lanes: u64) -> (f64, f64) {
+        let steps = (0..LANES).filter(|lane| lanes >> lane & 1 == 1).map(|lane| self.step[lane]);
+        steps.fold((f64::INFINITY, 0.0), |(least, most), step| (least.min(step), most.max(step)))
+    }
+
+    /// The sample numbers that may lie in a box on any ray of a beam of this packet: an inclusive, conservative range,
+    /// or `None` if no ray meets the box.
+    #[must_use]
+    pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
+        let (enter, exit) = beam.span(bounds)?;
+        // Two samples of slack are far more than the rounding error of the quotients.
+        let first = (enter / self.step_world - 2.0).max(0.0);
+        let last = (exit / self.step_world + 2.0).min(MOST_SAMPLES);
+        (first < MOST_SAMPLES).then_some((first as u64, last as u64))
+    }
+}
+
+/// The reciprocal of the length of a block.
+fn per_block(step: f64) -> f32 {
+    (1.0 / (step * BLOCK_SAMPLES as f64)) as f32
+}
+
+/// A range of sample numbers, the same on every ray of a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slab {
+    /// Number of the first sample.
+    pub first: u64,
+    /// Number of samples, at most [`SLAB_SAMPLES`].
+    pub samples: usize,
+}
+
+impl Slab {
+    /// One past the last sample.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        self.first + self.samples as u64
+    }
+
+    /// Number of blocks of samples that it takes, the last of them perhaps in part.
+    pub(super) fn blocks(&self) -> usize {
+        self.samples.div_ceil(BLOCK_SAMPLES).min(BLOCKS)
+    }
+}
+
+/// Some of a slab's blocks of samples.
+#[derive(Clone, Copy)]
+pub(super) struct BlockRange {
+    pub(super) first: usize,
+    /// One past the last.
+    pub(super) end: usize,
+}

@@ -1,0 +1,145 @@
+//! Up to sixty-four rays, tested against boxes together.
+
+use fearless_simd::f32x16;
+use fearless_simd::prelude::*;
+
+use super::packet::LANES;
+use super::simd::{SimdLevel, dispatch};
+use rayset_base::geometry::{Aabb, DVec3, Ray};
+
+/// Rays stored by columns, prepared for tests against boxes.
+#[derive(Clone, Debug)]
+pub struct RayColumns {
+    simd: SimdLevel,
+    /// The position that origins are relative to, so that single precision suffices wherever the scene is.
+    base: DVec3,
+    origin: [[f32; LANES]; 3],
+    inverse_direction: [[f32; LANES]; 3],
+    /// Largest coordinate of an origin relative to the base.
+    spread: f64,
+}
+
+/// Which rays meet a box, and where.
+#[derive(Clone, Copy, Debug)]
+pub struct Crossing {
+    /// Rays that come within a margin of the box; a bit for each.
+    pub near: u64,
+    /// Rays that pass through the box itself; a bit for each.
+    pub through: u64,
+    /// Distance at which each ray of `near` comes within the margin.
+    pub enter_near: [f32; LANES],
+    /// Distance at which each ray of `near` leaves the margin.
+    pub exit_near: [f32; LANES],
+    /// Distance at which each ray of `through` leaves the box.
+    pub exit: [f32; LANES],
+    /// Length of each ray of `through` inside the box.
+    pub length: [f32; LANES],
+}
+
+impl RayColumns {
+    /// Columns of at most 64 rays; unused columns repeat the last ray.
+    ///
+    /// Panics if there are no rays.
+    #[must_use]
+    pub fn new(simd: SimdLevel, rays: impl IntoIterator<Item = Ray>) -> Self {
+        let mut rays = rays.into_iter().take(LANES);
+        let mut ray = rays.next().expect("at least one ray");
+        let mut columns = Self {
+            simd,
+            base: ray.origin,
+            origin: [[0.0; LANES]; 3],
+            inverse_direction: [[0.0; LANES]; 3],
+            spread: 0.0,
+        };
+        for lane in 0..LANES {
+            let offset = ray.origin - columns.base;
+            columns.spread = columns.spread.max(offset.abs().max_element());
+            for axis in 0..3 {
+                columns.origin[axis][lane] = offset[axis] as f32;
+                // Large and with the right sign if the component is zero.
+                let direction = ray.direction[axis] as f32;
+                columns.inverse_direction[axis][lane] = 1.0 / direction.abs().max(1e-30).copysign(direction);
+            }
+            ray = rays.next().unwrap_or(ray);
+        }
+        columns
+    }
+
+    /// Tests the rays against a box and against the box enlarged by `margin_world`. Every ray that meets the box is
+    /// among those near it, even with a margin of 0.
+    #[must_use]
+    pub fn cross(&self, bounds: &Aabb, margin_world: f64) -> Crossing {
+        let (low, high) = (bounds.min - self.base, bounds.max - self.base);
+        // Far larger than the rounding error of coordinates and of the test in single precision.
+        let farthest = low.abs().max(high.abs()).max_element() + self.spread;
+        let margin = margin_world + 1e-6 * farthest;
+        let narrow = |v: DVec3| v.to_array().map(|v| v as f32);
+        dispatch!(self.simd.level(), simd => self.cross_with(simd, narrow(low), narrow(high), margin as f32))
+    }
+
+    #[inline(always)]
+    fn cross_with<S: Simd>(&self, simd: S, low: [f32; 3], high: [f32; 3], margin: f32) -> Crossing {
+        let mut crossing = Crossing {
+            near: 0,
+            through: 0,
+            enter_near: [0.0; LANES],
+            exit_near: [0.0; LANES],
+            exit: [0.0; LANES],
+            length: [0.0; LANES],
+        };
+        for chunk in 0..LANES / 16 {
+            let range = 16 * chunk..16 * chunk + 16;
+            let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
+            let (mut enter, mut exit) = (zero, infinity);
+            let (mut enter_near, mut exit_near) = (zero, infinity);
+            for axis in 0..3 {
+                let origin = f32x16::from_slice(simd, &self.origin[axis][range.clone()]);
+                let inverse = f32x16::from_slice(simd, &self.inverse_direction[axis][range.clone()]);
+                let (a, b) = ((low[axis] - origin) * inverse, (high[axis] - origin) * inverse);
+                let (first, last, more) = (a.min(b), a.max(b), inverse.abs() * margin);
+                (enter, exit) = (enter.max(first), exit.min(last));
+                (enter_near, exit_near) = (enter_near.max(first - more), exit_near.min(last + more));
+            }
+            crossing.near |= enter_near.simd_le(exit_near).to_bitmask() << (16 * chunk);
+            crossing.through |= enter.simd_le(exit).to_bitmask() << (16 * chunk);
+            enter_near.store_slice(&mut crossing.enter_near[range.clone()]);
+            exit_near.store_slice(&mut crossing.exit_near[range.clone()]);
+            exit.store_slice(&mut crossing.exit[range.clone()]);
+            (exit - enter).store_slice(&mut crossing.length[range]);
+        }
+        crossing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn vector(size: f64) -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-size..size).prop_map(DVec3::from_array)
+    }
+
+    proptest! {
+        #[test]
+        fn every_ray_that_meets_a_box_is_near_it(
+            far_off in prop::sample::select(vec![0.0, 1e7]),
+            rays in prop::collection::vec((vector(2.0), vector(1.0)), 1..LANES),
+            corner in vector(3.0),
+            size in prop::array::uniform3(0.0_f64..1.0),
+        ) {
+            let place = DVec3::splat(far_off);
+            let bounds = Aabb::new(corner + place, corner + place + DVec3::from_array(size));
+            let rays: Vec<Ray> = rays
+                .into_iter()
+                .map(|(o, d)| Ray { origin: o + place, direction: d.try_normalize().unwrap_or(DVec3::X) })
+                .collect();
+            for simd in SimdLevel::available() {
+                let crossing = RayColumns::new(simd, rays.iter().copied()).cross(&bounds, 0.0);
+                for (lane, ray) in rays.iter().enumerate() {
+                    prop_assert!(bounds.clip(ray).is_none() || crossing.near >> lane & 1 == 1, "{ray:?}");
+                }
+            }
+        }
+    }
+}

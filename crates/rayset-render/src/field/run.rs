@@ -1,0 +1,313 @@
+//! A run of points, decoded for the inner loop.
+
+use fearless_simd::f32x8;
+use fearless_simd::prelude::*;
+
+use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
+use super::kernel::Kernel;
+use super::simd::{SimdLevel, dispatch};
+use rayset_base::geometry::DVec3;
+use rayset_files::octree::format::Header;
+use rayset_files::octree::layout::{RUN_POINTS, RootCell};
+use rayset_files::octree::page::Run;
+
+/// Largest ratio of a run's extent to its smallest radius for single precision. Beyond it, coordinates relative to the
+/// run's centre would have errors of more than a few 1e-5 of a radius, and the run is evaluated in double precision.
+const WIDEST_IN_F32: f64 = 128.0;
+/// Most samples across a run that can be counted exactly in single precision.
+const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
+/// Up to 128 points stored by columns, relative to the centre of their bounds.
+#[derive(Clone, Debug)]
+pub struct DecodedRun {
+    pub(super) len: usize,
+    /// Centre of the bounds of the positions, in the cloud's space.
+    pub(super) center: DVec3,
+    /// Half the edge lengths of the bounds of influence about the centre, rounded up.
+    pub(super) reach: [f32; 3],
+    /// No less than the length of the vector of these.
+    pub(super) reach_length: f32,
+    /// No more than the radius of any point.
+    pub(super) radius_min: f32,
+    pub(super) points: PointColumns,
+    /// Spheres of influence of chunks of points, by which a chunk is culled as a whole.
+    pub(super) chunk_center: [[f32; CHUNKS]; 3],
+    /// Negative for chunks that the run does not have.
+    pub(super) chunk_reach_squared: [f32; CHUNKS],
+    /// One column for each channel of [`AttributeColumns`].
+    pub(super) attribute: Vec<[f32; RUN_POINTS]>,
+    /// One column for each attribute of class labels.
+    pub(super) label: Vec<[f32; RUN_POINTS]>,
+    /// Positions and inverse radii in double precision, for runs that are too wide for single precision.
+    pub(super) wide: Option<Box<WideRun>>,
+    spare_wide: Option<Box<WideRun>>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct WideRun {
+    pub(super) position: [[f64; RUN_POINTS]; 3],
+    pub(super) inverse_radius: [f64; RUN_POINTS],
+}
+
+/// The attributes that a cloud's field carries besides the density. Their channels are numbered in this order.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct AttributeColumns {
+    /// The points' colour, decoded to linear light: three channels.
+    pub color: bool,
+    /// Numbers of attributes that are averaged, one channel each: [`Header::attribute_number`].
+    pub scalars: Vec<usize>,
+    /// Numbers of attributes of class labels, of which samples have that of the point that contributes most.
+    pub labels: Vec<usize>,
+}
+
+impl AttributeColumns {
+    /// Number of channels.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        self.first_scalar() + self.scalars.len()
+    }
+
+    /// The channel of the first scalar.
+    #[must_use]
+    pub fn first_scalar(&self) -> usize {
+        if self.color { 3 } else { 0 }
+    }
+}
+
+/// Decodes the runs of one cloud.
+#[derive(Clone, Debug)]
+pub struct RunDecoder {
+    root: RootCell,
+    radius: Option<f32>,
+    weight: Option<f32>,
+    /// 1/∫ω dV over the unit ball if kernels are normalised.
+    normalisation: Option<f64>,
+    columns: AttributeColumns,
+    linear_from_srgb: Box<[f32; 256]>,
+}
+
+impl RunDecoder {
+    /// A decoder for the runs of a cloud.
+    #[must_use]
+    pub fn new(header: &Header, kernel: Kernel, normalised: bool, columns: AttributeColumns) -> Self {
+        Self {
+            root: header.root_cell(),
+            radius: (!header.radius.is_stored()).then(|| header.radius.min()),
+            weight: (!header.weight.is_stored()).then(|| header.weight.min()),
+            normalisation: normalised.then(|| 1.0 / kernel.integral()),
+            columns,
+            linear_from_srgb: Box::new(std::array::from_fn(|i| linear_from_srgb(i as f64 / 255.0) as f32)),
+        }
+    }
+
+    /// Decodes a run for samples that are at least `step` apart, in the cloud's space.
+    pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
+        dispatch!(simd.level(), simd => self.decode_with(simd, run, header, step, out));
+    }
+
+    #[inline(always)]
+    fn decode_with<S: Simd>(&self, simd: S, run: &Run<'_>, header: &Header, step: f64, out: &mut DecodedRun) {
+        let n = run.head.len();
+        out.len = n;
+        let bounds = run.head.position_bounds(self.root);
+        out.center = bounds.center();
+        let radius_max = f64::from(run.head.radius_max());
+        let half = bounds.size() * 0.5 + radius_max;
+        out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
+        out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
+        run.decode_local(self.root, &mut out.points.position);
+        let mut radius_min = f64::INFINITY;
+        if let Some(r) = self.radius {
+            radius_min = f64::from(r);
+            out.points.radius[..n].fill(r);
+            out.points.inverse_radius[..n].fill(1.0 / r);
+        } else if let Some(radii) = run.radii(header) {
+            let (stored, inverse) = (&mut out.points.radius[..n], &mut out.points.inverse_radius[..n]);
+            stored.iter_mut().zip(radii).for_each(|(o, r)| *o = r);
+            inverse.iter_mut().zip(&*stored).for_each(|(o, r)| *o = 1.0 / r);
+            // Numbers above zero are in the order of their bits, whose least is found several at a time.
+            let least = stored.iter().fold(u32::MAX, |least, r| least.min(r.to_bits()));
+            radius_min = f64::from(f32::from_bits(least));
+        }
+        out.pad_last_chunk();
+        out.bound_chunks(simd);
+        self.decode_weights(run, header, out);
+        self.decode_attributes(run, header, out);
+        out.radius_min = radius_min as f32 * 0.9999;
+        let extent = bounds.size().max_element();
+        let is_wide =
+            extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step;
+        out.set_wide(is_wide.then_some((run, self.root)));
+    }
+
+    #[inline(always)]
+    fn decode_weights(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+        let n = run.head.len();
+        if let Some(w) = self.weight {
+            out.points.weight[..n].fill(w);
+        } else if let Some(weights) = run.weights(header) {
+            out.points.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
+        }
+        if let Some(factor) = self.normalisation {
+            for (w, inverse) in out.points.weight[..n].iter_mut().zip(&out.points.inverse_radius) {
+                // Clamped so that it fits an `f32`; larger weights make no difference to a picture.
+                *w = (f64::from(*w) * factor * f64::from(*inverse).powi(3)).clamp(-1e30, 1e30) as f32;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn decode_attributes(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
+        out.attribute.resize(self.columns.channels(), [0.0; RUN_POINTS]);
+        let (color, scalars) = out.attribute.split_at_mut(self.columns.first_scalar());
+        if let ([red, green, blue], Some(colors)) = (color, run.colors(header)) {
+            for (i, c) in colors.enumerate() {
+                red[i] = self.linear_from_srgb[usize::from(c[0])];
+                green[i] = self.linear_from_srgb[usize::from(c[1])];
+                blue[i] = self.linear_from_srgb[usize::from(c[2])];
+            }
+        }
+        for (column, &number) in scalars.iter_mut().zip(&self.columns.scalars) {
+            match number.checked_sub(header.attributes.len()) {
+                None => decode_attribute(run, header, number, column),
+                Some(axis) => {
+                    let center = out.center[axis];
+                    for (o, &offset) in column.iter_mut().zip(&out.points.position[axis]).take(run.head.len())
+                    {
+                        *o = (center + f64::from(offset)) as f32;
+                    }
+                }
+            }
+        }
+        out.label.resize(self.columns.labels.len(), [0.0; RUN_POINTS]);
+        for (column, &number) in out.label.iter_mut().zip(&self.columns.labels) {
+            decode_attribute(run, header, number, column);
+        }
+    }
+}
+
+/// Decodes a stored attribute. A value that is not finite counts as 0, so that it does not spoil its neighbours.
+#[inline(always)]
+fn decode_attribute(run: &Run<'_>, header: &Header, index: usize, column: &mut [f32; RUN_POINTS]) {
+    for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
+        *o = if v.is_finite() { v } else { 0.0 };
+    }
+}
+
+/// Decodes a display-encoded (sRGB) value from 0 to 1 to linear light (IEC 61966-2-1).
+#[must_use]
+pub fn linear_from_srgb(v: f64) -> f64 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+impl Default for DecodedRun {
+    fn default() -> Self {
+        Self {
+            len: 0,
+            center: DVec3::ZERO,
+            reach: [0.0; 3],
+            reach_length: 0.0,
+            radius_min: 0.0,
+            points: PointColumns::default(),
+            chunk_center: [[0.0; CHUNKS]; 3],
+            chunk_reach_squared: [-1.0; CHUNKS],
+            attribute: Vec::new(),
+            label: Vec::new(),
+            wide: None,
+            spare_wide: None,
+        }
+    }
+}
+
+impl DecodedRun {
+    /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and reach no sample.
+    #[inline(always)]
+    fn pad_last_chunk(&mut self) {
+        let (n, padded) = (self.len, self.len.next_multiple_of(CHUNK_POINTS));
+        for column in
+            self.points.position.iter_mut().chain([&mut self.points.radius, &mut self.points.inverse_radius])
+        {
+            let first = column[padded - CHUNK_POINTS];
+            column[n..padded].fill(first);
+        }
+        for (squared, inverse) in
+            self.points.inverse_radius_squared[..n].iter_mut().zip(&self.points.inverse_radius)
+        {
+            *squared = inverse * inverse;
+        }
+        self.points.inverse_radius_squared[n..padded].fill(f32::INFINITY);
+    }
+
+    #[inline(always)]
+    fn bound_chunks<S: Simd>(&mut self, simd: S) {
+        let chunks = self.len.div_ceil(CHUNK_POINTS);
+        for group in 0..chunks.div_ceil(8) {
+            let of_group = 8 * group..8 * group + 8;
+            for axis in 0..3 {
+                let points = chunks_of(simd, &self.points.position[axis], group);
+                let center = (fold::<S, false>(points) + fold::<S, true>(points)) * 0.5;
+                center.store_slice(&mut self.chunk_center[axis][of_group.clone()]);
+            }
+            let mut distance_squared = [f32x8::splat(simd, 0.0); 8];
+            for axis in 0..3 {
+                let points = chunks_of(simd, &self.points.position[axis], group);
+                for (chunk, sum) in distance_squared.iter_mut().enumerate() {
+                    let offset = points[chunk] - self.chunk_center[axis][8 * group + chunk];
+                    *sum = offset.mul_add(offset, *sum);
+                }
+            }
+            let radius = fold::<S, true>(chunks_of(simd, &self.points.radius, group));
+            let reach = fold::<S, true>(distance_squared).sqrt() + radius;
+            (reach * reach * 1.0001).store_slice(&mut self.chunk_reach_squared[of_group]);
+        }
+        self.chunk_reach_squared[chunks..].fill(-1.0);
+    }
+
+    fn set_wide(&mut self, source: Option<(&Run<'_>, RootCell)>) {
+        let spare = self.wide.take().or_else(|| self.spare_wide.take());
+        let Some((run, root)) = source else {
+            self.spare_wide = spare;
+            return;
+        };
+        let mut wide = spare.unwrap_or_else(|| {
+            Box::new(WideRun { position: [[0.0; RUN_POINTS]; 3], inverse_radius: [0.0; RUN_POINTS] })
+        });
+        run.decode_local_f64(root, &mut wide.position);
+        for (o, i) in wide.inverse_radius.iter_mut().zip(&self.points.inverse_radius) {
+            *o = f64::from(*i);
+        }
+        self.wide = Some(wide);
+    }
+}
+
+/// Eight chunks of a column.
+#[inline(always)]
+fn chunks_of<S: Simd>(simd: S, column: &[f32; RUN_POINTS], group: usize) -> [f32x8<S>; 8] {
+    let mut chunks = [f32x8::splat(simd, 0.0); 8];
+    let column = &column[64 * group..64 * group + 64];
+    for chunk in 0..8 {
+        chunks[chunk] = f32x8::from_slice(simd, &column[8 * chunk..8 * chunk + 8]);
+    }
+    chunks
+}
+
+/// The largest element of each of eight vectors, or the smallest.
+#[inline(always)]
+fn fold<S: Simd, const LARGEST: bool>(v: [f32x8<S>; 8]) -> f32x8<S> {
+    let quarters = [
+        fold_pairs::<S, LARGEST>(v[0], v[1]),
+        fold_pairs::<S, LARGEST>(v[2], v[3]),
+        fold_pairs::<S, LARGEST>(v[4], v[5]),
+        fold_pairs::<S, LARGEST>(v[6], v[7]),
+    ];
+    fold_pairs::<S, LARGEST>(
+        fold_pairs::<S, LARGEST>(quarters[0], quarters[1]),
+        fold_pairs::<S, LARGEST>(quarters[2], quarters[3]),
+    )
+}
+
+/// The larger element of each pair of neighbours in two vectors, or the smaller.
+#[inline(always)]
+fn fold_pairs<S: Simd, const LARGEST: bool>(a: f32x8<S>, b: f32x8<S>) -> f32x8<S> {
+    let (even, odd) = (a.unzip_low(b), a.unzip_high(b));
+    if LARGEST { even.max(odd) } else { even.min(odd) }
+}

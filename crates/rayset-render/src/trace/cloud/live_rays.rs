@@ -1,0 +1,173 @@
+//! The live rays of a packet and those of their samples that still matter: which boxes they meet, and where.
+
+use crate::field::{LANES, Packet, RayColumns, SimdLevel, Slab};
+use crate::trace::node_samples::{Live, each_lane};
+use rayset_base::geometry::{Aabb, Beam};
+
+/// Rays whose directions differ by more than this along any axis are tested individually.
+const MOST_SPREAD: f64 = 0.25;
+
+/// A set of rays of a packet.
+pub(super) struct RaySet {
+    lanes: u64,
+    beam: Beam,
+    /// The rays individually, if the set is incomplete or its directions diverge: their common bound may then contain
+    /// much that no ray meets.
+    each: Option<RayColumns>,
+    /// The smallest and the largest step of these rays.
+    steps: (f64, f64),
+    simd: SimdLevel,
+}
+
+impl RaySet {
+    fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
+        let beam = packet.beam(lanes);
+        let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
+        let set = Self { lanes, beam, each: None, steps: (0.0, 0.0), simd };
+        if apart && lanes != 0 { set.ray_by_ray(packet) } else { set }
+    }
+
+    /// The same rays, tested individually.
+    fn ray_by_ray(&self, packet: &Packet) -> Self {
+        let each = (self.lanes != 0).then(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
+        Self { each, steps: packet.step_range(self.lanes), ..*self }
+    }
+
+    /// The samples that may lie in a box, or `None` if there are none.
+    pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        let (first, last) = packet.samples_in(&self.beam, bounds)?;
+        let Some(each) = &self.each else { return Some((first, last)) };
+        let crossing = each.cross(bounds, 0.0);
+        if crossing.near == 0 {
+            return None;
+        }
+        let (mut enter, mut exit) = (f32::INFINITY, 0.0_f32);
+        let mut near = crossing.near;
+        while near != 0 {
+            let lane = near.trailing_zeros() as usize;
+            near &= near - 1;
+            (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
+        }
+        // A slack of two samples, as for the beam; wherever single precision is used, it is far finer than one sample.
+        let (least, most) = self.steps;
+        let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
+        let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
+        let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
+        (first <= last).then_some((first, last))
+    }
+}
+
+/// The samples of a slab that still matter, if these are not all samples of the live rays.
+struct LiveSamples {
+    slab: Slab,
+    live: Live,
+    /// The union over all rays.
+    any: u32,
+    rays: SomeRays,
+}
+
+/// Some rays of a packet, tested individually.
+struct SomeRays {
+    mask: u64,
+    lanes: Vec<u8>,
+    columns: RayColumns,
+    /// Reciprocals of their largest and smallest step.
+    inverse_steps: (f32, f32),
+}
+
+impl SomeRays {
+    fn new(packet: &Packet, mask: u64, simd: SimdLevel) -> Self {
+        let mut lanes = Vec::with_capacity(mask.count_ones() as usize);
+        each_lane(mask, |lane| lanes.push(lane as u8));
+        let (least, most) = packet.step_range(mask);
+        let inverse_steps = ((1.0 / most) as f32, (1.0 / least) as f32);
+        Self { mask, lanes, columns: RayColumns::new(simd, packet.rays(mask)), inverse_steps }
+    }
+}
+
+impl LiveSamples {
+    /// Whether any of these samples may lie in a box. `first` and `last` are the packet's samples in the box.
+    fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
+        let from = first.max(self.slab.first) - self.slab.first;
+        if last < self.slab.first || self.any & bits_between(from, last - self.slab.first) == 0 {
+            return false;
+        }
+        let crossing = self.rays.columns.cross(bounds, 0.0);
+        let (slow, fast) = self.rays.inverse_steps;
+        // A slack of two samples, as for the beam; wherever single precision is used, it is far finer than one sample.
+        let first_sample = self.slab.first as f32;
+        let mut near = crossing.near & (u64::MAX >> (LANES - self.rays.lanes.len()));
+        while near != 0 {
+            let column = near.trailing_zeros() as usize;
+            near &= near - 1;
+            let enter = crossing.enter_near[column] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
+            let exit = crossing.exit_near[column] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
+            // Negative numbers become 0 in the cast.
+            let bits = if exit < 0.0 { 0 } else { bits_between(enter as u64, exit as u64) };
+            if bits & self.live.0[usize::from(self.rays.lanes[column])] != 0 {
+                return true;
+            }
+        }
+        false
+    }
+}
+
+/// The bits from one to another, both included.
+pub(super) fn bits_between(first: u64, last: u64) -> u32 {
+    let last = last.min(31) as u32;
+    if first > 31 { 0 } else { (u32::MAX >> (31 - last)) & (u32::MAX << first) }
+}
+
+/// The live rays of a packet, and those of their samples in the current slab that still matter.
+pub(super) struct LiveRays {
+    going: RaySet,
+    now: Option<LiveSamples>,
+}
+
+impl LiveRays {
+    /// The samples of live rays that may lie in a box, or `None` if there are none.
+    pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        self.going.samples_in(packet, bounds)
+    }
+
+    /// The same rays, tested individually.
+    pub(super) fn ray_by_ray(&self, packet: &Packet) -> RaySet {
+        self.going.ray_by_ray(packet)
+    }
+
+    /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's samples in the box.
+    pub(super) fn misses_now(&self, bounds: &Aabb, range: (u64, u64)) -> bool {
+        self.now.as_ref().is_some_and(|now| !now.meets(bounds, range))
+    }
+
+    /// All rays of a packet.
+    pub(super) fn new(packet: &Packet, simd: SimdLevel) -> Self {
+        Self { going: RaySet::new(packet, packet.all(), simd), now: None }
+    }
+
+    /// Replaces the rays by others of the same packet, with those of their samples that still matter.
+    pub(super) fn become_rays(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        live: &Live,
+        going: u64,
+        simd: SimdLevel,
+    ) {
+        if self.going.lanes != going {
+            self.going = RaySet::new(packet, going, simd);
+        }
+        let all = bits_between(0, slab.samples as u64 - 1);
+        let mut partial = live.lanes() != going;
+        each_lane(going, |lane| partial |= live.0[lane] & all != all);
+        let mask = live.lanes();
+        if !partial || mask == 0 {
+            self.now = None;
+            return;
+        }
+        let known = self.now.take().map(|now| now.rays).filter(|rays| rays.mask == mask);
+        let rays = known.unwrap_or_else(|| SomeRays::new(packet, mask, simd));
+        let any = live.0.iter().fold(0, |any, lane| any | lane);
+        self.now = Some(LiveSamples { slab, live: *live, any, rays });
+    }
+}

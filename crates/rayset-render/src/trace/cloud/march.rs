@@ -1,0 +1,210 @@
+//! The march of one packet through one cloud, slab by slab.
+
+use super::frontier::{ActiveRuns, Frontier, Place, Runs, run_bounds};
+use super::live_rays::{LiveRays, bits_between};
+use super::shading::CloudShading;
+use super::volume::CloudVolume;
+use crate::field::{FieldSamples, LANES, Packet, RayEnds, RunBatch, SimdLevel, Slab, Splatter};
+use crate::trace::access::{Access, Halt};
+use crate::trace::counts::RenderCounts;
+use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
+use rayset_files::octree::page::PointPage;
+
+/// The march of one packet through one cloud.
+pub(in crate::trace) struct CloudMarch {
+    /// In the cloud's space.
+    packet: Packet,
+    frontier: Frontier,
+    active: Vec<ActiveRuns>,
+    /// `None` until a packet has begun.
+    rays: Option<LiveRays>,
+}
+
+/// Scratch memory shared by all clouds of a thread.
+pub(in crate::trace) struct CloudScratch {
+    batch: RunBatch,
+    /// One for each set of channels used by any cloud.
+    fields: Vec<FieldSamples>,
+}
+
+impl CloudScratch {
+    pub(in crate::trace) fn new() -> Self {
+        Self { batch: RunBatch::default(), fields: Vec::new() }
+    }
+}
+
+/// What is requested of a cloud in a slab.
+#[derive(Clone, Copy)]
+pub(in crate::trace) struct Request<'a> {
+    pub(in crate::trace) access: Access<'a>,
+    pub(in crate::trace) slab: Slab,
+    pub(in crate::trace) live: &'a Live,
+    /// Lanes whose rays have not ended.
+    pub(in crate::trace) going: u64,
+    pub(in crate::trace) measure: Measure,
+    pub(in crate::trace) required: RequiredOutputs,
+    pub(in crate::trace) simd: SimdLevel,
+    /// Where rays end if no samples but the cloud's absorb light, or `None` if that is of no use.
+    pub(in crate::trace) ends: Option<&'a Remaining>,
+}
+
+impl<'a> Request<'a> {
+    /// Where rays end in a cloud of this shading, if its opacity says so without much work.
+    fn ray_ends(&self, shading: &CloudShading) -> Option<RayEnds<'a>> {
+        let absorption = shading.least_absorption()?;
+        self.ends.map(|ends| RayEnds { depth: &ends.depth, absorption })
+    }
+}
+
+/// How much is left of each ray.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::trace) struct Remaining {
+    /// For each lane, the optical depth from the slab's beginning at which its ray ends, in steps at the optical depth
+    /// of a unit distance. More than exact: a ray that comes to it has ended, whatever was rounded.
+    pub(in crate::trace) depth: [f32; LANES],
+}
+
+impl CloudMarch {
+    /// Allocates a march for any packet; [`begin`](Self::begin) must be called first.
+    pub(in crate::trace) fn new(packet: &Packet) -> Self {
+        Self { packet: packet.clone(), frontier: Frontier::default(), active: Vec::new(), rays: None }
+    }
+
+    /// Starts a packet at the root of a cloud.
+    pub(in crate::trace) fn begin(
+        &mut self,
+        access: Access<'_>,
+        volume: &CloudVolume,
+        packet: &Packet,
+        simd: SimdLevel,
+    ) -> Result<(), Halt> {
+        self.packet = volume.placement.local(packet);
+        self.active.clear();
+        let rays = LiveRays::new(&self.packet, simd);
+        let cloud = &volume.placement;
+        self.frontier.begin(Place { access, cloud, packet: &self.packet, rays: &rays })?;
+        self.rays = Some(rays);
+        Ok(())
+    }
+
+    /// The first sample at or after `from` at which there may be points.
+    pub(in crate::trace) fn next_sample(&self, from: u64) -> Option<u64> {
+        if self.active.iter().any(|run| run.last >= from) {
+            return Some(from);
+        }
+        self.frontier.next_sample().map(|sample| sample.max(from))
+    }
+
+    /// Evaluates a slab; fills the lanes that points reach.
+    pub(in crate::trace) fn sample(
+        &mut self,
+        volume: &CloudVolume,
+        request: Request<'_>,
+        scratch: &mut CloudScratch,
+        counts: &mut RenderCounts,
+        out: &mut NodeSamples,
+    ) -> Result<(), Halt> {
+        let Request { access, slab, live, going, measure, required, simd, .. } = request;
+        out.touched = 0;
+        let lanes = live.lanes() & going;
+        let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
+        rays.become_rays(&self.packet, slab, live, going, simd);
+        let place = Place { access, cloud: &volume.placement, packet: &self.packet, rays };
+        self.frontier.advance(place, slab.end(), &mut self.active)?;
+        if access.follows_lines {
+            self.frontier.precache(place);
+        }
+        self.active.retain(|run| run.last >= slab.first);
+        if self.active.is_empty() {
+            return Ok(());
+        }
+        let channels = volume.shading.channels(required);
+        let known = scratch.fields.iter().position(|field| field.channels() == channels);
+        let at = known.unwrap_or_else(|| {
+            scratch.fields.push(FieldSamples::new(channels));
+            scratch.fields.len() - 1
+        });
+        let field = &mut scratch.fields[at];
+        field.clear();
+        let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
+        self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
+        volume.shading.transfer(field, measure, required, simd, out);
+        Ok(())
+    }
+
+    /// Adds all active runs to the samples of a slab, in the order of the file, with one page retained at a time.
+    #[expect(clippy::too_many_arguments, reason = "the inner loop, and the room to work in")]
+    fn gather(
+        &mut self,
+        volume: &CloudVolume,
+        request: Request<'_>,
+        lanes: u64,
+        splatter: &Splatter,
+        batch: &mut RunBatch,
+        counts: &mut RenderCounts,
+        field: &mut FieldSamples,
+    ) -> Result<(), Halt> {
+        let Some(rays) = &self.rays else { return Ok(()) };
+        let CloudVolume { placement: cloud, shading } = volume;
+        self.active.sort_unstable();
+        let slab = request.slab;
+        batch.clear();
+        let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
+        let matters = |runs: &ActiveRuns| {
+            let first = runs.first.max(slab.first) - slab.first;
+            first < slab.samples as u64 && live & bits_between(first, runs.last - slab.first) != 0
+        };
+        // A run with several ranges of samples is added only once.
+        let mut before = None;
+        let mut at = 0;
+        while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
+            let (count, needed, again) = of_first_page(&self.active[at..], slab, matters);
+            if !needed {
+                at += count;
+                continue;
+            }
+            let guard = request.access.retain_in_turn(&cloud.pages, page, slab.first, again)?;
+            let points = PointPage::trusted(&guard, cloud.header());
+            while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
+                let Runs { first, end, .. } = active.runs;
+                let again = before == Some(active.runs) && end - first == 1;
+                let end = if matters(active) && !again { end } else { first };
+                if first < end {
+                    before = Some(active.runs);
+                }
+                for index in usize::from(first)..usize::from(end) {
+                    // A single run has been examined before.
+                    let reaches = end - first == 1 || {
+                        let samples = rays.samples_in(&self.packet, &run_bounds(cloud, &points, index));
+                        samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
+                    };
+                    if reaches {
+                        let (raw, step) = (points.run(index), self.packet.least_step());
+                        if batch.is_full() {
+                            counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
+                        }
+                        let Some(run) = batch.append() else { continue };
+                        shading.decoder.decode(&raw, cloud.header(), step, splatter.simd, run);
+                        counts.runs += 1;
+                    }
+                }
+                at += 1;
+            }
+        }
+        counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
+        Ok(())
+    }
+}
+
+/// Of active runs in the order of the file: how many are of the first one's page, whether any of these matters, and whether any
+/// goes on behind the slab.
+fn of_first_page(
+    active: &[ActiveRuns],
+    slab: Slab,
+    matters: impl Fn(&ActiveRuns) -> bool,
+) -> (usize, bool, bool) {
+    let of_page = active.iter().take_while(|runs| runs.runs.page == active[0].runs.page);
+    of_page.fold((0, false, false), |(count, needed, again), runs| {
+        (count + 1, needed || matters(runs), again || runs.last >= slab.end())
+    })
+}

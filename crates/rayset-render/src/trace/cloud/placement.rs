@@ -1,0 +1,165 @@
+//! Where a cloud is in the world and in memory: its spaces, the pages of its octree, and the bounds of its nodes.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::field::Packet;
+use crate::scene::largest_stretch;
+use crate::trace::RenderError;
+use crate::trace::access::{Access, Halt};
+use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
+use rayset_files::PagedFiles;
+use rayset_files::octree::Cloud;
+use rayset_files::octree::format::Header;
+use rayset_files::octree::layout::{RUN_POINTS, RootCell, nodes_per_page};
+use rayset_files::octree::node::{Node, NodePage};
+use rayset_store::working_set::{Object, PageFault, PageGuard};
+
+/// A cloud, placed in the world by the graph.
+pub(in crate::trace) struct CloudPlacement {
+    cloud: Arc<Cloud>,
+    pub(in crate::trace) pages: Arc<Object>,
+    pub(in crate::trace) root_cell: RootCell,
+    pub(in crate::trace) first_node_page: u32,
+    /// `None` if local space and world space are the same.
+    local_from_world: Option<DAffine3>,
+    world_from_local: DAffine3,
+    /// The smallest length in local space of a unit vector in world space.
+    least_stretch: f64,
+}
+
+impl CloudPlacement {
+    /// `None` if the cloud's pages are not in a working set.
+    pub(in crate::trace) fn new(
+        cloud: &Arc<Cloud>,
+        world_from_local: &DAffine3,
+        paged: &PagedFiles,
+    ) -> Option<Self> {
+        let pages = paged.find(cloud)?;
+        let header = cloud.header();
+        Some(Self {
+            pages: pages.clone(),
+            root_cell: header.root_cell(),
+            first_node_page: header.point_pages,
+            local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
+            world_from_local: *world_from_local,
+            least_stretch: 1.0 / largest_stretch(world_from_local),
+            cloud: cloud.clone(),
+        })
+    }
+
+    pub(in crate::trace) fn header(&self) -> &Header {
+        self.cloud.header()
+    }
+
+    /// A packet in the cloud's space.
+    pub(in crate::trace) fn local(&self, packet: &Packet) -> Packet {
+        self.local_from_world
+            .as_ref()
+            .map_or_else(|| packet.clone(), |map| packet.in_local_space(map, self.least_stretch))
+    }
+
+    /// A ray in the cloud's space, parametrised by distance in world space; its direction is not normalised.
+    pub(in crate::trace) fn local_ray(&self, ray: &Ray) -> Ray {
+        self.local_from_world.as_ref().map_or(*ray, |map| Ray {
+            origin: map.transform_point3(ray.origin),
+            direction: map.transform_vector3(ray.direction),
+        })
+    }
+
+    /// Length in local space of a unit of world space along a direction.
+    pub(in crate::trace) fn stretch_along(&self, direction_world: DVec3) -> f64 {
+        self.local_from_world.as_ref().map_or(1.0, |map| map.transform_vector3(direction_world).length())
+    }
+
+    /// The largest radius of any point along any direction, world space.
+    pub(in crate::trace) fn largest_radius_world(&self) -> f64 {
+        let stretch =
+            if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
+        f64::from(self.header().radius.max()) * stretch
+    }
+
+    pub(in crate::trace) fn local_from_world(&self) -> Option<&DAffine3> {
+        self.local_from_world.as_ref()
+    }
+
+    /// Bounds of influence of a node, world space.
+    pub(in crate::trace) fn bounds_world_of(&self, node: &Node) -> Aabb {
+        node.bounds(self.root_cell).transformed(&self.world_from_local)
+    }
+
+    /// The pages of a node's own points, estimated: for hints, where an error does no harm.
+    pub(in crate::trace) fn own_pages(&self, node: &Node) -> Range<u32> {
+        let own = node.own;
+        if own.runs == 0 {
+            return 0..0;
+        }
+        // Only a page itself knows its number of runs; the estimate uses the mean.
+        let header = self.header();
+        let runs = (header.points / RUN_POINTS as u64).max(1);
+        let runs_per_page = (runs / u64::from(header.point_pages).max(1)).max(1);
+        let last_run = u64::from(own.first_run) + u64::from(own.runs) - 1;
+        let pages = u32::try_from(last_run / runs_per_page).unwrap_or(u32::MAX);
+        own.first_page..own.first_page.saturating_add(pages).saturating_add(1).min(self.first_node_page)
+    }
+
+    /// The pages that may hold a node's own points: more than [`own_pages`](Self::own_pages) where pages of fewer runs than usual
+    /// could make a difference.
+    pub(in crate::trace) fn own_pages_at_most(&self, node: &Node) -> Range<u32> {
+        /// Pages that hold so much less than the mean, in parts of it, are rare.
+        const LESS: f64 = 0.25;
+        let usual = self.own_pages(node);
+        if usual.is_empty() {
+            return usual;
+        }
+        let header = self.header();
+        let runs_per_page = header.points as f64 / RUN_POINTS as f64 / f64::from(header.point_pages.max(1));
+        let runs = f64::from(node.own.first_run) + node.own.runs as f64;
+        let pages = (runs / (runs_per_page * (1.0 - LESS)).max(1.0)).ceil() as u32;
+        let end = usual.start.saturating_add(pages).min(self.first_node_page);
+        usual.start..end.max(usual.end)
+    }
+
+    /// The pages needed to open a node: those of its own points and of its children's records.
+    pub(in crate::trace) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
+        let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
+        self.own_pages(node).chain(children)
+    }
+
+    /// Upper bound of the nodes that a walk through the octree can meet; if there are more, the file is not a tree.
+    pub(in crate::trace) fn most_nodes(&self) -> u64 {
+        let header = self.header();
+        header.nodes.min(u64::from(header.node_pages) * nodes_per_page(header.page_bytes as usize) as u64)
+    }
+
+    /// The error for a page that is intact but contradicts another page.
+    pub(in crate::trace) fn broken(&self, page: u32) -> RenderError {
+        RenderError::Page(PageFault::Damaged {
+            name: self.cloud.path().display().to_string(),
+            page,
+            offset: self.header().page_offset(page),
+            what: "the octree refers to a record that is not there".into(),
+        })
+    }
+}
+
+impl Access<'_> {
+    /// Retains a page of a cloud.
+    pub(in crate::trace) fn retain(&self, cloud: &CloudPlacement, page: u32) -> Result<PageGuard, Halt> {
+        self.retain_page(&cloud.pages, page)
+    }
+
+    /// The root node of a cloud; `None` if the cloud is empty.
+    pub(in crate::trace) fn root(&self, cloud: &CloudPlacement) -> Result<Option<Node>, Halt> {
+        let header = cloud.header();
+        if header.points == 0 {
+            return Ok(None);
+        }
+        let place = header.root;
+        let guard = self.retain(cloud, cloud.first_node_page + place.page)?;
+        match NodePage::scaled(&guard, cloud.header()).get(usize::from(place.index)) {
+            Some(root) => Ok(Some(root)),
+            None => Err(cloud.broken(place.page).into()),
+        }
+    }
+}

@@ -1,0 +1,360 @@
+//! From a cloud's field to a volume: which attributes of its points the field carries, and how density, attributes and
+//! gradient are shaded.
+
+use std::sync::Arc;
+
+use crate::field::{
+    AttributeColumns, Channels, FieldSamples, Kernel, LeastAbsorption, RunDecoder, SLAB_SAMPLES, SampleRow,
+    SimdLevel, dispatch,
+};
+use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
+use crate::trace::math::{absorbed, ln};
+use crate::trace::node_samples::{
+    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, each_lane, normalize, numbers,
+};
+use crate::trace::transfer::ColorTable;
+use rayset_base::geometry::{DAffine3, DMat3};
+use rayset_files::octree::format::Header;
+
+/// Attributes are 0 where the density is not above this fraction of the largest density of a single point.
+const LEAST_WEIGHT: f32 = 1e-12;
+
+enum Color {
+    Uniform([f32; 3]),
+    Points,
+    /// By density, or by the attribute with this number.
+    Map {
+        table: ColorTable,
+        attribute: Option<usize>,
+        /// Where the field carries it, once [`CloudShading::carry`] has been called.
+        carried: Option<Carried>,
+    },
+}
+
+/// Where a field carries an attribute.
+#[derive(Clone, Copy)]
+enum Carried {
+    /// Averaged, in this channel.
+    Mean(usize),
+    /// As class labels, the one of this number.
+    Label(usize),
+}
+
+/// How a cloud is shaded.
+pub(in crate::trace) struct CloudShading {
+    pub(in crate::trace) kernel: Kernel,
+    pub(in crate::trace) normalised: bool,
+    pub(in crate::trace) opacity: OpacityRule,
+    pub(in crate::trace) unit_distance: f64,
+    pub(in crate::trace) material: [f32; MATERIAL],
+    pub(in crate::trace) decoder: RunDecoder,
+    /// What the cloud's field carries. The colour, or the attribute it is mapped from, comes first.
+    columns: AttributeColumns,
+    /// For each attribute of the program, its channel; `None` if the cloud does not have it.
+    named: Vec<Option<Carried>>,
+    color: Color,
+    /// The density that defines the boundary.
+    boundary_density: f32,
+    least_weight: f32,
+    /// Maps gradients in the cloud's space to vectors in world space that point to lower density; by columns.
+    normal_map: [[f32; 3]; 3],
+}
+
+impl CloudShading {
+    /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called, the field carries
+    /// densities only.
+    pub(in crate::trace) fn new(
+        object: &CloudObject,
+        local_from_world: Option<&DAffine3>,
+        unit_distance: f64,
+        material: [f32; MATERIAL],
+    ) -> Self {
+        let header = object.cloud.header();
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(color) => Color::Uniform(*color),
+            ColorRule::Points => Color::Points,
+            ColorRule::Map { map, input } => {
+                let attribute = if let MapInput::Attribute(index) = input { Some(*index) } else { None };
+                Color::Map { table: ColorTable::new(map), attribute, carried: None }
+            }
+        };
+        // Gradients are transformed by the transpose of the inverse.
+        let map = local_from_world.map_or(DMat3::IDENTITY, |map| map.matrix3.transpose());
+        Self {
+            kernel: object.kernel,
+            normalised: object.normalised,
+            opacity: object.transfer.opacity.clone(),
+            unit_distance,
+            material,
+            decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
+            columns: AttributeColumns::default(),
+            named: Vec::new(),
+            color,
+            boundary_density: object.transfer.opacity.boundary_density(unit_distance) as f32,
+            least_weight: object.largest_point_density() as f32 * LEAST_WEIGHT,
+            normal_map: (-map).to_cols_array_2d().map(|column| column.map(|v| v as f32)),
+        }
+    }
+
+    /// The colour of the whole cloud, if it is uniform.
+    pub(in crate::trace) fn uniform_color(&self) -> Option<[f32; 3]> {
+        if let Color::Uniform(color) = self.color { Some(color) } else { None }
+    }
+
+    /// Sets the required outputs and the names of the program's attributes. Before this, only densities are carried.
+    pub(in crate::trace) fn carry(&mut self, header: &Header, required: RequiredOutputs, names: &[Arc<str>]) {
+        let mut columns = AttributeColumns::default();
+        if required.color {
+            columns.color = matches!(self.color, Color::Points);
+            if let Color::Map { attribute: Some(attribute), carried, .. } = &mut self.color {
+                *carried = Some(Carried::new(header, *attribute, &mut columns));
+            }
+        }
+        self.named = vec![None; names.len()];
+        for number in numbers(required.attributes) {
+            if let Some(attribute) = header.attribute_number(&names[number]) {
+                self.named[number] = Some(Carried::new(header, attribute, &mut columns));
+            }
+        }
+        self.decoder = RunDecoder::new(header, self.kernel, self.normalised, columns.clone());
+        self.columns = columns;
+    }
+
+    /// The channels that the field must carry for the required outputs.
+    pub(in crate::trace) fn channels(&self, required: RequiredOutputs) -> Channels {
+        Channels {
+            gradient: required.normal || required.boundary,
+            attributes: self.columns.channels(),
+            labels: self.columns.labels.len(),
+        }
+    }
+
+    /// Converts the field to opacity, colour and shading vector.
+    pub(in crate::trace) fn transfer(
+        &self,
+        field: &FieldSamples,
+        measure: Measure,
+        required: RequiredOutputs,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
+        out.touched = field.touched;
+        self.fill_opacity(field, measure, simd, out);
+        if required == RequiredOutputs::default() {
+            return;
+        }
+        each_lane(field.touched, |lane| {
+            if required.color {
+                self.fill_color(field, lane, out);
+            }
+            for number in numbers(required.attributes) {
+                self.fill_attribute(field, lane, number, out);
+            }
+            if required.normal || required.boundary {
+                self.fill_normal(field, lane, required, simd, out);
+            }
+            if required.material {
+                for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                    rows[lane].0.fill(v);
+                }
+            }
+        });
+    }
+
+    /// How much samples absorb at least, per unit distance; `None` for curves.
+    pub(in crate::trace) fn least_absorption(&self) -> Option<LeastAbsorption> {
+        let (most, full) = (MAX_OPTICAL_DEPTH, MAX_OPACITY as f32);
+        match self.opacity {
+            OpacityRule::Extinction(kappa) => {
+                let per_density = (kappa * self.unit_distance) as f32;
+                Some(LeastAbsorption { per_density, most, full: f32::INFINITY })
+            }
+            // −ln(1 − D) is more than D.
+            OpacityRule::Clamp => Some(LeastAbsorption { per_density: 1.0, most, full }),
+            OpacityRule::Curve(_) => None,
+        }
+    }
+
+    fn fill_opacity(&self, field: &FieldSamples, measure: Measure, simd: SimdLevel, out: &mut NodeSamples) {
+        let (lanes, density, rows) = (field.touched, &field.density, &mut out.opacity);
+        match (&self.opacity, measure) {
+            (OpacityRule::Extinction(kappa), _) => {
+                let per_density = (kappa * self.unit_distance) as f32;
+                dispatch!(simd.level(), _simd => {
+                    optical_depth_of_extinction(lanes, density, per_density, rows);
+                    if measure == Measure::Opacity {
+                        opacity_of_optical_depth(lanes, rows);
+                    }
+                });
+            }
+            (OpacityRule::Clamp, Measure::Opacity) => each_lane(lanes, |lane| {
+                let held = |d: f32| if d > 0.0 { d.min(MAX_OPACITY as f32) } else { 0.0 };
+                rows[lane] = SampleRow(density[lane].0.map(held));
+            }),
+            (OpacityRule::Clamp, Measure::OpticalDepth) => {
+                each_lane(lanes, |lane| rows[lane] = density[lane]);
+                dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
+            }
+            (OpacityRule::Curve(_), _) => {
+                let curve = |d| self.opacity.opacity(f64::from(d), self.unit_distance) as f32;
+                each_lane(lanes, |lane| rows[lane] = SampleRow(density[lane].0.map(curve)));
+                if measure == Measure::OpticalDepth {
+                    dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
+                }
+            }
+        }
+    }
+
+    fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut NodeSamples) {
+        let density = &field.density[lane].0;
+        match &self.color {
+            Color::Uniform(color) => {
+                for (rows, &v) in out.color.iter_mut().zip(color) {
+                    rows[lane].0.fill(v);
+                }
+            }
+            Color::Points => {
+                for (channel, rows) in out.color.iter_mut().enumerate() {
+                    rows[lane] = self.mean(field, lane, channel);
+                }
+            }
+            Color::Map { table, carried, .. } => {
+                let values = carried.map_or(*density, |carried| self.value(field, lane, carried).0);
+                for j in (0..SLAB_SAMPLES).filter(|&j| density[j] > 0.0) {
+                    let color = table.color(values[j]);
+                    for (rows, v) in out.color.iter_mut().zip(color) {
+                        rows[lane].0[j] = v;
+                    }
+                }
+            }
+        }
+    }
+
+    fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut NodeSamples) {
+        out.attributes[number][lane] = match self.named.get(number).copied().flatten() {
+            Some(carried) => self.value(field, lane, carried),
+            None => SampleRow([0.0; SLAB_SAMPLES]),
+        };
+    }
+
+    /// The value of an attribute: its mean, or the label of the point that contributes most.
+    fn value(&self, field: &FieldSamples, lane: usize, carried: Carried) -> SampleRow {
+        match carried {
+            Carried::Mean(channel) => self.mean(field, lane, channel),
+            Carried::Label(number) => {
+                let (density, label) = (&field.density[lane].0, &field.label[number][0][lane].0);
+                let defined = |j: usize| density[j] > self.least_weight;
+                SampleRow(std::array::from_fn(|j| if defined(j) { label[j] } else { 0.0 }))
+            }
+        }
+    }
+
+    /// The mean of an attribute: Σ v·ω·a / Σ v·ω.
+    fn mean(&self, field: &FieldSamples, lane: usize, channel: usize) -> SampleRow {
+        let (density, sum) = (&field.density[lane].0, &field.attribute[channel][lane].0);
+        let defined = |j: usize| density[j] > self.least_weight;
+        SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
+    }
+
+    fn fill_normal(
+        &self,
+        field: &FieldSamples,
+        lane: usize,
+        required: RequiredOutputs,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
+        // Gradients are transformed by the transpose of the inverse; the shading vector points to lower density.
+        let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
+        let boundary = required.boundary.then_some((&field.density[lane], self.boundary_density));
+        let distance =
+            dispatch!(simd.level(), _simd => to_world(&self.normal_map, &mut x, &mut y, &mut z, boundary));
+        if required.boundary {
+            out.boundary[lane] = distance;
+        }
+        if required.normal {
+            for (rows, row) in out.normal.iter_mut().zip([x, y, z]) {
+                rows[lane] = row;
+            }
+        }
+    }
+}
+
+impl Carried {
+    /// Adds the attribute with this number to what the field carries, if it is not there yet.
+    fn new(header: &Header, number: usize, columns: &mut AttributeColumns) -> Self {
+        let place_in = |list: &mut Vec<usize>| {
+            list.iter().position(|&known| known == number).unwrap_or_else(|| {
+                list.push(number);
+                list.len() - 1
+            })
+        };
+        if header.attributes.get(number).is_some_and(|a| a.is_class) {
+            return Self::Label(place_in(&mut columns.labels));
+        }
+        let first = columns.first_scalar();
+        Self::Mean(first + place_in(&mut columns.scalars))
+    }
+}
+
+/// Transforms gradients to world space and normalises them. Returns the first-order distance to the boundary if
+/// densities and the boundary's density are given.
+#[inline(always)]
+fn to_world(
+    m: &[[f32; 3]; 3],
+    x: &mut SampleRow,
+    y: &mut SampleRow,
+    z: &mut SampleRow,
+    boundary: Option<(&SampleRow, f32)>,
+) -> SampleRow {
+    for j in 0..SLAB_SAMPLES {
+        let g = [x.0[j], y.0[j], z.0[j]];
+        let row = |axis: usize| m[0][axis] * g[0] + m[1][axis] * g[1] + m[2][axis] * g[2];
+        (x.0[j], y.0[j], z.0[j]) = (row(0), row(1), row(2));
+    }
+    let mut distance = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
+    if let Some((density, level)) = boundary {
+        for j in 0..SLAB_SAMPLES {
+            let slope = (x.0[j] * x.0[j] + y.0[j] * y.0[j] + z.0[j] * z.0[j]).sqrt();
+            distance.0[j] = (level - density.0[j]) / slope;
+        }
+    }
+    normalize(x, y, z);
+    distance
+}
+
+// Loops instead of `map`: the compiler does not inline closures into functions compiled for other instruction sets.
+
+#[inline(always)]
+fn optical_depth_of_extinction(mut lanes: u64, density: &Rows, per_density: f32, rows: &mut Rows) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        for (t, &d) in rows[lane].0.iter_mut().zip(&density[lane].0) {
+            // A density that is negative or NaN absorbs nothing.
+            *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
+        }
+    }
+}
+
+#[inline(always)]
+fn opacity_of_optical_depth(mut lanes: u64, rows: &mut Rows) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        for t in &mut rows[lane].0 {
+            *t = absorbed(*t).min(MAX_OPACITY as f32);
+        }
+    }
+}
+
+#[inline(always)]
+fn optical_depth_of_opacity(mut lanes: u64, rows: &mut Rows) {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        for o in &mut rows[lane].0 {
+            *o = if *o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
+        }
+    }
+}

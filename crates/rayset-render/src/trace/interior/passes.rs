@@ -1,0 +1,111 @@
+//! Where rays pass through the surface of a node: the places where it is at least half opaque.
+
+use crate::field::{LANES, Packet, Slab};
+use crate::trace::access::{Access, Halt};
+use crate::trace::counts::RenderCounts;
+use crate::trace::march::March;
+use crate::trace::node_samples::NodeSamples;
+use crate::trace::program::Program;
+use crate::trace::steps::StepRule;
+use rayset_base::geometry::{DVec3, Ray};
+
+/// The optical depth of half opacity per unit distance: ln 2.
+const HALF_OPAQUE: f32 = std::f32::consts::LN_2;
+/// Offset of a ray's first sample, in steps.
+const SAMPLE_OFFSET: f64 = 0.5;
+
+/// Follows rays through a node.
+pub(super) struct PassTracer<'p> {
+    program: &'p Program,
+    steps: &'p StepRule,
+    march: March<'p>,
+    open: Vec<Option<Pass>>,
+    counts: RenderCounts,
+}
+
+/// Samples of a ray that follow each other and are at least half opaque: distance and shading vector of the first and of
+/// the last.
+#[derive(Clone, Copy, Debug)]
+struct Pass {
+    first: (f64, DVec3),
+    last: (f64, DVec3),
+}
+
+impl Pass {
+    /// Where the ray crosses the surface; `None` if it leaves on the side from which it came, so that it has only grazed
+    /// it. Shading vectors point away from the surface, on either side of it.
+    fn crossing(&self) -> Option<f64> {
+        (self.first.1.dot(self.last.1) < 0.0).then_some(0.5 * (self.first.0 + self.last.0))
+    }
+}
+
+impl<'p> PassTracer<'p> {
+    pub(super) fn new(program: &'p Program, steps: &'p StepRule, slab_samples: usize) -> Self {
+        let march = March::new(program, slab_samples);
+        Self { program, steps, march, open: vec![None; LANES], counts: RenderCounts::default() }
+    }
+
+    /// For each of at most 64 rays, the distances at which it crosses the surface, ascending.
+    pub(super) fn crossings(&mut self, access: Access<'_>, rays: &[Ray]) -> Result<Vec<Vec<f64>>, Halt> {
+        let rays: Vec<(Ray, f64)> = rays.iter().map(|&ray| (ray, SAMPLE_OFFSET)).collect();
+        let mut crossings = vec![Vec::new(); rays.len()];
+        for group in self.steps.groups(access, self.program, &rays)? {
+            let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
+            let packet = Packet::new(&members, group.step);
+            self.march.begin(&packet);
+            let mut node = self.march.node_samples();
+            let mut found = vec![Vec::new(); members.len()];
+            let outcome = self.follow(access, &packet, &mut node, &mut found);
+            self.march.give_back(node);
+            outcome?;
+            for (&ray, found) in group.members.iter().zip(found) {
+                crossings[ray] = found;
+            }
+        }
+        Ok(crossings)
+    }
+
+    fn follow(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        node: &mut NodeSamples,
+        found: &mut [Vec<f64>],
+    ) -> Result<(), Halt> {
+        self.open.fill(None);
+        let mut from = 0;
+        while let Some(slab) = self.march.next_slab(from) {
+            if slab.first > from {
+                // The samples that were skipped are empty.
+                (0..found.len()).for_each(|lane| self.close(lane, &mut found[lane]));
+            }
+            from = slab.end();
+            self.march.evaluate(access, packet, slab, packet.all(), &mut self.counts, node)?;
+            for (lane, found) in found.iter_mut().enumerate() {
+                self.extend(packet, slab, node, lane, found);
+            }
+        }
+        (0..found.len()).for_each(|lane| self.close(lane, &mut found[lane]));
+        Ok(())
+    }
+
+    /// Goes through the samples of a lane in a slab.
+    fn extend(&mut self, packet: &Packet, slab: Slab, node: &NodeSamples, lane: usize, found: &mut Vec<f64>) {
+        if node.touched >> lane & 1 == 0 {
+            return self.close(lane, found);
+        }
+        for j in 0..slab.samples {
+            if node.opacity[lane].0[j] < HALF_OPAQUE {
+                self.close(lane, found);
+                continue;
+            }
+            let here = (packet.sample_t_world(lane, slab.first + j as u64), node.normal_at(lane, j));
+            let pass = self.open[lane].get_or_insert(Pass { first: here, last: here });
+            pass.last = here;
+        }
+    }
+
+    fn close(&mut self, lane: usize, found: &mut Vec<f64>) {
+        found.extend(self.open[lane].take().and_then(|pass| pass.crossing()));
+    }
+}

@@ -1,0 +1,325 @@
+//! Traces the rays of tiles, packet by packet, and each packet slab by slab: the loop that takes nearly all of the
+//! time.
+
+use std::ops::Range;
+
+use super::access::{Access, Halt};
+use super::bounce::{RefractionStates, TreeRay};
+use super::composite::{RayState, Shares};
+use super::counts::RenderCounts;
+use super::layers::Layers;
+use super::march::March;
+use super::node_samples::NodeSamples;
+use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
+use super::shade::Shown;
+use super::shadow::Shadows;
+use super::world::World;
+use crate::field::{LANES, Packet, Slab};
+use crate::scene::RayMaker;
+use rayset_base::geometry::Ray;
+
+/// The scratch memory of one thread.
+pub(super) struct PacketTracer<'a> {
+    world: &'a World,
+    /// The rays of the view.
+    rays: &'a RayMaker,
+    march: March<'a>,
+    shadows: Option<Shadows<'a>>,
+    refraction: Option<RefractionStates>,
+    layers: Option<Layers>,
+    tree: RayTree,
+    shares: Shares,
+    states: [RayState; LANES],
+    counts: RenderCounts,
+}
+
+/// Whether all rays of a generation were traced.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Traced {
+    Whole,
+    /// Stopped, because too many rays follow.
+    TooMany,
+}
+
+impl<'a> PacketTracer<'a> {
+    pub(super) fn new(world: &'a World, rays: &'a RayMaker, slab_samples: usize) -> Self {
+        Self {
+            world,
+            rays,
+            march: March::new(&world.program, slab_samples),
+            shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
+            refraction: world.bounces.map(RefractionStates::new),
+            layers: world.layers.then(Layers::new),
+            tree: if world.bounces.is_some() { RayTree::with_room() } else { RayTree::default() },
+            shares: Shares::new(),
+            states: [RayState::START; LANES],
+            counts: RenderCounts::default(),
+        }
+    }
+
+    pub(super) fn counts(&self) -> RenderCounts {
+        self.counts
+    }
+
+    /// Resets the counts to `counts` and counts a deferred tile.
+    pub(super) fn deferred(&mut self, counts: RenderCounts) {
+        self.counts = RenderCounts { deferred: counts.deferred + 1, ..counts };
+    }
+
+    /// The layers of the tile that is being traced, if they are requested.
+    pub(super) fn layers(&mut self) -> Option<&mut Layers> {
+        self.layers.as_mut()
+    }
+
+    /// Traces sheets of primary rays and the rays that follow from them. `make` fills the sheet of a number; `done` is
+    /// given the number of a sheet and what each of its rays sees, in the order of the sheets.
+    ///
+    /// Layers are gathered by pixel of a tile, sheet by sheet: with layers, there is one sheet at a time.
+    ///
+    /// Rays that follow from several sheets are traced together: mirrored rays of one tile go in all directions, and few
+    /// of them one way. The light of rays is added generation by generation in the order of their parents, so that sums do
+    /// not depend on how rays form packets.
+    pub(super) fn trace(
+        &mut self,
+        access: Access<'_>,
+        sheets: usize,
+        make: impl Fn(usize, &mut Sheet),
+        done: impl FnMut(usize, [[f32; 4]; LANES]),
+    ) -> Result<(), Halt> {
+        let mut tree = std::mem::take(&mut self.tree);
+        let outcome = self.sheets(access, &mut tree, sheets, make, done);
+        self.tree = tree;
+        outcome
+    }
+
+    fn sheets(
+        &mut self,
+        access: Access<'_>,
+        tree: &mut RayTree,
+        sheets: usize,
+        make: impl Fn(usize, &mut Sheet),
+        mut done: impl FnMut(usize, [[f32; 4]; LANES]),
+    ) -> Result<(), Halt> {
+        let (mut first, mut sheet) = (0, Sheet::with_capacity(LANES));
+        tree.begin();
+        for number in 0..sheets {
+            let layers_before = self.layers.clone();
+            make(number, &mut sheet);
+            tree.add_sheet(&sheet, self.rays, number - first);
+            let mut traced = self.generation(access, tree, true)?;
+            let is_last = number + 1 == sheets || number + 1 - first == MOST_SHEETS;
+            if traced == Traced::Whole && !is_last && self.world.bounces.is_some() && !tree.is_full() {
+                continue;
+            }
+            while traced == Traced::Whole && tree.advance() {
+                traced = self.generation(access, tree, true)?;
+            }
+            if traced == Traced::TooMany {
+                self.layers = layers_before;
+            }
+            for one in first..=number {
+                let at = one - first;
+                if traced == Traced::TooMany {
+                    make(one, &mut sheet);
+                    self.pixels(access, tree, &sheet, 0..sheet.len(), at)?;
+                }
+                let seen = tree.seen_by(at);
+                if let Some(layers) = &mut self.layers {
+                    (0..sheet.len()).for_each(|pixel| layers.hide(pixel, 1.0 - seen[pixel].open as f32));
+                }
+                done(one, seen.map(|seen| seen.pixel(self.world.background)));
+            }
+            first = number + 1;
+            tree.begin();
+        }
+        Ok(())
+    }
+
+    /// Traces some rays of one sheet, whose number is `at`: together, or half of them at a time if too many rays would
+    /// follow.
+    fn pixels(
+        &mut self,
+        access: Access<'_>,
+        tree: &mut RayTree,
+        sheet: &Sheet,
+        pixels: Range<usize>,
+        at: usize,
+    ) -> Result<(), Halt> {
+        let before = self.layers.clone();
+        tree.start_again(sheet, self.rays, pixels.clone(), at);
+        let mut traced = Traced::Whole;
+        while traced == Traced::Whole && !tree.generation().is_empty() {
+            traced = self.generation(access, tree, pixels.len() > 1)?;
+            tree.advance();
+        }
+        if traced == Traced::Whole {
+            return Ok(());
+        }
+        self.layers = before;
+        let middle = pixels.start + pixels.len() / 2;
+        self.pixels(access, tree, sheet, pixels.start..middle, at)?;
+        self.pixels(access, tree, sheet, middle..pixels.end, at)
+    }
+
+    /// Traces the rays of a tree and adds their light; collects their successors. Stops if they are too many and that is
+    /// of interest.
+    fn generation(
+        &mut self,
+        access: Access<'_>,
+        tree: &mut RayTree,
+        is_limited: bool,
+    ) -> Result<Traced, Halt> {
+        let known = tree.following();
+        tree.ends.clear();
+        tree.ends.resize(tree.generation().len(), End::default());
+        let packets = tree.packets(access, self.world)?;
+        self.ask_ahead(access, tree, &packets);
+        for (step, members) in packets {
+            self.packet(access, tree, &members, step)?;
+            if is_limited && tree.has_too_many() {
+                return Ok(Traced::TooMany);
+            }
+        }
+        access.end_if_lacking()?;
+        tree.gather(known, self.world.background);
+        Ok(Traced::Whole)
+    }
+
+    /// Asks for the pages that rays will need. Those of rays from the eye have been looked for before: they are only if that did
+    /// not suffice.
+    fn ask_ahead(&self, access: Access<'_>, tree: &RayTree, packets: &[(f64, Vec<usize>)]) {
+        let generation = tree.generation();
+        let Some(reach) = access.foresees else { return };
+        let is_known = |first: &Successor| first.ray.is_primary() && reach <= 1.0;
+        if generation.first().is_none_or(is_known) {
+            return;
+        }
+        let rays: Vec<Vec<Ray>> = packets
+            .iter()
+            .map(|(_, members)| members.iter().map(|&i| generation[i].ray.ray).collect())
+            .collect();
+        self.world.foresight.ask(&self.world.program, access, rays.iter().map(Vec::as_slice));
+    }
+
+    /// Traces one packet; adds the results of its rays and their successors to the tree.
+    fn packet(
+        &mut self,
+        access: Access<'_>,
+        tree: &mut RayTree,
+        members: &[usize],
+        step: f64,
+    ) -> Result<(), Halt> {
+        let rays: Vec<TreeRay> = members.iter().map(|&i| tree.generation()[i].ray).collect();
+        let lanes: Vec<(Ray, f64)> = rays.iter().map(|ray| (ray.ray, ray.sample_offset)).collect();
+        let packet = Packet::new(&lanes, step);
+        let mut refraction = self.refraction.take();
+        if let Some(refraction) = &mut refraction {
+            refraction.begin(rays.iter().copied());
+        }
+        self.states.fill(RayState::START);
+        if let Some(shadows) = &mut self.shadows {
+            shadows.begin(rays.iter().map(|ray| ray.footprint));
+        }
+        self.counts.packets += 1;
+        let before = self.counts;
+        self.march.begin(&packet);
+        let mut node = self.march.node_samples();
+        let places: Vec<usize> = rays.iter().map(|ray| ray.pixel as usize % LANES).collect();
+        let is_primary = rays[0].is_primary();
+        let pixels = is_primary.then_some(&places[..]);
+        let outcome = self.pass(access, &packet, pixels, refraction.as_mut(), &mut node);
+        self.march.give_back(node);
+        if let Some(refraction) = &refraction {
+            for &(lane, ray) in refraction.next() {
+                tree.follow(ray, members[lane]);
+            }
+        }
+        self.refraction = refraction;
+        let replaced = outcome?;
+        if !is_primary {
+            self.counts.bounced_rays += members.len() as u64;
+            let shadows = self.counts.shadow_splats - before.shadow_splats;
+            self.counts.bounced_splats += self.counts.splats - before.splats - shadows;
+        }
+        for (lane, &i) in members.iter().enumerate() {
+            let RayState { color, transmittance } = self.states[lane];
+            let flat =
+                self.world.shader.flat_color().map(|flat| flat.map(|v| v * (1.0 - transmittance as f32)));
+            let open = if replaced >> lane & 1 == 1 { 0.0 } else { transmittance };
+            tree.ends[i] = End { color: flat.unwrap_or(color), open };
+        }
+        Ok(())
+    }
+
+    /// Traces a packet slab by slab, front to back, until all rays have ended or nothing is left ahead. Returns the
+    /// lanes of rays that successors have replaced. `pixels` are the pixels of primary rays; `None` for other rays.
+    fn pass(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        pixels: Option<&[usize]>,
+        mut refraction: Option<&mut RefractionStates>,
+        node: &mut NodeSamples,
+    ) -> Result<u64, Halt> {
+        let world = self.world;
+        let mut going = packet.all();
+        let mut from = 0;
+        while going != 0
+            && let Some(slab) = self.march.next_slab(from)
+        {
+            if let Some(refraction) = &mut refraction
+                && slab.first > from
+            {
+                going &= !refraction.leave(packet, going, &self.states);
+            }
+            from = slab.end();
+            self.march.expect_ends(world.absorption.remaining(packet, &self.states));
+            self.march.evaluate(access, packet, slab, going, &mut self.counts, node)?;
+            self.counts.slabs += 1;
+            self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
+            if let Some(refraction) = &mut refraction {
+                refraction.bend(packet, slab, node, going, world.shader.constants());
+            }
+            going = world.absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
+            self.counts.nonzero_samples += self.shares.count();
+            if let (Some(layers), Some(pixels)) = (&mut self.layers, pixels) {
+                layers
+                    .gather(packet, slab, node, &self.shares, world.shader.constants(), |lane| pixels[lane]);
+            }
+            if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
+                self.shade(access, packet, slab, node, refraction.as_deref_mut())?;
+            }
+            if let Some(refraction) = &mut refraction {
+                going &= !refraction.follow(going, &self.states);
+            }
+        }
+        let Some(refraction) = refraction else { return Ok(0) };
+        refraction.leave(packet, going, &self.states);
+        refraction.end_mirrors(packet, &mut self.states);
+        Ok(refraction.replaced())
+    }
+
+    /// Adds the light of the samples of a slab to their rays.
+    fn shade(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        slab: Slab,
+        node: &NodeSamples,
+        refraction: Option<&mut RefractionStates>,
+    ) -> Result<(), Halt> {
+        let (shader, none) = (&self.world.shader, Vec::new());
+        let shadows = match &mut self.shadows {
+            Some(shadows) => {
+                let before = self.counts.splats;
+                let rows = shadows.find(access, packet, slab, node, &self.shares, &mut self.counts)?;
+                self.counts.shadow_splats += self.counts.splats - before;
+                rows
+            }
+            None => &none,
+        };
+        let shown = Shown { packet, slab, node, shares: &self.shares, shadows };
+        shader.shade(shown, refraction, &mut self.states);
+        Ok(())
+    }
+}

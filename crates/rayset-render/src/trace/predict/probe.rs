@@ -1,0 +1,249 @@
+//! Up to sixty-four probe rays that are traced ahead through node records only, each as far as it is expected to reach.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
+use crate::scene::OpacityRule;
+use crate::trace::cloud::CloudShading;
+use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
+use rayset_files::octree::node::Node;
+
+/// How far from each other rays are of which only some are probed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gap {
+    /// Half the distance between diagonal neighbours at distance 0.
+    at_start: f64,
+    /// Its increase per unit of distance.
+    growth: f64,
+    /// Whether the rays are an 8 × 8 lattice, row by row, over others between them.
+    is_lattice: bool,
+}
+
+impl Gap {
+    /// That of rays between which there are none.
+    pub(super) const NONE: Self = Self { at_start: 0.0, growth: 0.0, is_lattice: false };
+
+    /// That of an 8 × 8 lattice of rays, row by row.
+    pub(super) fn of_lattice(rays: &[Ray; LANES]) -> Self {
+        let half_gap = |v: fn(&Ray) -> DVec3| 0.5 * v(&rays[0]).distance(v(&rays[9]));
+        Self { at_start: half_gap(|r| r.origin), growth: half_gap(|r| r.direction), is_lattice: true }
+    }
+
+    /// The gap at a distance.
+    pub(super) fn at(self, distance: f64) -> f64 {
+        self.at_start + self.growth * distance
+    }
+}
+
+/// Rays that are probed, in the space of one cloud. The length of a direction is that of a unit of world space, so that distances are in
+/// world space.
+pub(super) struct ProbeRays {
+    rays: RayColumns,
+    beam: Beam,
+    gap: Gap,
+    /// Distance at which each ray is expected to end.
+    ends: [f32; LANES],
+    /// Distance at which the rays around each, up to the next ones of the lattice, are expected to have ended.
+    all_end: [f32; LANES],
+    /// A factor on the optical depth with which rays are expected to have ended.
+    reach: f32,
+    /// Expected optical depth that each ray has accumulated.
+    optical_depth: [f32; LANES],
+    /// Where rays have gone through boxes of points: the ray, and the distance of the middle. `None` if that is of no interest.
+    met: Option<Vec<(usize, f32)>>,
+}
+
+/// Most places at which it is noted that rays meet something.
+const MOST_MET: usize = 4096;
+
+impl ProbeRays {
+    /// Takes at most 64 rays.
+    ///
+    /// Panics if there are none.
+    pub(super) fn new(simd: SimdLevel, rays: &[Ray], gap: Gap) -> Self {
+        let mut beam = Beam::EMPTY;
+        rays.iter().for_each(|ray| beam.include(ray));
+        Self {
+            rays: RayColumns::new(simd, rays.iter().copied()),
+            beam,
+            gap,
+            ends: [f32::INFINITY; LANES],
+            all_end: [f32::INFINITY; LANES],
+            reach: 1.0,
+            optical_depth: [0.0; LANES],
+            met: None,
+        }
+    }
+
+    /// Lets them go on until so many times the optical depth with which they are expected to have ended.
+    pub(super) fn reaching(mut self, reach: f32) -> Self {
+        self.reach = reach;
+        self
+    }
+
+    /// Notes from now on where rays go through boxes of points.
+    pub(super) fn note_met(&mut self) {
+        self.met = Some(Vec::new());
+    }
+
+    /// Where rays have gone through boxes of points, if that was noted: each ray, and the distance of the middle.
+    pub(super) fn take_met(&mut self) -> Vec<(usize, f32)> {
+        self.met.take().unwrap_or_default()
+    }
+
+    /// Distance at which the rays first meet a box, if any does.
+    fn first_meeting(&self, bounds: &Aabb) -> Option<f64> {
+        self.beam.span(bounds).map(|(enter, _)| enter)
+    }
+
+    /// Tests the rays against a box that they first meet at `distance`. Near are those from which rays within half the
+    /// gap may meet the box. Rays that are expected to end before it are left out.
+    fn cross(&self, bounds: &Aabb, distance: f64) -> Crossing {
+        let mut crossing = self.rays.cross(bounds, self.gap.at(distance));
+        let mut before_their_ends = 0;
+        for lane in 0..LANES {
+            before_their_ends |= u64::from(crossing.enter_near[lane] < self.all_end[lane]) << lane;
+        }
+        crossing.near &= before_their_ends;
+        crossing.through &= before_their_ends;
+        crossing
+    }
+
+    /// Advances rays through a box of points; those that are then expected to be opaque end behind it.
+    fn absorb(&mut self, crossing: &Crossing, extinction: f64, expected: &Expected) {
+        let opaque_optical_depth = expected.opaque_optical_depth * self.reach;
+        let (mut lanes, mut ended) = (crossing.through, false);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            if let Some(met) = self.met.as_mut().filter(|met| met.len() < MOST_MET) {
+                met.push((lane, crossing.exit[lane] - 0.5 * crossing.length[lane]));
+            }
+            self.optical_depth[lane] += extinction as f32 * crossing.length[lane];
+            if self.optical_depth[lane] >= opaque_optical_depth {
+                self.ends[lane] = self.ends[lane].min(crossing.exit[lane]);
+                ended = true;
+            }
+        }
+        if ended {
+            self.end_all(expected.careful && self.gap.is_lattice);
+        }
+    }
+
+    /// Updates where all rays around each have ended. Rays between those of the lattice may pass an edge that these meet: with
+    /// `careful`, each goes on as far as any of its neighbours.
+    fn end_all(&mut self, careful: bool) {
+        if !careful {
+            self.all_end = self.ends;
+            return;
+        }
+        for lane in 0..LANES {
+            let (column, row) = (lane % 8, lane / 8);
+            let columns = column.saturating_sub(1)..=(column + 1).min(7);
+            let rows = row.saturating_sub(1)..=(row + 1).min(7);
+            let around = rows.flat_map(|row| columns.clone().map(move |column| row * 8 + column));
+            self.all_end[lane] = around.map(|other| self.ends[other]).fold(0.0, f32::max);
+        }
+    }
+
+    /// Reports, nearest first, the nodes that the rays are expected to reach.
+    pub(super) fn explore(&mut self, root: Node, expected: &Expected, terrain: &mut impl OctreeView) {
+        let mut heap = BinaryHeap::new();
+        let mut found = vec![root];
+        loop {
+            for node in found.drain(..) {
+                let meeting = self.first_meeting(&terrain.bounds(&node));
+                heap.extend(meeting.map(|distance| Ahead { distance, node }));
+            }
+            let Some(Ahead { distance, node }) = heap.pop() else { return };
+            let bounds = terrain.bounds(&node);
+            let crossing = self.cross(&bounds, distance);
+            if crossing.near == 0 {
+                continue;
+            }
+            terrain.want(&node);
+            if node.child_mask == 0 {
+                self.absorb(&crossing, expected.extinction(&node, &bounds), expected);
+            } else {
+                terrain.children(&node, &mut found);
+            }
+        }
+    }
+}
+
+/// The octree as the probe rays see it.
+pub(super) trait OctreeView {
+    /// Bounds of influence of all points below a node.
+    fn bounds(&self, node: &Node) -> Aabb;
+
+    /// Appends the children of a node that are in memory.
+    fn children(&mut self, node: &Node, found: &mut Vec<Node>);
+
+    /// Called for each node that rays are expected to reach.
+    fn want(&mut self, node: &Node);
+}
+
+/// A node ahead of the rays, with the distance at which they meet it.
+struct Ahead {
+    distance: f64,
+    node: Node,
+}
+
+impl PartialEq for Ahead {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+impl Eq for Ahead {}
+impl PartialOrd for Ahead {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Ahead {
+    /// Reversed, so that the heap yields the nearest node first.
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.distance.total_cmp(&self.distance)
+    }
+}
+
+/// The expected effect of a cloud's nodes on light, from their records only.
+pub(super) struct Expected {
+    transfer: OpacityRule,
+    unit_distance: f64,
+    /// ∫ω dV of a point of radius one.
+    point_integral: f64,
+    normalised: bool,
+    /// Optical depth behind which nothing is expected to be visible.
+    opaque_optical_depth: f32,
+    /// Whether a page that has to be waited for costs far more than one that is read in vain.
+    careful: bool,
+}
+
+impl Expected {
+    /// The effect with a safety factor on the optical depth: densities vary, and a page that is read in vain costs less than one
+    /// that has to be waited for, the more so if it is far away.
+    pub(super) fn new(shading: &CloudShading, stop_transmittance: f32, far: bool) -> Self {
+        const MARGIN: f32 = 1.2;
+        const MARGIN_FAR: f32 = 1.5;
+        let margin = if far { MARGIN_FAR } else { MARGIN };
+        Self {
+            transfer: shading.opacity.clone(),
+            unit_distance: shading.unit_distance,
+            point_integral: shading.kernel.integral(),
+            normalised: shading.normalised,
+            opaque_optical_depth: -stop_transmittance.ln() * margin,
+            careful: far,
+        }
+    }
+
+    /// Extinction, per unit of world space, of the mean density of all points below a node, averaged over their bounds
+    /// of influence.
+    fn extinction(&self, node: &Node, bounds: &Aabb) -> f64 {
+        let radius = (f64::from(node.radius_min) * f64::from(node.radius_max)).sqrt();
+        let point = if self.normalised { 1.0 } else { self.point_integral * radius.powi(3) };
+        let density = node.weight_sum * point / bounds.size().element_product();
+        self.transfer.extinction(density, self.unit_distance)
+    }
+}

@@ -1,0 +1,499 @@
+//! The reference renderer: the same rays, samples, operators and lighting as the ray tracer, one sample at a time, over
+//! brute-force fields in `f64`. It is slow by design and shares no code with the ray tracer except the scene
+//! description and the closed forms of procedural fields. The step is a parameter. The fields of clouds may be supplied
+//! from outside; the renderer is then the discrete ray tracer with which samples of another engine are compared.
+
+mod grid;
+mod maps;
+mod shared;
+mod tree;
+
+use std::sync::Arc;
+
+use self::shared::SharedShadows;
+use crate::field::AttributeColumns;
+use crate::field::reference::{ReferenceField, ReferenceSample};
+use crate::scene::{
+    Camera, CameraError, Channel, CloudObject, ColorRule, GridObject, LightKind, Lighting, MAX_OPACITY,
+    MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer,
+};
+use rayset_base::geometry::{DAffine3, DMat3, DVec3, Ray};
+use rayset_store::container::ScanError;
+
+/// A pixel: premultiplied colour in linear light, and opacity.
+pub type ReferencePixel = [f64; 4];
+
+/// The purpose for which a field is sampled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// What is visible along a ray.
+    Opacity,
+    /// How much of a light reaches a sample.
+    Shadow,
+}
+
+/// The field of a cloud, supplied by another engine that is to produce the same picture.
+pub trait PointField {
+    /// Announces a ray, in the cloud's space; the samples on it follow in this order.
+    fn ray(&self, _ray: &Ray, _purpose: Purpose) {}
+
+    /// The field at a position in the cloud's space. Attributes are those of all columns of the cloud's file, colours
+    /// first, numbered as by [`AttributeColumns`]; empty if no point reaches the position.
+    fn sample(&self, q: DVec3, purpose: Purpose) -> ReferenceSample;
+}
+
+/// The source of a cloud's field.
+enum Loaded<'a> {
+    Points(ReferenceField),
+    Given(&'a dyn PointField),
+}
+
+/// The source of a cloud's field, for one ray.
+enum Along<'a> {
+    /// The points that reach the ray.
+    Near(ReferenceField),
+    Given(&'a dyn PointField, Purpose),
+    Nothing,
+}
+
+/// A scene whose clouds are in memory, as lists of points, or supplied from outside.
+pub struct ReferenceRenderer<'a> {
+    scene: &'a Scene,
+    clouds: Vec<(*const Node, Loaded<'a>)>,
+    grids: Vec<(*const Node, Vec<f32>)>,
+    /// Names of the attributes that transfer functions read.
+    names: Vec<Arc<str>>,
+}
+
+/// Why the reference renderer could not load a scene.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReferenceError {
+    /// A cloud or a grid cannot be read.
+    #[error(transparent)]
+    File(#[from] ScanError),
+}
+
+/// The output of a node at one position.
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    opacity: f64,
+    color: [f64; 3],
+    /// Of length one or zero, world space.
+    normal: DVec3,
+    /// Signed distance to the boundary that the normal belongs to, world space; negative inside.
+    boundary: f64,
+    material: [f64; 6],
+    /// In the order of [`ReferenceRenderer::names`].
+    attributes: [f64; MOST_ATTRIBUTES],
+}
+
+const NOTHING: Sample = Sample {
+    opacity: 0.0,
+    color: [0.0; 3],
+    normal: DVec3::ZERO,
+    boundary: f64::INFINITY,
+    material: [0.0; 6],
+    attributes: [0.0; MOST_ATTRIBUTES],
+};
+
+/// The part of a graph that one ray can meet: fields without the points that are out of its reach.
+enum Seen<'a> {
+    Cloud { object: &'a CloudObject, field: Along<'a> },
+    Grid { object: &'a GridObject, voxels: &'a [f32] },
+    Procedural(&'a dyn Procedural),
+    Operator(Operator, Vec<SeenNode<'a>>),
+}
+
+struct SeenNode<'a> {
+    seen: Seen<'a>,
+    local_from_world: DAffine3,
+    transfers: &'a [Transfer],
+    material: Material,
+}
+
+impl<'a> ReferenceRenderer<'a> {
+    /// Reads all clouds and grids of a scene.
+    ///
+    /// # Errors
+    /// [`ReferenceError`] if a file cannot be read or is damaged.
+    pub fn load(scene: &'a Scene) -> Result<Self, ReferenceError> {
+        let names = scene.root.attributes_read();
+        let mut reference_renderer = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
+        reference_renderer.load_node(&scene.root, &mut |_| None)?;
+        Ok(reference_renderer)
+    }
+
+    /// As [`load`](Self::load), but with fields supplied from outside for the clouds of the scene.
+    ///
+    /// # Errors
+    /// [`ReferenceError`] if a grid cannot be read.
+    pub fn with_fields(
+        scene: &'a Scene,
+        mut field: impl FnMut(&CloudObject) -> &'a dyn PointField,
+    ) -> Result<Self, ReferenceError> {
+        let names = scene.root.attributes_read();
+        let mut reference_renderer = Self { scene, clouds: Vec::new(), grids: Vec::new(), names };
+        reference_renderer.load_node(&scene.root, &mut |object| Some(field(object)))?;
+        Ok(reference_renderer)
+    }
+
+    fn load_node(
+        &mut self,
+        node: &Arc<Node>,
+        given: &mut dyn FnMut(&CloudObject) -> Option<&'a dyn PointField>,
+    ) -> Result<(), ReferenceError> {
+        let known = |(at, _): &(*const Node, Loaded<'a>)| *at == Arc::as_ptr(node);
+        match &node.shape {
+            Shape::Cloud(object) if !self.clouds.iter().any(known) => {
+                if let Some(field) = given(object) {
+                    self.clouds.push((Arc::as_ptr(node), Loaded::Given(field)));
+                    return Ok(());
+                }
+                let (kernel, normalised) = (object.kernel, object.normalised);
+                let header = object.cloud.header();
+                let everything = AttributeColumns {
+                    color: header.has_color,
+                    scalars: (0..header.attributes.len() + 3).collect(),
+                    labels: Vec::new(),
+                };
+                let field = ReferenceField::load(&object.cloud, kernel, normalised, &everything)?;
+                self.clouds.push((Arc::as_ptr(node), Loaded::Points(field)));
+                Ok(())
+            }
+            Shape::Grid(object) => {
+                self.grids.push((Arc::as_ptr(node), object.grid.load()?));
+                Ok(())
+            }
+            Shape::Cloud(_) | Shape::Procedural(_) => Ok(()),
+            Shape::Operator(_, children) => {
+                children.iter().try_for_each(|child| self.load_node(child, given))
+            }
+        }
+    }
+
+    /// Sum of the shading vectors of a ray's samples, weighted by their contribution to the ray; not normalised.
+    ///
+    /// # Errors
+    /// [`CameraError`] if the camera is invalid.
+    pub fn normal(
+        &self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        step_world: f64,
+        x: u32,
+        y: u32,
+    ) -> Result<DVec3, CameraError> {
+        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
+        let mut sum = DVec3::ZERO;
+        let sample_offset = settings.sample_offset_of(x, y);
+        self.march(
+            settings,
+            &ray,
+            sample_offset,
+            step_world,
+            (f64::INFINITY, Purpose::Opacity),
+            |_, sample, share| {
+                sum += sample.normal * share;
+            },
+        );
+        Ok(sum)
+    }
+
+    /// Visits every sample of a ray before `end` that is not transparent, front to back; returns the remaining
+    /// transmittance.
+    fn march(
+        &self,
+        settings: &RenderSettings,
+        ray: &Ray,
+        sample_offset: f64,
+        step: f64,
+        (end, purpose): (f64, Purpose),
+        mut visit: impl FnMut(DVec3, &Sample, f64),
+    ) -> f64 {
+        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, purpose));
+        let mut transmittance = 1.0;
+        for t in self.lattice(ray, sample_offset, step).take_while(|t| *t < end) {
+            let q = ray.at(t);
+            let sample = self.sample(&root, q);
+            let passed = self.passed(&sample, step);
+            if passed >= 1.0 {
+                continue;
+            }
+            visit(q, &sample, transmittance * (1.0 - passed));
+            transmittance *= passed;
+            if transmittance < f64::from(settings.stop_transmittance) {
+                break;
+            }
+        }
+        transmittance
+    }
+
+    /// Distances of the samples of a ray that may lie within the bounds of the scene.
+    fn lattice(&self, ray: &Ray, sample_offset: f64, step: f64) -> impl Iterator<Item = f64> + use<> {
+        let (enter, exit) = self.scene.root.bounds().clip(ray).unwrap_or((0.0, -f64::INFINITY));
+        let first = ((enter / step - sample_offset).floor() - 1.0).max(0.0);
+        (0_u64..)
+            .map(move |i| (first + i as f64 + sample_offset) * step)
+            .take_while(move |t| *t <= exit + step)
+    }
+
+    /// Transmittance of one sample.
+    fn passed(&self, sample: &Sample, step: f64) -> f64 {
+        let extinction = -(1.0 - sample.opacity.min(MAX_OPACITY)).ln() / self.scene.unit_distance;
+        (-extinction * step).exp()
+    }
+
+    fn seen<'s>(
+        &'s self,
+        node: &'s Arc<Node>,
+        world_from_parent: &DAffine3,
+        material: Material,
+        (ray, purpose): (&Ray, Purpose),
+    ) -> SeenNode<'s> {
+        let material = node.material.unwrap_or(material);
+        let world_from_local = *world_from_parent * node.parent_from_local;
+        let local_from_world = world_from_local.inverse();
+        let seen = match &node.shape {
+            Shape::Cloud(object) => {
+                let local = Ray {
+                    origin: local_from_world.transform_point3(ray.origin),
+                    direction: local_from_world.transform_vector3(ray.direction).normalize(),
+                };
+                let known = self.clouds.iter().find(|(at, _)| *at == Arc::as_ptr(node));
+                let field = match known {
+                    Some((_, Loaded::Points(field))) => Along::Near(field.near(&local)),
+                    Some((_, Loaded::Given(field))) => {
+                        field.ray(&local, purpose);
+                        Along::Given(*field, purpose)
+                    }
+                    None => Along::Nothing,
+                };
+                Seen::Cloud { object, field }
+            }
+            Shape::Grid(object) => {
+                let known = self.grids.iter().find(|(at, _)| *at == Arc::as_ptr(node));
+                Seen::Grid { object, voxels: known.map_or(&[], |(_, voxels)| voxels) }
+            }
+            Shape::Procedural(field) => Seen::Procedural(&**field),
+            Shape::Operator(operator, children) => {
+                let seen = children
+                    .iter()
+                    .map(|child| self.seen(child, &world_from_local, material, (ray, purpose)));
+                Seen::Operator(*operator, seen.collect())
+            }
+        };
+        SeenNode { seen, local_from_world, transfers: &node.transfers, material }
+    }
+
+    fn sample(&self, node: &SeenNode<'_>, q: DVec3) -> Sample {
+        let mut sample = match &node.seen {
+            Seen::Cloud { object, field } => self.sample_cloud(node, object, field, q),
+            Seen::Grid { object, voxels } => self.sample_grid(node, object, voxels, q),
+            Seen::Procedural(field) => {
+                let s = field.sample(node.local_from_world.transform_point3(q));
+                let (normal, boundary) = surface(node, s.implicit, s.gradient);
+                let opacity = s.opacity.clamp(0.0, MAX_OPACITY);
+                let place = node.local_from_world.transform_point3(q);
+                let attributes = self.attributes(|name| {
+                    let index = field.attributes().iter().position(|own| *own == name)?;
+                    Some(f64::from(field.attribute(index, place)))
+                });
+                let material = node.material.to_array();
+                Sample { opacity, color: s.color, normal, boundary, material, attributes }
+            }
+            Seen::Operator(operator, children) => {
+                let samples: Vec<Sample> = children.iter().map(|child| self.sample(child, q)).collect();
+                combine(*operator, &samples, self.scene.unit_distance)
+            }
+        };
+        for transfer in node.transfers {
+            if !(sample.opacity > 0.0) {
+                break;
+            }
+            let value = |channel: &Channel| match channel {
+                Channel::Opacity => sample.opacity,
+                Channel::Red => sample.color[0],
+                Channel::Green => sample.color[1],
+                Channel::Blue => sample.color[2],
+                Channel::Attribute(name) => {
+                    self.names.iter().position(|known| known == name).map_or(0.0, |at| sample.attributes[at])
+                }
+            };
+            match transfer {
+                Transfer::Opacity { input, curve } => {
+                    sample.opacity = maps::line(curve, value(input), |&o| [o])[0].min(MAX_OPACITY);
+                }
+                Transfer::Color { input, map } => sample.color = maps::color(map, value(input)),
+            }
+        }
+        sample
+    }
+
+    fn sample_cloud(&self, node: &SeenNode<'_>, object: &CloudObject, field: &Along<'_>, q: DVec3) -> Sample {
+        let q = node.local_from_world.transform_point3(q);
+        let s = match field {
+            Along::Near(field) => field.sample(q),
+            Along::Given(field, purpose) => field.sample(q, *purpose),
+            Along::Nothing => ReferenceSample::default(),
+        };
+        let least = 1e-12 * object.largest_point_density();
+        let sum = |channel: usize| s.attributes.get(channel).copied().unwrap_or(0.0);
+        let mean = |channel: usize| if s.density > least { sum(channel) / s.density } else { 0.0 };
+        let header = object.cloud.header();
+        let scalar = |index: usize| mean(index + if header.has_color { 3 } else { 0 });
+        let color = match &object.transfer.color {
+            ColorRule::Uniform(c) => c.map(f64::from),
+            ColorRule::Points => [mean(0), mean(1), mean(2)],
+            ColorRule::Map { map, input: MapInput::Attribute(index) } => maps::color(map, scalar(*index)),
+            ColorRule::Map { map, input: MapInput::Density } => maps::color(map, s.density),
+        };
+        let attributes = self.attributes(|name| header.attribute_number(name).map(scalar));
+        let unit = self.scene.unit_distance;
+        let level = object.transfer.opacity.boundary_density(unit);
+        let (normal, boundary) = surface(node, level - s.density, -s.gradient);
+        let opacity = object.transfer.opacity.opacity(s.density, unit);
+        Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
+    }
+
+    /// The values of all attributes that are read anywhere, for one object; 0 for those it lacks.
+    fn attributes(&self, mut of: impl FnMut(&str) -> Option<f64>) -> [f64; MOST_ATTRIBUTES] {
+        let mut attributes = [0.0; MOST_ATTRIBUTES];
+        for (value, name) in attributes.iter_mut().zip(&self.names) {
+            *value = of(name).unwrap_or(0.0);
+        }
+        attributes
+    }
+
+    /// The light that a sample scatters toward the origin of the ray.
+    fn lit(
+        &self,
+        settings: &RenderSettings,
+        (ray, q): (&Ray, DVec3),
+        sample: &Sample,
+        sample_offset: f64,
+        step: f64,
+        shadows: &mut SharedShadows,
+    ) -> [f64; 3] {
+        let Lighting::Lit(lights) = &self.scene.lighting else { return sample.color };
+        let [ambient, diffuse, specular, shininess, ..] = sample.material;
+        let view = -ray.direction;
+        let mut sum = [0.0; 3];
+        shadows.reaching.resize(lights.len(), 1.0);
+        for (number, light) in lights.iter().enumerate() {
+            let (toward, distance, strength) = match light.kind {
+                LightKind::Ambient => {
+                    for channel in 0..3 {
+                        sum[channel] += sample.color[channel] * ambient * f64::from(light.color[channel]);
+                    }
+                    continue;
+                }
+                LightKind::Headlight => (view, f64::INFINITY, 1.0),
+                LightKind::Directional { direction } => (-direction.normalize(), f64::INFINITY, 1.0),
+                LightKind::Point { position, decays } => {
+                    let toward = position - q;
+                    let strength = if decays { (1.0 / toward.length_squared()).min(1e12) } else { 1.0 };
+                    (toward.normalize_or(DVec3::Y), toward.length(), strength)
+                }
+            };
+            let reaching = if light.throws_shadows() && shadows.are_taken {
+                shadows.reaching[number]
+            } else if light.throws_shadows() && distance > 0.0 {
+                // A sample at most two steps behind a boundary is lit as if it lay on the boundary.
+                let depth = -sample.boundary;
+                let on_boundary = depth > 0.0 && depth <= 2.0 * step;
+                let place = if on_boundary { q + sample.normal * depth } else { q };
+                let (toward, distance) = match light.kind {
+                    LightKind::Point { position, .. } => {
+                        ((position - place).normalize_or(DVec3::Y), position.distance(place))
+                    }
+                    _ => (toward, distance),
+                };
+                let from = Ray { origin: place + toward * (0.5 * step), direction: toward };
+                let end = (distance - 0.5 * step, Purpose::Shadow);
+                self.march(settings, &from, sample_offset, step, end, |_, _, _| {})
+            } else {
+                1.0
+            };
+            shadows.reaching[number] = reaching;
+            let n = sample.normal;
+            if n == DVec3::ZERO {
+                continue;
+            }
+            let half = toward + view;
+            let cosine = if half.length() > 1e-6 { n.dot(half.normalize()).abs().min(1.0) } else { 0.0 };
+            let highlight = if shininess == 0.0 { 1.0 } else { cosine.powf(shininess) };
+            for channel in 0..3 {
+                let given = sample.color[channel] * diffuse * n.dot(toward).abs() + specular * highlight;
+                sum[channel] += given * strength * reaching * f64::from(light.color[channel]);
+            }
+        }
+        sum
+    }
+}
+
+/// Normal and signed distance of a boundary in world space, from the implicit function and its gradient in local space.
+fn surface(node: &SeenNode<'_>, implicit: f64, gradient: DVec3) -> (DVec3, f64) {
+    let to_world: DMat3 = node.local_from_world.matrix3.transpose();
+    let gradient = to_world * gradient;
+    let length = gradient.length();
+    // A gradient too small for single precision has no direction.
+    let normal = if length >= f64::from(f32::MIN_POSITIVE) { gradient / length } else { DVec3::ZERO };
+    (normal, implicit / length)
+}
+
+/// Applies an operator to samples of its children, by the table of operators.
+fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
+    match operator {
+        Operator::Union => samples.iter().skip(1).fold(samples[0], |a, b| {
+            let outside_both = a.opacity == 0.0 && b.opacity == 0.0;
+            if b.opacity > a.opacity || (outside_both && b.boundary < a.boundary) { *b } else { a }
+        }),
+        Operator::Intersection => {
+            let (mut shape, mut attributes) = (samples[0], samples[0]);
+            for s in &samples[1..] {
+                let ends_first = s.opacity == shape.opacity && s.boundary > shape.boundary;
+                if s.opacity < shape.opacity || ends_first {
+                    shape = *s;
+                }
+                if s.opacity > attributes.opacity {
+                    attributes = *s;
+                }
+            }
+            let Sample { color, material, attributes, .. } = attributes;
+            Sample { color, material, attributes, ..shape }
+        }
+        Operator::Difference => samples.iter().skip(1).fold(samples[0], |a, b| {
+            let cut = b.boundary.abs() < a.boundary.abs() && b.boundary.abs() <= reach;
+            let (normal, boundary) = if cut { (-b.normal, -b.boundary) } else { (a.normal, a.boundary) };
+            Sample { opacity: (a.opacity - b.opacity).max(0.0), normal, boundary, ..a }
+        }),
+        Operator::Blend => {
+            let sum: f64 = samples.iter().map(|s| s.opacity).sum();
+            if !(sum > 0.0) {
+                return NOTHING;
+            }
+            let mut mixed = NOTHING;
+            let mut largest = 0.0;
+            for s in samples.iter().filter(|s| s.opacity > 0.0) {
+                for channel in 0..3 {
+                    mixed.color[channel] += s.opacity * s.color[channel] / sum;
+                }
+                for (mixed, value) in mixed.attributes.iter_mut().zip(&s.attributes) {
+                    *mixed += s.opacity * value / sum;
+                }
+                for number in 0..5 {
+                    mixed.material[number] += s.opacity * s.material[number] / sum;
+                }
+                if s.opacity > largest {
+                    (largest, mixed.material[5]) = (s.opacity, s.material[5]);
+                }
+                if s.boundary.abs() < mixed.boundary.abs() {
+                    mixed.boundary = s.boundary;
+                }
+                mixed.normal += s.normal * s.opacity;
+            }
+            Sample { opacity: sum.min(MAX_OPACITY), normal: mixed.normal.normalize_or_zero(), ..mixed }
+        }
+    }
+}

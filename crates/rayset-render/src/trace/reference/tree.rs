@@ -1,0 +1,193 @@
+//! The tree of rays of a pixel: reflection and refraction, ray by ray and sample by sample.
+
+use super::shared::SharedShadows;
+use super::{Purpose, ReferencePixel, ReferenceRenderer};
+use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
+use rayset_base::geometry::{DAffine3, DVec3, Ray};
+
+/// If the reflected light contributes less than this to the pixel, the sample shows its own colour.
+const LEAST_REFLECTED: f64 = 1.0 / 256.0;
+/// Rays that contribute less than this to the pixel are not followed.
+const LEAST_PASSED: f64 = 1.0 / 4096.0;
+
+/// A ray of the tree, with its state.
+pub(super) struct Course {
+    ray: Ray,
+    /// Fraction of the ray's light that reaches the pixel.
+    weight: f64,
+    /// Refractive index at the ray's origin.
+    index: f64,
+    /// Normal of the boundary at the ray's origin.
+    normal: DVec3,
+    depth: u32,
+}
+
+impl Course {
+    pub(super) fn from_eye(ray: Ray) -> Self {
+        Self { ray, weight: 1.0, index: 1.0, normal: DVec3::ZERO, depth: 0 }
+    }
+}
+
+/// Consecutive samples that reflect.
+struct Mirror {
+    weight: f64,
+    place: DVec3,
+    normal: DVec3,
+    color: DVec3,
+}
+
+impl ReferenceRenderer<'_> {
+    /// Renders one pixel with the same step, in world space, on all rays.
+    ///
+    /// # Errors
+    /// [`CameraError`] if the camera is invalid.
+    pub fn pixel(
+        &self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        step_world: f64,
+        x: u32,
+        y: u32,
+    ) -> Result<ReferencePixel, CameraError> {
+        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
+        let sample_offset = settings.sample_offset_of(x, y);
+        let eye = Course::from_eye(ray);
+        let (color, transmittance) = self.follow(settings, &eye, sample_offset, step_world);
+        Ok(match self.scene.background {
+            Some(b) => {
+                let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
+                [behind(0), behind(1), behind(2), 1.0]
+            }
+            None => [color[0], color[1], color[2], 1.0 - transmittance],
+        })
+    }
+
+    /// The light of a ray and of all rays that follow from it, and the fraction of the background that is visible.
+    pub(super) fn follow(
+        &self,
+        settings: &RenderSettings,
+        course: &Course,
+        sample_offset: f64,
+        step: f64,
+    ) -> ([f64; 3], f64) {
+        let ray = &course.ray;
+        let root =
+            self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, Purpose::Opacity));
+        let turns = course.depth < settings.max_depth && self.scene.lighting != Lighting::Unlit;
+        let mut light = DVec3::ZERO;
+        let mut transmittance = 1.0;
+        let mut mirror: Option<Mirror> = None;
+        let mut shadows = SharedShadows::default();
+        let mut index = course.index;
+        // For the last sample inside: distance along the ray, normal, distance to the boundary, reflectance.
+        let mut inside = (0.0, course.normal, 0.0, 0.0);
+        // One sample more after the last, in empty space.
+        let samples: Vec<f64> = self.lattice(ray, sample_offset, step).collect();
+        let beyond = samples.last().map_or(sample_offset * step, |last| last + step);
+        for t in samples.into_iter().chain([beyond]) {
+            let q = ray.at(t);
+            let sample = self.sample(&root, q);
+            if turns {
+                let is_inside = sample.opacity > 0.0 && sample.boundary < 0.0;
+                let here = if is_inside { sample.material[5] } else { 1.0 };
+                let at =
+                    if is_inside { (t, sample.normal, -sample.boundary, sample.material[4]) } else { inside };
+                if is_inside {
+                    inside = at;
+                }
+                let (before, cosine) = (index, at.1.dot(ray.direction).abs());
+                index = here;
+                if here != before && cosine != 0.0 {
+                    let way = (at.2 / cosine).min(step);
+                    let t = if is_inside { (at.0 - way).max(0.0) } else { at.0 + way };
+                    light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                    let go_on = |direction, index, weight| {
+                        let ray = Ray { origin: ray.at(t), direction };
+                        let next = Course { ray, weight, index, normal: at.1, depth: course.depth + 1 };
+                        self.follow(settings, &next, sample_offset, step)
+                    };
+                    let mut weight = transmittance;
+                    let back = ray.direction.reflect(at.1);
+                    let bent = bent(ray.direction, at.1, before / here);
+                    if bent.is_some() && at.3 > 0.0 && course.weight * weight * at.3 >= LEAST_REFLECTED {
+                        let (color, open) = go_on(back, before, course.weight * weight * at.3);
+                        light += weight * at.3 * (DVec3::from_array(color) + open * self.behind());
+                        weight *= 1.0 - at.3;
+                    }
+                    if course.weight * weight < LEAST_PASSED {
+                        return (light.to_array(), 0.0);
+                    }
+                    let (direction, index) = bent.map_or((back, before), |bent| (bent, here));
+                    let (color, open) = go_on(direction, index, course.weight * weight);
+                    return ((light + weight * DVec3::from_array(color)).to_array(), weight * open);
+                }
+            }
+            let passed = self.passed(&sample, step);
+            if passed >= 1.0 {
+                light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                continue;
+            }
+            let share = transmittance * (1.0 - passed);
+            shadows.comes_to((t / step - sample_offset).round() as u64, share);
+            let lit = self.lit(settings, (ray, q), &sample, sample_offset, step, &mut shadows);
+            let own = share * DVec3::from_array(lit);
+            let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };
+            light += (1.0 - reflectance) * own;
+            if reflectance > 0.0 {
+                if mirror.as_ref().is_some_and(|m| m.normal.dot(sample.normal) <= 0.0) {
+                    light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                }
+                let none =
+                    Mirror { weight: 0.0, place: DVec3::ZERO, normal: DVec3::ZERO, color: DVec3::ZERO };
+                let mirror = mirror.get_or_insert(none);
+                let weight = share * reflectance;
+                let depth = -sample.boundary;
+                let reach = self.scene.unit_distance.max(2.0 * step);
+                let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
+                mirror.weight += weight;
+                mirror.place += weight * (q + lift * sample.normal);
+                mirror.normal += weight * sample.normal;
+                mirror.color += reflectance * own;
+            } else {
+                light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+            }
+            transmittance *= passed;
+            if transmittance < f64::from(settings.stop_transmittance) {
+                break;
+            }
+        }
+        light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+        (light.to_array(), transmittance)
+    }
+
+    /// The light reflected by consecutive samples, multiplied by their weight.
+    fn reflected(
+        &self,
+        settings: &RenderSettings,
+        course: &Course,
+        mirror: Option<Mirror>,
+        sample_offset: f64,
+        step: f64,
+    ) -> DVec3 {
+        let Some(mirror) = mirror else { return DVec3::ZERO };
+        let weight = course.weight * mirror.weight;
+        let Some(normal) = mirror.normal.try_normalize().filter(|_| weight >= LEAST_REFLECTED) else {
+            return mirror.color;
+        };
+        let direction = course.ray.direction.reflect(normal);
+        let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * step * direction, direction };
+        let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1 };
+        let (color, open) = self.follow(settings, &next, sample_offset, step);
+        mirror.weight * (DVec3::from_array(color) + open * self.behind())
+    }
+
+    fn behind(&self) -> DVec3 {
+        DVec3::from_array(self.scene.background.unwrap_or_default().map(f64::from))
+    }
+}
+
+/// The refracted direction; `None` for total internal reflection.
+fn bent(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
+    let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
+    Some(direction.refract(normal, ratio)).filter(|bent| *bent != DVec3::ZERO)
+}

@@ -1,0 +1,229 @@
+//! Shadow rays from samples to lights. Traced for every contributing sample, they are the reference, for small
+//! pictures; with deep shadow maps, they decide the samples that the maps cannot.
+
+use super::place::{lit_place, toward};
+use super::world::ShadowWorld;
+use crate::field::{LANES, Packet, SampleRow, Slab};
+use crate::scene::Light;
+use crate::trace::access::{Access, Halt};
+use crate::trace::composite::{Absorption, RayState, Shares};
+use crate::trace::counts::RenderCounts;
+use crate::trace::march::March;
+use crate::trace::node_samples::NodeSamples;
+use crate::trace::secondary::coherent_groups;
+use rayset_base::geometry::Ray;
+
+/// Traces shadow rays in packets of neighbouring samples at the same depth.
+pub(super) struct ShadowRays<'a> {
+    world: &'a ShadowWorld,
+    march: March<'a>,
+    states: [RayState; LANES],
+    shares: Shares,
+}
+
+/// A shadow ray.
+#[derive(Clone, Copy)]
+struct ToLight {
+    ray: Ray,
+    /// The ray's sample offset, in steps.
+    sample_offset: f64,
+    /// Distance of the light; infinite for a directional light.
+    light: f64,
+    lane: usize,
+    /// Sample number within the slab.
+    j: usize,
+}
+
+impl<'a> ShadowRays<'a> {
+    pub(super) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
+        Self {
+            world,
+            march: March::new(&world.program, slab_samples),
+            states: [RayState::START; LANES],
+            shares: Shares::new(),
+        }
+    }
+
+    /// Fills the rows of some samples, a bit for each: sample after sample, each on all rays, so that a packet of shadow rays
+    /// has origins at about the same depth.
+    #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
+    pub(super) fn find(
+        &mut self,
+        access: Access<'_>,
+        light: &Light,
+        packet: &Packet,
+        slab: Slab,
+        node: &NodeSamples,
+        samples: &[u32; LANES],
+        counts: &mut RenderCounts,
+        rows: &mut [SampleRow],
+    ) -> Result<(), Halt> {
+        if access.foresees.is_some() {
+            self.ask_ahead(access, light, packet, slab, node, samples);
+            if access.is_lacking() {
+                return Ok(());
+            }
+        }
+        let mut rays = Vec::with_capacity(LANES);
+        for (lane, j) in lit(packet, slab, samples) {
+            match to_light(light, packet, slab, node, (lane, j)) {
+                Some(ray) => rays.push(ray),
+                // The sample is at the position of the light.
+                None => rows[lane].0[j] = 1.0,
+            }
+            if rays.len() == LANES {
+                self.trace_all(access, &rays, counts, rows)?;
+                rays.clear();
+            }
+        }
+        self.trace_all(access, &rays, counts, rows)
+    }
+
+    /// Asks for the pages that the rays of some samples are expected to need.
+    fn ask_ahead(
+        &self,
+        access: Access<'_>,
+        light: &Light,
+        packet: &Packet,
+        slab: Slab,
+        node: &NodeSamples,
+        samples: &[u32; LANES],
+    ) {
+        let rays = lit(packet, slab, samples).filter_map(|of| to_light(light, packet, slab, node, of));
+        let rays: Vec<Ray> = rays.map(|to| to.ray).collect();
+        self.world.foresight.ask(&self.world.program, access, rays.chunks(LANES));
+    }
+
+    /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were traced alone.
+    fn trace_all(
+        &mut self,
+        access: Access<'_>,
+        rays: &[ToLight],
+        counts: &mut RenderCounts,
+        rows: &mut [SampleRow],
+    ) -> Result<(), Halt> {
+        if rays.is_empty() {
+            return Ok(());
+        }
+        let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
+        for group in self.world.steps.groups(access, &self.world.program, &primary)? {
+            for members in coherent_groups(|i| &primary[i].0, group.members, group.step) {
+                let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
+                self.trace(access, &rays, group.step, counts)?;
+                for (place, to) in rays.iter().enumerate() {
+                    rows[to.lane].0[to.j] = self.states[place].transmittance as f32;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset) steps from its start, so
+    /// that no sample shadows itself.
+    fn trace(
+        &mut self,
+        access: Access<'_>,
+        rays: &[ToLight],
+        step: f64,
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
+        let shifted: Vec<(Ray, f64)> =
+            rays.iter().map(|r| (Ray { origin: r.ray.at(0.5 * step), ..r.ray }, r.sample_offset)).collect();
+        let packet = Packet::new(&shifted, step);
+        let limits: Vec<f64> = rays.iter().map(|r| r.light - 0.5 * step).collect();
+        self.states.fill(RayState::START);
+        counts.shadow_rays += rays.len() as u64;
+        let absorption = Absorption { ..self.world.absorption };
+        self.march.begin(&packet);
+        let mut node = self.march.node_samples();
+        let outcome = self.pass(access, &packet, &limits, &absorption, &mut node, counts);
+        self.march.give_back(node);
+        outcome
+    }
+
+    fn pass(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        limits: &[f64],
+        absorption: &Absorption,
+        node: &mut NodeSamples,
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
+        let mut going = packet.all();
+        let mut from = 0;
+        while going != 0
+            && let Some(slab) = self.march.next_slab(from)
+        {
+            from = slab.end();
+            self.march.expect_ends(self.world.absorption.remaining(packet, &self.states));
+            self.march.evaluate(access, packet, slab, going, counts, node)?;
+            if limits.iter().any(|limit| limit.is_finite()) {
+                cut_off(packet, slab, limits, node);
+                // Rays that have reached their light end.
+                for (lane, limit) in limits.iter().enumerate() {
+                    if packet.sample_t_world(lane, slab.end()) >= *limit {
+                        going &= !(1 << lane);
+                    }
+                }
+                let reached = packet.all() & !going;
+                let open = absorption.absorb(
+                    packet,
+                    slab,
+                    node,
+                    going | reached & node.touched,
+                    &mut self.states,
+                    &mut self.shares,
+                );
+                going &= open;
+            } else {
+                going = absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Makes everything behind the light transparent.
+fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) {
+    for (lane, limit) in limits.iter().enumerate() {
+        for j in 0..slab.samples {
+            if packet.sample_t_world(lane, slab.first + j as u64) >= *limit {
+                node.opacity[lane].0[j] = 0.0;
+            }
+        }
+    }
+}
+
+/// The lanes and numbers of the samples of a slab whose bits are set: sample after sample, each on all rays.
+fn lit<'s>(
+    packet: &Packet,
+    slab: Slab,
+    samples: &'s [u32; LANES],
+) -> impl Iterator<Item = (usize, usize)> + use<'s> {
+    let lanes = packet.len();
+    let any = samples.iter().fold(0, |any, lane| any | lane);
+    let numbers = (0..slab.samples).filter(move |j| any >> j & 1 == 1);
+    numbers.flat_map(move |j| {
+        (0..lanes).filter(move |&lane| samples[lane] >> j & 1 == 1).map(move |lane| (lane, j))
+    })
+}
+
+/// The ray from a sample to a light; `None` if the sample is at the position of the light.
+fn to_light(
+    light: &Light,
+    packet: &Packet,
+    slab: Slab,
+    node: &NodeSamples,
+    (lane, j): (usize, usize),
+) -> Option<ToLight> {
+    let origin = lit_place(packet, node, lane, slab.first + j as u64, j);
+    let (direction, distance) = toward(light, origin)?;
+    Some(ToLight {
+        ray: Ray { origin, direction },
+        sample_offset: packet.sample_offset(lane),
+        light: distance,
+        lane,
+        j,
+    })
+}

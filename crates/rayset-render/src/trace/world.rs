@@ -1,0 +1,67 @@
+//! A scene compiled for tracing: immutable, shared by all threads.
+
+use super::RenderError;
+use super::bounce::Bounces;
+use super::composite::Absorption;
+use super::predict::Foresight;
+use super::program::{Program, Purpose};
+use super::shade::Shader;
+use super::shadow::ShadowWorld;
+use super::steps::StepRule;
+use crate::field::SimdLevel;
+use crate::scene::{Lighting, RenderSettings, Scene};
+use rayset_files::PagedFiles;
+
+/// Everything that a thread needs to trace a packet.
+pub(super) struct World {
+    pub(super) program: Program,
+    /// `None` if no light casts shadows.
+    pub(super) shadows: Option<ShadowWorld>,
+    pub(super) shader: Shader,
+    pub(super) steps: StepRule,
+    pub(super) absorption: Absorption,
+    /// What rays are expected to need.
+    pub(super) foresight: Foresight,
+    /// `None` if no ray is reflected or refracted.
+    pub(super) bounces: Option<Bounces>,
+    /// Whether layers are requested besides the colour of pixels.
+    pub(super) layers: bool,
+    pub(super) background: Option<[f32; 3]>,
+}
+
+impl World {
+    /// Compiles a scene that has been checked.
+    pub(super) fn compile(
+        scene: &Scene,
+        settings: &RenderSettings,
+        simd: SimdLevel,
+        paged: &PagedFiles,
+    ) -> Result<Self, RenderError> {
+        let purpose = if settings.records_layers() { Purpose::Layers } else { Purpose::Picture };
+        let program = Program::compile(scene, purpose, simd, paged)?;
+        let shader = Shader::new(&scene.lighting, program.constants, simd);
+        let absorption = Absorption {
+            unit_distance: scene.unit_distance,
+            stop_transmittance: f64::from(settings.stop_transmittance),
+            simd,
+        };
+        let bounces = Bounces {
+            turns: program.turns(),
+            max_depth: settings.max_depth,
+            reach_world: scene.unit_distance,
+        };
+        let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
+        let steps = StepRule::new(&program, settings)?;
+        Ok(Self {
+            shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
+            bounces: turn_rays.then_some(bounces),
+            steps,
+            foresight: Foresight::new(&program, absorption.stop_transmittance),
+            program,
+            shader,
+            absorption,
+            layers: settings.records_layers(),
+            background: scene.background,
+        })
+    }
+}

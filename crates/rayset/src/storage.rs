@@ -1,0 +1,18 @@
+//! Sources of the bytes of cloud and grid files, and how they are read: a file on disk, bytes in memory, an object that is far
+//! away, or a user's implementation.
+//!
+//! Local files share one way of reading ([`BackendKind`]), whatever their number. An object that is far away brings its own
+//! ([`FarStorage`]). None of this can change a picture.
+
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub use rayset_store::storage::*;
+pub use rayset_store::storage::{
+    Addresses, BackendKind, FarCounts, FarOptions, FarStorage, FileStorage, MemoryStorage, RangeError,
+    RangeReader, RangeSink, RequestLimit, Storage, open_addresses_with,
+};
+#[doc(hidden)]
+pub use rayset_store::storage::{
+    Behaviour, InputFile, Named, OVERHEAD_BYTES, PageBuffer, Rate, SimulatedCounts, SimulatedObject,
+    address_of, beside, is_file, local, look, look_again, open, redacted, shown, transport,
+};
