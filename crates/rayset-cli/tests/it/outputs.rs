@@ -7,7 +7,7 @@ use std::io::{Read, Write};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, symlink};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::Barrier;
+use std::sync::{Arc, Barrier};
 use std::time::{Duration, Instant};
 
 use rayset::octree::Cloud;
@@ -419,6 +419,17 @@ fn wait_for_partial(folder: &Path, child: &mut Child) -> bool {
     true
 }
 
+/// Lets children hear SIGINT although whoever started these tests ignores it, as shells do for what runs in the background: a
+/// signal that is caught is not ignored in children.
+fn let_children_be_interrupted() {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored =
+        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    if ignored.is_some_and(|signals| signals >> (signal_hook::consts::SIGINT - 1) & 1 == 1) {
+        signal_hook::flag::register(signal_hook::consts::SIGINT, Arc::default()).expect("it can be caught");
+    }
+}
+
 fn send(signal: &str, child: &Child) {
     let sent = Command::new("/bin/sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
     assert!(sent.expect("a shell").success());
@@ -426,6 +437,7 @@ fn send(signal: &str, child: &Child) {
 
 #[test]
 fn a_signal_ends_a_run_with_its_number_and_a_line_and_leaves_nothing() {
+    let_children_be_interrupted();
     let folder = with_cloud();
     let f = folder.path();
     succeeds(f, &["generate", "sphere-400k", "-o", "many.ply"]);
@@ -498,6 +510,7 @@ fn a_signal_removes_the_folder_of_a_demonstration_and_an_ignored_one_stays_ignor
 
 #[test]
 fn a_second_signal_ends_at_once_what_the_first_could_not() {
+    let_children_be_interrupted();
     let folder = folder();
     let f = folder.path();
     // Nobody reads what is said, and there is no room for more: the line that the first signal asks for waits.
