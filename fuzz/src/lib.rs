@@ -205,7 +205,7 @@ fn data_of_scenes() {
     let source = layout.open(&raw).expect("it opens");
     grid_build::build(
         source,
-        &folder().join("grid.rset"),
+        folder().join("grid.rset"),
         &GridBuildOptions::default(),
         &rayset::build::BuildControl::default(),
     )

@@ -152,12 +152,10 @@ fn run(
     let of_library = options.of_library();
     let work = || {
         let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
+        let builder = Cloud::builder().sources([source]).options(of_library).control(control);
         match &options.path {
-            Some(path) => {
-                build::to_file(vec![source], path, &of_library, &control).map(|report| (None, report))
-            }
-            None => build::in_memory(vec![source], &of_library, &control)
-                .map(|(cloud, report)| (Some(cloud), report)),
+            Some(path) => builder.write(path).map(|report| (None, report)),
+            None => builder.build_reported().map(|(cloud, report)| (Some(cloud), report)),
         }
     };
     let outcome = wait::run(py, &cancel, &progress, told, work);

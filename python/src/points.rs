@@ -115,10 +115,11 @@ pub(crate) fn build_files(
         let control = BuildControl::from(&progress as &dyn build::Progress)
             .with_cancel(&cancel)
             .with_leaving_out(&leaves_out);
+        let builder = Cloud::builder().sources(open.sources).options(open.options).control(control);
         let (cloud, report) = match &options.path {
-            Some(path) => (None, build::to_file(open.sources, path, &open.options, &control)?),
+            Some(path) => (None, builder.write(path)?),
             None => {
-                let (cloud, report) = build::in_memory(open.sources, &open.options, &control)?;
+                let (cloud, report) = builder.build_reported()?;
                 (Some(cloud), report)
             }
         };

@@ -8,7 +8,7 @@ use anyhow::Result;
 use rayset::CancelToken;
 use rayset::Cloud;
 use rayset::SimdLevel;
-use rayset::build::{self, BuildControl, BuildOptions};
+use rayset::build::{self, BuildOptions};
 use rayset::memory::{Limits, Statistics};
 use rayset::points::{self, ReadOptions, Workload};
 use rayset::scene::Kernel;
@@ -109,7 +109,7 @@ impl Prepared {
             .with_threads(threads);
         let source = points::open(&ply, &ReadOptions::default())?;
         let started = Instant::now();
-        build::to_file(vec![source], &path, &options, &BuildControl::default())?;
+        Cloud::builder().sources([source]).options(options).write(&path)?;
         let build_seconds = started.elapsed().as_secs_f64();
         let cloud = Arc::new(Cloud::open(&path)?);
         Ok(Self { workload: *workload, cloud, build_seconds })

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
+use rayset::Cloud;
 use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
 use rayset::output::Destination;
@@ -140,7 +141,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let meter = Meter::new("points", args.json);
     let leaves_out = |source: usize, error: &ReadError| left_out.takes(source, error);
     let control = build::BuildControl::from(&meter as &dyn build::Progress).with_leaving_out(&leaves_out);
-    let built = build::to_file(sources, &args.output, &options, &control);
+    let built = Cloud::builder().sources(sources).options(options).control(control).write(&args.output);
     meter.finish();
     let built = built.map_err(|e| name_smallest_budget(e, budget(args)))?;
     present(&args.output, &built, args.json)?;

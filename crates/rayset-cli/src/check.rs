@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use rayset::memory::{self, SceneNeeds};
+use rayset::memory::SceneNeeds;
 use rayset::scene::{Lighting, Shape};
 use rayset::scene_file::SceneFile;
 
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &CheckArgs) -> Result<()> {
     report::say(format_args!("unit distance  {}", scene.unit_distance));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let (width, height) = (settings.width, settings.height);
-    if let Ok(plan) = memory::plan(&needs, width, height, threads, PROCESS_BYTES, u64::MAX / 2) {
+    if let Ok(plan) = needs.with_threads(threads).with_process(PROCESS_BYTES).plan(u64::MAX / 2) {
         report::say(format_args!(
             "memory         a {width}x{height} picture runs in {} and runs well in {}",
             report::bytes(plan.least_bytes),

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::Args;
+use rayset::Cloud;
 use rayset::build::{self, BuildOptions};
 use rayset::output::Destination;
 use rayset::points::Workload;
@@ -85,13 +86,9 @@ pub(crate) fn make_cloud(workload: &Workload, memory: u64, folder: &Path) -> Res
         .with_memory_bytes(Budget::near(memory).left());
     let source = rayset::points::open(&points, &rayset::points::ReadOptions::default())?;
     let meter = Meter::new("points", false);
-    let built = build::to_file(
-        vec![source],
-        &cloud,
-        &options,
-        &build::BuildControl::from(&meter as &dyn build::Progress),
-    )
-    .map_err(|e| crate::budget::name_smallest_budget(e, Budget::near(memory)))?;
+    let control = build::BuildControl::from(&meter as &dyn build::Progress);
+    let built = (Cloud::builder().sources([source]).options(options).control(control).write(&cloud))
+        .map_err(|e| crate::budget::name_smallest_budget(e, Budget::near(memory)))?;
     meter.finish();
     report::say(format_args!(
         "   {} of pages, {:.1} times the memory that may be used",

@@ -6,7 +6,8 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use rayset::build::{self, BuildControl, BuildOptions, Rule};
+use rayset::Cloud;
+use rayset::build::{BuildOptions, Rule};
 use rayset::build::{GridBuildOptions, grid_to_file};
 use rayset::geometry::{Aabb, DAffine3, DVec3};
 use rayset::output::Destination;
@@ -242,7 +243,7 @@ impl Preparation<'_> {
         let pose = if scan.is_some() { pose } else { Pose::default() };
         let standing = standing(&mut *open()?, pose)?;
         let moved = Moved { source: open()?, by: standing, selected: Vec::new() };
-        build::to_file(vec![Box::new(moved)], &path, &self.build_options(), &BuildControl::default())?;
+        Cloud::builder().source(moved).options(self.build_options()).write(&path)?;
         Ok(())
     }
 
@@ -273,7 +274,7 @@ impl Preparation<'_> {
         let started = std::time::Instant::now();
         let cloud = self.folder.join("statue.rset");
         self.output(&cloud)?;
-        let built = build::to_file(vec![source], &cloud, &options, &BuildControl::default())?;
+        let built = Cloud::builder().sources([source]).options(options).write(&cloud)?;
         report::say(format_args!(
             "{} points, {} on disk, {:.1} s, peak memory {}",
             report::count(built.points),
@@ -305,7 +306,7 @@ impl Preparation<'_> {
         let first = TemporaryFolder::within(self.folder, "range")?;
         let header = grid_to_file(
             open()?,
-            &first.path().join("volume.rset"),
+            first.path().join("volume.rset"),
             &self.grid_options(),
             &rayset::build::BuildControl::default(),
         )?;

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use rayset::file::{AttributeInfo, Column};
 use rayset::geometry::{Aabb, DVec3};
-use rayset::memory::{self, SceneNeeds};
+use rayset::memory::SceneNeeds;
 use rayset::scene::{CloudObject, RenderSettings, Scene};
 use rayset::{Cloud, Grid};
 
@@ -175,15 +175,9 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let h = cloud.header();
     let scene = Scene::of_cloud(CloudObject::plain(cloud.clone()));
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let plan = memory::plan(
-        &SceneNeeds::of(&scene, &RenderSettings::default()),
-        512,
-        512,
-        threads,
-        PROCESS_BYTES,
-        u64::MAX / 2,
-    )
-    .map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
+    let needs = SceneNeeds::of(&scene, &RenderSettings::default().with_size(512, 512));
+    let plan = needs.with_threads(threads).with_process(PROCESS_BYTES).plan(u64::MAX / 2);
+    let plan = plan.map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
     let info = Info {
         points: h.points,
         skipped: h.skipped,

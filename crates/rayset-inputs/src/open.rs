@@ -261,7 +261,11 @@ impl Work<'_> {
         let reported = Reported { host, unit: "points" };
         let leaves_out = |source: usize, error: &ReadError| left_out.takes(source, error);
         let control = control(&reported).with_leaving_out(&leaves_out);
-        let done = build::to_file(sources, output, &options.with_threads(threads), &control)?;
+        let done = Cloud::builder()
+            .sources(sources)
+            .options(options.with_threads(threads))
+            .control(control)
+            .write(output)?;
         done.remarks.iter().for_each(|remark| self.said.remark(remark));
         if let Some(remark) = left_out.remark() {
             self.said.remark(&remark);

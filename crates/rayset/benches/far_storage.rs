@@ -133,7 +133,8 @@ fn sphere(folder: &Path, name: &str, translucent: bool) -> Case {
     let path = folder.join(format!("{name}.rset"));
     if !path.exists() {
         let options = BuildOptions::default().with_radius(workload.radius().map(Rule::Number));
-        build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a build");
+        rayset::octree::build::run(vec![workload.source()], &path, &options, &BuildControl::default())
+            .expect("a build");
     }
     let near = Arc::new(Cloud::open(&path).expect("a cloud"));
     let (object, far) = far_cloud(&path);

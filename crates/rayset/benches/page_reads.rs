@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use rayset::PagedFiles;
-use rayset::build::{self, BuildControl, BuildOptions, Rule};
+use rayset::build::{BuildControl, BuildOptions, Rule};
 use rayset::geometry::curve::hilbert_order;
 use rayset::octree::Cloud;
 use rayset::points::Workload;
@@ -169,7 +169,8 @@ fn cloud(folder: &Path, name: &str) -> Arc<Cloud> {
     if !path.exists() {
         let workload: Workload = name.parse().expect("a workload");
         let options = BuildOptions { radius: workload.radius().map(Rule::Number), ..BuildOptions::default() };
-        build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a cloud");
+        rayset::octree::build::run(vec![workload.source()], &path, &options, &BuildControl::default())
+            .expect("a cloud");
     }
     Arc::new(Cloud::open(&path).expect("it opens"))
 }

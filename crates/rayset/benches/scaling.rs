@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use rayset::PagedFiles;
-use rayset::build::{self, BuildControl, BuildOptions, Rule};
+use rayset::build::{BuildControl, BuildOptions, Rule};
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::parts::{PartOptions, Share};
@@ -70,8 +70,13 @@ fn make_cloud(options: &Options<'_>) {
     let build_options = BuildOptions { radius, ..BuildOptions::default() };
     PointSource::select(&mut source, &[]);
     let started = Instant::now();
-    build::to_file(vec![Box::new(source)], Path::new(&out), &build_options, &BuildControl::default())
-        .expect("a cloud");
+    rayset::octree::build::run(
+        vec![Box::new(source)],
+        Path::new(&out),
+        &build_options,
+        &BuildControl::default(),
+    )
+    .expect("a cloud");
     let seconds = started.elapsed().as_secs_f64();
     let cloud = Cloud::open(Path::new(&out)).expect("it opens");
     println!(

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rayset::build::{BuildControl, BuildError, BuildOptions, Rule, to_file};
+use rayset::build::{BuildControl, BuildError, BuildOptions, Rule};
 use rayset::memory::Limits;
 use rayset::points::Workload;
 use rayset::scene::{Camera, CloudObject, OpacityRule, RenderSettings, Scene};
@@ -34,7 +34,8 @@ fn cloud(folder: &Path, name: &str) -> Arc<Cloud> {
     if !path.exists() {
         let workload: Workload = name.parse().expect("a workload");
         let options = BuildOptions { radius: workload.radius().map(Rule::Number), ..BuildOptions::default() };
-        to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a cloud");
+        rayset::octree::build::run(vec![workload.source()], &path, &options, &BuildControl::default())
+            .expect("a cloud");
     }
     Arc::new(Cloud::open(&path).expect("it opens"))
 }
@@ -128,7 +129,7 @@ fn building(folder: &Path) {
     let options = BuildOptions { threads: 2, ..BuildOptions::default() };
     let build = |cancel: &CancelToken| {
         let control = BuildControl { cancel: cancel.clone(), ..BuildControl::default() };
-        let outcome = to_file(vec![workload.source()], &path, &options, &control);
+        let outcome = rayset::octree::build::run(vec![workload.source()], &path, &options, &control);
         let cancelled = matches!(outcome, Err(BuildError::Cancelled));
         assert!(cancelled || outcome.is_ok());
         let left = std::fs::read_dir(&place).expect("the folder").count();

@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use rayset::build::{BuildControl, BuildOptions, in_memory};
+use rayset::build::BuildOptions;
 use rayset::points::SliceSource;
 use rayset::scene::{
     Camera, CloudObject, ColorMap, ColorRule, Lighting, MapInput, OpacityRule, RenderSettings, Scene,
@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let source =
         SliceSource::new(&positions).radius(&smoothing_length)?.attribute("temperature", &temperature)?;
     let options = BuildOptions::default().with_attributes(vec!["temperature".into()]);
-    let (cloud, report) = in_memory(vec![Box::new(source)], &options, &BuildControl::default())?;
+    let (cloud, report) = Cloud::builder().source(source).options(options).build_reported()?;
     assert_eq!(report.points, 40_000);
 
     let picture = picture_of(Arc::new(cloud))?;

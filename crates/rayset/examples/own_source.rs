@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use rayset::build::{BuildControl, BuildOptions, Rule, to_file};
+use rayset::build::{BuildOptions, Rule};
 use rayset::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema};
 use rayset::scene::{Camera, CloudObject, ColorMap, ColorRule, MapInput, RenderSettings, Scene};
 use rayset::{Cloud, Session};
@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .with_radius(Some(Rule::Number(0.01)))
         .with_attributes(vec!["height".into()])
         .with_memory_bytes(32 << 20);
-    let report = to_file(vec![Box::new(Hills::new(600))], &file, &options, &BuildControl::default())?;
+    let report = Cloud::builder().source(Hills::new(600)).options(options).write(&file)?;
     assert_eq!(report.points, 360_000);
 
     let cloud = Arc::new(Cloud::open(&file)?);

@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         if finished.pass == passes {
             println!("pass {} of {} begins at {:.0?}", finished.pass + 1, finished.passes, started.elapsed());
             if passes > 0 {
-                shown.save_png(&folder.join(format!("progressive.{passes}.png")))?;
+                shown.save_png(folder.join(format!("progressive.{passes}.png")))?;
             }
             passes += 1;
         }
@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         first_tile.unwrap_or_default(),
         started.elapsed()
     );
-    shown.save_png(&folder.join("progressive.png"))?;
+    shown.save_png(folder.join("progressive.png"))?;
     assert_eq!(shown.pixels, view.picture()?.pixels, "the last pass is the batch picture");
     Ok(())
 }

@@ -1,10 +1,10 @@
 //! Building clouds of points and grids of voxels in bounded memory.
 //!
-//! [`to_file`] and [`in_memory`] produce the same bytes. They depend only on the points and on those [`BuildOptions`] that
+//! [`Cloud::builder`](crate::Cloud::builder) builds into memory or into a file, the same bytes. They depend only on the points and on those [`BuildOptions`] that
 //! say so, not on the memory, the number of threads or the order of the inputs.
 
 pub use rayset_files::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
 pub use rayset_files::octree::build::{
-    BuildControl, BuildError, BuildOptions, BuildParts, BuildReport, BuildStep, InvalidPolicy, Precision,
-    Progress, Quantity, Rule, Skipped, Stage, run as to_file, run_in_memory as in_memory,
+    BuildControl, BuildError, BuildOptions, BuildParts, BuildReport, BuildStep, CloudBuilder, InvalidPolicy,
+    Precision, Progress, Quantity, Rule, Skipped, Stage,
 };

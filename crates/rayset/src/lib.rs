@@ -7,18 +7,18 @@
 //!
 //! ```
 //! use std::sync::Arc;
-//! use rayset::{Cloud, Session, build, points::SliceSource, scene::{Camera, CloudObject, RenderSettings, Scene}};
+//! use rayset::{Cloud, Session, points::SliceSource, scene::{Camera, CloudObject, RenderSettings, Scene}};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let positions: Vec<[f64; 3]> = (0..1000).map(|i| f64::from(i) * 0.1).map(|t| [t.cos(), 0.02 * t - 1.0, t.sin()]).collect();
 //! let source = SliceSource::new(&positions);
-//! let (cloud, _) = build::in_memory(vec![Box::new(source)], &Default::default(), &Default::default())?;
+//! let cloud = Cloud::builder().source(source).build()?;
 //! let scene = Scene::of_cloud(CloudObject::plain(Arc::new(cloud)));
 //! let camera = Camera::framing(&scene.root.bounds(), [0.0, -0.3, -1.0].into(), [0.0, 1.0, 0.0].into(), 0.8, 1.0, false);
 //! let session = Session::builder().memory(256 << 20).build()?;
 //! let settings = RenderSettings::default().with_size(64, 64);
 //! let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
-//! picture.save_png("spring.png".as_ref())?;
+//! picture.save_png("spring.png")?;
 //! # assert!(picture.pixels.iter().any(|pixel| pixel[3] > 0.5));
 //! # std::fs::remove_file("spring.png")?;
 //! # Ok(())

@@ -4,9 +4,11 @@
 //! own coordinates; everything else is a column with a name and a type. The builder decides what a column means (radius,
 //! weight, colour) and what happens to invalid records.
 
+#[doc(hidden)]
+pub use rayset_files::points::View;
 pub use rayset_files::points::{
     ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch, PointSource,
-    PositionSlice, ReadError, Schema, SliceSource, Values, View, Workload,
+    PositionSlice, ReadError, Schema, SliceSource, Values, Workload,
 };
 #[doc(hidden)]
 pub use rayset_formats::points::InTurn;

@@ -18,7 +18,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<()> {
     let started = Instant::now();
     let output = Outputs::beside(&args.parts).add(&args.output, None)?;
     let format = Format::of(&output)?;
-    let parts = args.parts.iter().map(|path| Part::open(path));
+    let parts = args.parts.iter().map(Part::open);
     let budget = Budget::of(args.memory, args.parts.iter().chain([&args.output]));
     let joined = Joined::join(parts, budget.left()).map_err(|error| name_smallest_budget(error, budget))?;
     ensure!(

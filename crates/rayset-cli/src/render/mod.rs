@@ -77,7 +77,7 @@ fn prepared(
     mut needs: SceneNeeds,
 ) -> Result<(Work, MemoryPlan, PreparedScene)> {
     loop {
-        let (work, plan) = Work::prepare(&args.work, &needs, &shot.settings)?;
+        let (work, plan) = Work::prepare(&args.work, &needs)?;
         match work.session.prepare(&shot.scene, &shot.settings) {
             Err(RenderError::Memory { needed, .. }) if needed > plan.caps_bytes => {
                 needs = needs.with_caps(needed);

@@ -5,9 +5,8 @@ use std::time::Duration;
 use anyhow::{Result, anyhow, ensure};
 use clap::{Args, ValueEnum};
 use rayset::SimdLevel;
-use rayset::memory::{self, MemoryPlan, SceneNeeds};
 use rayset::memory::{Kind, Limits};
-use rayset::scene::RenderSettings;
+use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::storage::BackendKind;
 use rayset::{Prediction, RenderError, Session};
 
@@ -92,24 +91,19 @@ pub(crate) struct Work {
 }
 
 impl Work {
-    pub(super) fn prepare(
-        args: &WorkArgs,
-        needs: &SceneNeeds,
-        settings: &RenderSettings,
-    ) -> Result<(Self, MemoryPlan)> {
+    pub(super) fn prepare(args: &WorkArgs, needs: &SceneNeeds) -> Result<(Self, MemoryPlan)> {
         let threads = args.threads.unwrap_or_else(processors).max(1);
         let stored = needs.clouds().iter().map(|cloud| cloud.header().render_memory).max().filter(|&m| m > 0);
         let memory = args.memory.or(stored).unwrap_or(DEFAULT_MEMORY);
-        let plan = memory::plan(needs, settings.width, settings.height, threads, PROCESS_BYTES, memory).map_err(
-            |least| {
-                anyhow!(
-                    "--memory {} is too small for this picture with {threads} threads; the smallest that would do \
-                     is {least} bytes ({})",
-                    report::bytes(memory),
-                    report::bytes(least)
-                )
-            },
-        )?;
+        let needs = needs.clone().with_threads(threads).with_process(PROCESS_BYTES);
+        let plan = needs.plan(memory).map_err(|least| {
+            anyhow!(
+                "--memory {} is too small for this picture with {threads} threads; the smallest that would do \
+                 is {least} bytes ({})",
+                report::bytes(memory),
+                report::bytes(least)
+            )
+        })?;
         let kind = match args.io {
             IoArg::Auto => BackendKind::Auto,
             IoArg::Uring => BackendKind::Uring,

@@ -36,7 +36,7 @@ fn the_program_scales_columns_without_being_told_their_names() {
     let arguments = ["build", "p.csv", "-o", "c.rset", "--radius-scale", "10", "--weight-scale", "2"];
     let done = program().current_dir(folder.path()).args(arguments).output().expect("it runs");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-    let header = Cloud::open(&folder.path().join("c.rset")).expect("it opens").header().clone();
+    let header = Cloud::open(folder.path().join("c.rset")).expect("it opens").header().clone();
     assert_eq!(header.radius, Column::Varying { min: 10.0, max: 20.0 });
     assert_eq!(header.weight, Column::Varying { min: 6.0, max: 10.0 });
 }
@@ -59,7 +59,7 @@ fn colours_of_inputs_of_different_depths_stay_as_bright_as_they_were() {
         arguments.extend(order);
         let done = program().current_dir(folder.path()).args(arguments).output().expect("it runs");
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-        let cloud = Cloud::open(&folder.path().join("c.rset")).expect("it opens");
+        let cloud = Cloud::open(folder.path().join("c.rset")).expect("it opens");
         let mut colors = Vec::new();
         let read =
             cloud.for_each_run(|_, run| colors.extend(run.colors(cloud.header()).into_iter().flatten()));

@@ -98,7 +98,7 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
         }
         for name in names(folder.path()).iter().filter(|n| n.contains("rayset-")) {
             // A file that was whole but for its name may open; half a file may not.
-            if Cloud::open(&folder.path().join(name)).is_ok() {
+            if Cloud::open(folder.path().join(name)).is_ok() {
                 let bytes = std::fs::read(folder.path().join(name)).expect("it reads");
                 assert!(bytes == reference, "round {round}: {name} is half a file, and opens");
             }
@@ -107,7 +107,7 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
     kill_at_random((5, 12), whole, begin, look);
     assert!(build(folder.path()).status().expect("the program runs").success());
     assert_eq!(names(folder.path()), ["c.rset", "points.ply"]);
-    let cloud = Cloud::open(&folder.path().join("c.rset")).expect("the cloud opens");
+    let cloud = Cloud::open(folder.path().join("c.rset")).expect("the cloud opens");
     cloud.verify(Depth::Deep).expect("the cloud is whole");
 }
 
@@ -134,7 +134,7 @@ fn a_grid_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_cleans
     };
     let look = |round| {
         for name in names(folder.path()).iter().filter(|n| n.contains(".rset")) {
-            if Grid::open(&folder.path().join(name)).is_ok() {
+            if Grid::open(folder.path().join(name)).is_ok() {
                 let bytes = std::fs::read(folder.path().join(name)).expect("it reads");
                 assert!(bytes == reference, "round {round}: {name} is half a file, and opens");
             }

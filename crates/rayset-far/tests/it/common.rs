@@ -30,7 +30,8 @@ pub(crate) fn cloud(workload: &str) -> Vec<u8> {
     let options = options.with_page_bytes(Some(16384));
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("cloud.rset");
-    build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a build");
+    rayset::octree::build::run(vec![workload.source()], &path, &options, &BuildControl::default())
+        .expect("a build");
     std::fs::read(&path).expect("the file")
 }
 
@@ -79,7 +80,7 @@ pub(crate) fn fixtures() -> PathBuf {
 pub(crate) fn build_cloud(input: &Path, output: &Path) -> Result<(), String> {
     let source = points::open(input, &ReadOptions::default()).map_err(|error| error.to_string())?;
     let options = BuildOptions::default().with_radius(Some(build::Rule::Number(0.01)));
-    let built = build::to_file(vec![source], output, &options, &BuildControl::default());
+    let built = rayset::octree::build::run(vec![source], output, &options, &BuildControl::default());
     built.map(drop).map_err(|error| error.to_string())
 }
 

@@ -101,6 +101,15 @@ impl Default for GridBuildOptions {
 /// # Errors
 /// [`GridBuildError`]; no file is left behind then.
 pub fn build(
+    source: VolumeSource,
+    path: impl AsRef<Path>,
+    options: &GridBuildOptions,
+    control: &BuildControl<'_>,
+) -> Result<GridHeader, GridBuildError> {
+    build_at(source, path.as_ref(), options, control)
+}
+
+fn build_at(
     mut source: VolumeSource,
     path: &Path,
     options: &GridBuildOptions,

@@ -33,7 +33,8 @@ impl Grid {
     ///
     /// # Errors
     /// [`OpenError`] if the file cannot be read, or is not a complete grid of this version.
-    pub fn open(path: &Path) -> Result<Self, OpenError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, OpenError> {
+        let path = path.as_ref();
         let (mut file, storage) = OpenFile::of_path(path, FileKind::Grid)?;
         let header = GridHeader::read(&mut file)?;
         Ok(Self { path: address::without_secrets(path), address: path.to_owned(), storage, header })

@@ -39,7 +39,8 @@ impl Cloud {
     ///
     /// # Errors
     /// [`OpenError`] if the file cannot be read, or is not a complete cloud of this version.
-    pub fn open(path: &Path) -> Result<Self, OpenError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, OpenError> {
+        let path = path.as_ref();
         let (mut file, storage) = OpenFile::of_path(path, FileKind::Cloud)?;
         Ok(Self {
             path: address::without_secrets(path),

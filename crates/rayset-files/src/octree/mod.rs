@@ -13,6 +13,7 @@ pub mod page;
 mod pages;
 mod sample;
 pub mod verify;
+pub mod walk;
 
 pub use file::Cloud;
 pub use pages::CloudPages;

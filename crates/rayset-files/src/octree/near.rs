@@ -1,14 +1,16 @@
 //! Looking a place up in a cloud's file: its nearest point, and where in space its pages lie. Pages are read one at a time, besides
 //! those of any session.
 
-use std::cmp::Reverse;
+use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::file::Cloud;
-use super::layout::NodeRef;
+use super::format::Header;
 use super::node::{Node, NodePage, RunRange};
 use super::page::PointPage;
+use super::walk::{NodePages, Visit, Visitor, Walk};
 use crate::points::PointBatch;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{OpenFile, PageError, ScanError, SectionKind};
@@ -21,44 +23,12 @@ impl Cloud {
     /// [`ScanError`] if a page cannot be read or is damaged.
     pub fn nearest(&self, place: DVec3, within: f64) -> Result<PointBatch, ScanError> {
         let mut found = self.empty_batch();
-        if self.header().points == 0 {
-            return Ok(found);
-        }
-        let mut lookup = Lookup { pages: Pages::new(self)?, place, nearest: within * within };
-        // Nodes by their distance: non-negative numbers are in the order of their bits.
-        let mut queue = BinaryHeap::new();
-        let root = self.header().root;
-        queue.push(Reverse((0_u64, root.page, root.index)));
-        // Of a whole file, no node is met twice, and no run.
-        let (mut nodes_left, mut runs_left) = (self.header().nodes, self.header().points);
-        while let Some(Reverse((distance, page, index))) = queue.pop() {
-            if f64::from_bits(distance) > lookup.nearest {
-                break;
-            }
-            let of_node = page;
-            let bytes = lookup.pages.read(SectionKind::NODES, page)?;
-            let Some(node) = NodePage::scaled(&bytes, self.header()).get(usize::from(index)) else {
-                continue;
-            };
-            runs_left = runs_left.checked_sub(u64::from(node.own.runs)).ok_or_else(|| self.broken(page))?;
-            lookup.own_points(node.own, &mut found)?;
-            if node.child_mask == 0 {
-                continue;
-            }
-            let NodeRef { page, index: first } = node.first_child;
-            // Children lie in one page, and most often in that of their parent.
-            let bytes = if page == of_node { bytes } else { lookup.pages.read(SectionKind::NODES, page)? };
-            let children = NodePage::scaled(&bytes, self.header());
-            for index in first..first.saturating_add(node.child_mask.count_ones() as u16) {
-                let child = children.get(usize::from(index)).filter(|child| child.is_child_of(&node));
-                let child = child.ok_or_else(|| self.broken(page))?;
-                nodes_left = nodes_left.checked_sub(1).ok_or_else(|| self.broken(page))?;
-                let distance = lookup.distance_squared(&child);
-                if distance <= lookup.nearest {
-                    queue.push(Reverse((distance.to_bits(), page, index)));
-                }
-            }
-        }
+        let mut pages = Pages::new(self)?;
+        let waiting = BinaryHeap::new();
+        let mut lookup = Lookup { cloud: self, place, nearest: within * within, found: &mut found, waiting };
+        let mut walk = Walk::new();
+        walk.begin(&mut pages, &mut lookup)?;
+        walk.go_on(&mut pages, &mut lookup)?;
         Ok(found)
     }
 
@@ -135,6 +105,8 @@ impl Group {
 struct Pages<'a> {
     cloud: &'a Cloud,
     file: OpenFile,
+    /// The page of nodes that was read last: children most often lie in that of their parent.
+    nodes: Option<(u32, Arc<[u8]>)>,
 }
 
 impl<'a> Pages<'a> {
@@ -143,7 +115,7 @@ impl<'a> Pages<'a> {
         if file.header().identity != cloud.header().identity {
             return Err(ScanError::Replaced { path: cloud.path().to_owned() });
         }
-        Ok(Self { cloud, file })
+        Ok(Self { cloud, file, nodes: None })
     }
 
     fn read(&self, kind: SectionKind, index: u32) -> Result<Vec<u8>, ScanError> {
@@ -156,27 +128,92 @@ impl<'a> Pages<'a> {
     }
 }
 
+impl NodePages for Pages<'_> {
+    type Page = Arc<[u8]>;
+    type Error = ScanError;
+
+    fn header(&self) -> &Header {
+        self.cloud.header()
+    }
+
+    fn page(&mut self, page: u32) -> Result<Option<Arc<[u8]>>, ScanError> {
+        if let Some((_, bytes)) = self.nodes.as_ref().filter(|(known, _)| *known == page) {
+            return Ok(Some(bytes.clone()));
+        }
+        let bytes: Arc<[u8]> = self.read(SectionKind::NODES, page)?.into();
+        self.nodes = Some((page, bytes.clone()));
+        Ok(Some(bytes))
+    }
+
+    fn no_tree(&mut self, page: u32) -> Result<(), ScanError> {
+        Err(self.cloud.broken(page))
+    }
+}
+
 /// The search for the point that is nearest to a place.
-struct Lookup<'a> {
-    pages: Pages<'a>,
+struct Lookup<'t> {
+    cloud: &'t Cloud,
     place: DVec3,
     /// The square of the distance of the nearest point so far.
     nearest: f64,
+    found: &'t mut PointBatch,
+    waiting: BinaryHeap<Near>,
+}
+
+/// A node, by a least square of the distance of the points at and below it.
+struct Near {
+    distance_squared: f64,
+    node: Node,
+}
+
+impl PartialEq for Near {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+impl Eq for Near {}
+impl PartialOrd for Near {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Near {
+    /// Reversed, so that the heap yields the nearest node first.
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.distance_squared.total_cmp(&self.distance_squared)
+    }
+}
+
+impl<'t> Visitor<Pages<'t>> for Lookup<'_> {
+    fn meet(&mut self, node: Node) {
+        let bounds = node.bounds(self.cloud.header().root_cell());
+        let distance_squared = (self.place.clamp(bounds.min, bounds.max) - self.place).length_squared();
+        if distance_squared <= self.nearest {
+            self.waiting.push(Near { distance_squared, node });
+        }
+    }
+
+    fn next(&mut self) -> Option<Node> {
+        let Near { distance_squared, node } = self.waiting.pop()?;
+        (distance_squared <= self.nearest).then_some(node)
+    }
+
+    fn visit(&mut self, node: &Node, walk: &mut Walk, pages: &mut Pages<'t>) -> Result<Visit, ScanError> {
+        if !walk.may_look_at_runs_of(node, self.cloud.header()) {
+            return Err(self.cloud.broken(node.first_child.page));
+        }
+        self.own_points(node.own, pages)?;
+        Ok(Visit::Open)
+    }
 }
 
 impl Lookup<'_> {
-    /// A least square of the distance of the points at and below a node.
-    fn distance_squared(&self, node: &Node) -> f64 {
-        let bounds = node.bounds(self.pages.cloud.header().root_cell());
-        (self.place.clamp(bounds.min, bounds.max) - self.place).length_squared()
-    }
-
     /// Keeps the nearest of a node's own points, if it is nearer than what is known.
-    fn own_points(&mut self, own: RunRange, found: &mut PointBatch) -> Result<(), ScanError> {
-        let header = self.pages.cloud.header();
+    fn own_points(&mut self, own: RunRange, pages: &Pages<'_>) -> Result<(), ScanError> {
+        let header = self.cloud.header();
         let (mut page, mut run, mut left) = (own.first_page, usize::from(own.first_run), own.runs);
         while left > 0 && page < header.point_pages {
-            let bytes = self.pages.read(SectionKind::POINTS, page)?;
+            let bytes = pages.read(SectionKind::POINTS, page)?;
             let runs = PointPage::trusted(&bytes, header);
             while left > 0 && run < runs.len() {
                 let points = runs.run(run);
@@ -184,8 +221,8 @@ impl Lookup<'_> {
                     let square = (position - self.place).length_squared();
                     if square <= self.nearest {
                         self.nearest = square;
-                        *found = self.pages.cloud.empty_batch();
-                        self.pages.cloud.take(&points, &[i], found);
+                        *self.found = self.cloud.empty_batch();
+                        self.cloud.take(&points, &[i], self.found);
                     }
                 }
                 (run, left) = (run + 1, left - 1);

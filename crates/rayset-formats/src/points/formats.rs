@@ -276,7 +276,8 @@ impl ReadOptions {
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be opened, its header is malformed, or its format is unknown.
-pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
+pub fn open(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Box<dyn PointSource>, ReadError> {
+    let path = path.as_ref();
     geographic::in_metres(path, open_as_it_is(path, options)?, || open_as_it_is(path, options))
 }
 

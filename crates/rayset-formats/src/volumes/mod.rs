@@ -39,6 +39,6 @@ pub use self::raw::RawLayout;
 /// # Errors
 /// [`ReadError`] if it cannot be opened, its header is invalid, it is too small for the voxels that its header promises, or
 /// has no volume of the index.
-pub fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
-    formats::open(path, index)
+pub fn open(path: impl AsRef<Path>, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+    formats::open(path.as_ref(), index)
 }

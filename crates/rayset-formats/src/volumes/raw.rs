@@ -71,7 +71,8 @@ impl RawLayout {
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be opened, the layout is invalid, or the file is shorter than it requires.
-    pub fn open(&self, path: &Path) -> Result<VolumeSource, ReadError> {
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<VolumeSource, ReadError> {
+        let path = path.as_ref();
         let described = Described {
             size: self.size,
             stored: self.stored,

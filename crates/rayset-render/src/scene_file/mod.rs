@@ -65,7 +65,8 @@ impl SceneFile {
     /// # Errors
     /// [`LoadError`] if the file cannot be read or is invalid; in the latter case it gives line, column, key and what
     /// was expected.
-    pub fn load(path: &Path) -> Result<Self, LoadError> {
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, LoadError> {
+        let path = path.as_ref();
         let text = read_text(path).map_err(|source| LoadError::Io { path: path.to_owned(), source })?;
         Ok(Self::parse(path, &text)?)
     }

@@ -36,6 +36,27 @@ pub(super) struct March<'p> {
     remaining: Option<Remaining>,
 }
 
+/// What is done with the samples of a packet: the light of rays from the eye, what is left of light on its way, surfaces that
+/// are crossed.
+pub(super) trait SlabVisitor {
+    /// Called where samples are skipped that are empty on all rays. Returns the lanes of those in `going` that end there.
+    fn passed_nothing(&mut self, _going: u64) -> u64 {
+        0
+    }
+
+    /// How much is left of the rays before the next slab: samples behind the end of a ray may then be left empty. `None` if rays
+    /// do not end by what they pass.
+    fn remaining(&self) -> Option<Remaining> {
+        None
+    }
+
+    /// Where work is counted.
+    fn counts(&mut self) -> &mut RenderCounts;
+
+    /// Takes the samples of a slab, of the lanes in `going`. Opacities are optical depths. Returns the lanes that go on.
+    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt>;
+}
+
 /// What is requested of an instruction.
 #[derive(Clone, Copy)]
 struct Asked<'a> {
@@ -79,17 +100,54 @@ impl<'p> March<'p> {
     }
 
     /// A block to evaluate into.
-    pub(super) fn node_samples(&mut self) -> NodeSamples {
+    fn node_samples(&mut self) -> NodeSamples {
         self.spare.pop().unwrap_or_else(|| NodeSamples::new(self.program.required))
     }
 
     /// Returns a block for reuse.
-    pub(super) fn give_back(&mut self, node: NodeSamples) {
+    fn give_back(&mut self, node: NodeSamples) {
         self.spare.push(node);
     }
 
+    /// Follows the rays of a packet front to back, slab by slab, until all have ended or nothing is left ahead. Returns the lanes
+    /// of the rays that have not ended.
+    pub(super) fn slabs(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        visitor: &mut impl SlabVisitor,
+    ) -> Result<u64, Halt> {
+        self.begin(packet);
+        let mut node = self.node_samples();
+        let outcome = self.each_slab(access, packet, visitor, &mut node);
+        self.give_back(node);
+        outcome
+    }
+
+    fn each_slab(
+        &mut self,
+        access: Access<'_>,
+        packet: &Packet,
+        visitor: &mut impl SlabVisitor,
+        node: &mut NodeSamples,
+    ) -> Result<u64, Halt> {
+        let (mut going, mut from) = (packet.all(), 0);
+        while going != 0
+            && let Some(slab) = self.next_slab(from)
+        {
+            if slab.first > from {
+                going &= !visitor.passed_nothing(going);
+            }
+            from = slab.end();
+            self.remaining = visitor.remaining();
+            self.evaluate(access, packet, slab, going, visitor.counts(), node)?;
+            going = visitor.sampled(slab, going, node)?;
+        }
+        Ok(going)
+    }
+
     /// Starts a packet.
-    pub(super) fn begin(&mut self, packet: &Packet) {
+    fn begin(&mut self, packet: &Packet) {
         let beam = packet.beam(packet.all());
         for (span, instruction) in self.spans.iter_mut().zip(&self.program.instructions) {
             let bounds = &instruction.bounds;
@@ -101,14 +159,8 @@ impl<'p> March<'p> {
         self.known_fields = 0;
     }
 
-    /// Says how much is left of the rays at the beginning of the next slab. Samples behind the end of a ray may then be
-    /// left empty.
-    pub(super) fn expect_ends(&mut self, remaining: Option<Remaining>) {
-        self.remaining = remaining;
-    }
-
     /// The next slab, from sample `from` on, that may not be empty.
-    pub(super) fn next_slab(&self, from: u64) -> Option<Slab> {
+    fn next_slab(&self, from: u64) -> Option<Slab> {
         let sample = self.next_sample(self.program.root(), from)?;
         // From where there is something, so that it takes as few slabs as may be, but never back.
         let block = BLOCK_SAMPLES as u64;
@@ -141,7 +193,7 @@ impl<'p> March<'p> {
     }
 
     /// Evaluates the graph at the samples of a slab, for the lanes in `going`. Opacities are given as optical depths.
-    pub(super) fn evaluate(
+    fn evaluate(
         &mut self,
         access: Access<'_>,
         packet: &Packet,

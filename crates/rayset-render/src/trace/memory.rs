@@ -52,6 +52,11 @@ pub struct SceneNeeds {
     pub(super) layers: bool,
     pub(super) writes_layers: bool,
     pub(super) ambient_occlusion: bool,
+    /// Width and height of the picture in pixels.
+    pub(super) size: (u32, u32),
+    pub(super) threads: usize,
+    /// What the process takes before the render starts.
+    pub(super) process_bytes: u64,
 }
 
 impl SceneNeeds {
@@ -115,7 +120,22 @@ impl SceneNeeds {
             layers: settings.records_layers(),
             writes_layers: settings.layers,
             ambient_occlusion: settings.ambient_occlusion > 0.0,
+            size: (settings.width, settings.height),
+            threads: 1,
+            process_bytes: 0,
         }
+    }
+
+    /// Sets the number of threads that render; otherwise one.
+    #[must_use]
+    pub fn with_threads(self, threads: usize) -> Self {
+        Self { threads, ..self }
+    }
+
+    /// Sets what the process takes before the render starts, for budgets of whole processes; otherwise nothing.
+    #[must_use]
+    pub fn with_process(self, process_bytes: u64) -> Self {
+        Self { process_bytes, ..self }
     }
 
     /// Adds the memory that loading the scene took: little of it becomes available to pages, because what remains

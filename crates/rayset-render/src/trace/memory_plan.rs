@@ -37,24 +37,18 @@ pub struct MemoryPlan {
     pub comfortable_bytes: u64,
 }
 
-/// Divides `budget_bytes` for a render; `process_bytes` is what the process takes before the render starts. Returns the
-/// plan, or the smallest sufficient budget.
-///
-/// # Errors
-/// The smallest sufficient budget in bytes, if `budget_bytes` is smaller.
-pub fn plan(
-    needs: &SceneNeeds,
-    width: u32,
-    height: u32,
-    threads: usize,
-    process_bytes: u64,
-    budget_bytes: u64,
-) -> Result<MemoryPlan, u64> {
-    let picture = Picture { width, height, threads, process_bytes };
-    let Some(least_caps) = needs.with_least_caps() else { return picture.plan(needs, budget_bytes) };
-    let least_bytes = picture.plan(&least_caps, u64::MAX / 2)?.least_bytes;
-    let plan = picture.plan(needs, budget_bytes).or_else(|_| picture.plan(&least_caps, budget_bytes))?;
-    Ok(MemoryPlan { least_bytes, ..plan })
+impl SceneNeeds {
+    /// Divides a budget between the picture, the scene and pages.
+    ///
+    /// # Errors
+    /// The smallest sufficient budget in bytes, if `budget_bytes` is smaller.
+    pub fn plan(&self, budget_bytes: u64) -> Result<MemoryPlan, u64> {
+        let picture = Picture::of(self);
+        let Some(least_caps) = self.with_least_caps() else { return picture.plan(self, budget_bytes) };
+        let least_bytes = picture.plan(&least_caps, u64::MAX / 2)?.least_bytes;
+        let plan = picture.plan(self, budget_bytes).or_else(|_| picture.plan(&least_caps, budget_bytes))?;
+        Ok(MemoryPlan { least_bytes, ..plan })
+    }
 }
 
 /// What is rendered, and by what means.
@@ -67,6 +61,11 @@ struct Picture {
 }
 
 impl Picture {
+    fn of(needs: &SceneNeeds) -> Self {
+        let SceneNeeds { size: (width, height), threads, process_bytes, .. } = *needs;
+        Self { width, height, threads, process_bytes }
+    }
+
     /// Divides a budget, or says which suffices.
     fn plan(self, needs: &SceneNeeds, budget_bytes: u64) -> Result<MemoryPlan, u64> {
         let Self { width, height, threads, process_bytes } = self;

@@ -5,10 +5,11 @@ use std::ops::Range;
 
 use super::access::{Access, Halt};
 use super::bounce::{RefractionStates, TreeRay};
+use super::cloud::Remaining;
 use super::composite::{RayState, Shares};
 use super::counts::RenderCounts;
 use super::layers::Layers;
-use super::march::March;
+use super::march::{March, SlabVisitor};
 use super::node_samples::NodeSamples;
 use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
 use super::shade::Shown;
@@ -222,13 +223,21 @@ impl<'a> PacketTracer<'a> {
         }
         self.counts.packets += 1;
         let before = self.counts;
-        self.march.begin(&packet);
-        let mut node = self.march.node_samples();
         let places: Vec<usize> = rays.iter().map(|ray| ray.pixel as usize % LANES).collect();
         let is_primary = rays[0].is_primary();
-        let pixels = is_primary.then_some(&places[..]);
-        let outcome = self.pass(access, &packet, pixels, refraction.as_mut(), &mut node);
-        self.march.give_back(node);
+        let mut light = LightOfPacket {
+            world: self.world,
+            access,
+            packet: &packet,
+            layers: self.layers.as_mut().filter(|_| is_primary),
+            pixels: &places,
+            shadows: self.shadows.as_mut(),
+            refraction: refraction.as_mut(),
+            states: &mut self.states,
+            shares: &mut self.shares,
+            counts: &mut self.counts,
+        };
+        let outcome = self.march.slabs(access, &packet, &mut light).map(|going| light.end(going));
         if let Some(refraction) = &refraction {
             for &(lane, ray) in refraction.next() {
                 tree.follow(ray, members[lane]);
@@ -250,76 +259,84 @@ impl<'a> PacketTracer<'a> {
         }
         Ok(())
     }
+}
 
-    /// Traces a packet slab by slab, front to back, until all rays have ended or nothing is left ahead. Returns the
-    /// lanes of rays that successors have replaced. `pixels` are the pixels of primary rays; `None` for other rays.
-    fn pass(
-        &mut self,
-        access: Access<'_>,
-        packet: &Packet,
-        pixels: Option<&[usize]>,
-        mut refraction: Option<&mut RefractionStates>,
-        node: &mut NodeSamples,
-    ) -> Result<u64, Halt> {
-        let world = self.world;
-        let mut going = packet.all();
-        let mut from = 0;
-        while going != 0
-            && let Some(slab) = self.march.next_slab(from)
-        {
-            if let Some(refraction) = &mut refraction
-                && slab.first > from
-            {
-                going &= !refraction.leave(packet, going, &self.states);
-            }
-            from = slab.end();
-            self.march.expect_ends(world.absorption.remaining(packet, &self.states));
-            self.march.evaluate(access, packet, slab, going, &mut self.counts, node)?;
-            self.counts.slabs += 1;
-            self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
-            if let Some(refraction) = &mut refraction {
-                refraction.bend(packet, slab, node, going, world.shader.constants());
-            }
-            going = world.absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
-            self.counts.nonzero_samples += self.shares.count();
-            if let (Some(layers), Some(pixels)) = (&mut self.layers, pixels) {
-                layers
-                    .gather(packet, slab, node, &self.shares, world.shader.constants(), |lane| pixels[lane]);
-            }
-            if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
-                self.shade(access, packet, slab, node, refraction.as_deref_mut())?;
-            }
-            if let Some(refraction) = &mut refraction {
-                going &= !refraction.follow(going, &self.states);
-            }
-        }
-        let Some(refraction) = refraction else { return Ok(0) };
-        refraction.leave(packet, going, &self.states);
-        refraction.end_mirrors(packet, &mut self.states);
-        Ok(refraction.replaced())
+/// The light of the rays of a packet, while they are traced.
+struct LightOfPacket<'t, 'a> {
+    world: &'t World,
+    access: Access<'t>,
+    packet: &'t Packet,
+    /// If layers are requested, and these rays are primary.
+    layers: Option<&'t mut Layers>,
+    /// The pixel of the tile that each ray is of.
+    pixels: &'t [usize],
+    shadows: Option<&'t mut Shadows<'a>>,
+    refraction: Option<&'t mut RefractionStates>,
+    states: &'t mut [RayState; LANES],
+    shares: &'t mut Shares,
+    counts: &'t mut RenderCounts,
+}
+
+impl SlabVisitor for LightOfPacket<'_, '_> {
+    fn passed_nothing(&mut self, going: u64) -> u64 {
+        let Some(refraction) = &mut self.refraction else { return 0 };
+        refraction.leave(self.packet, going, self.states)
     }
 
+    fn remaining(&self) -> Option<Remaining> {
+        self.world.absorption.remaining(self.packet, self.states)
+    }
+
+    fn counts(&mut self) -> &mut RenderCounts {
+        self.counts
+    }
+
+    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
+        let Self { world, packet, .. } = *self;
+        self.counts.slabs += 1;
+        self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
+        if let Some(refraction) = &mut self.refraction {
+            refraction.bend(packet, slab, node, going, world.shader.constants());
+        }
+        let mut going = world.absorption.absorb(packet, slab, node, going, self.states, self.shares);
+        self.counts.nonzero_samples += self.shares.count();
+        if let Some(layers) = &mut self.layers {
+            let pixels = self.pixels;
+            layers.gather(packet, slab, node, self.shares, world.shader.constants(), |lane| pixels[lane]);
+        }
+        if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
+            self.shade(slab, node)?;
+        }
+        if let Some(refraction) = &mut self.refraction {
+            going &= !refraction.follow(going, self.states);
+        }
+        Ok(going)
+    }
+}
+
+impl LightOfPacket<'_, '_> {
     /// Adds the light of the samples of a slab to their rays.
-    fn shade(
-        &mut self,
-        access: Access<'_>,
-        packet: &Packet,
-        slab: Slab,
-        node: &NodeSamples,
-        refraction: Option<&mut RefractionStates>,
-    ) -> Result<(), Halt> {
+    fn shade(&mut self, slab: Slab, node: &NodeSamples) -> Result<(), Halt> {
         let (shader, none) = (&self.world.shader, Vec::new());
         let shadows = match &mut self.shadows {
             Some(shadows) => {
                 let before = self.counts.splats;
-                let rows = shadows.find(access, packet, slab, node, &self.shares, &mut self.counts)?;
+                let rows = shadows.find(self.access, self.packet, slab, node, self.shares, self.counts)?;
                 self.counts.shadow_splats += self.counts.splats - before;
                 rows
             }
             None => &none,
         };
-        let shown = Shown { packet, slab, node, shares: &self.shares, shadows };
-        shader.shade(shown, refraction, &mut self.states);
+        let shown = Shown { packet: self.packet, slab, node, shares: self.shares, shadows };
+        shader.shade(shown, self.refraction.as_deref_mut(), self.states);
         Ok(())
+    }
+
+    /// Ends the rays in `going`, which leave everything. Returns the lanes of rays that successors have replaced.
+    fn end(self, going: u64) -> u64 {
+        let Some(refraction) = self.refraction else { return 0 };
+        refraction.leave(self.packet, going, self.states);
+        refraction.end_mirrors(self.packet, self.states);
+        refraction.replaced()
     }
 }

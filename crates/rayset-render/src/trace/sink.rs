@@ -96,7 +96,7 @@ impl Picture {
     ///
     /// # Errors
     /// [`PngError`]; a file that exists at `path` is then left unchanged.
-    pub fn save_png(&self, path: &Path) -> Result<(), PngError> {
+    pub fn save_png(&self, path: impl AsRef<Path>) -> Result<(), PngError> {
         let file = OutputFile::create(&Destination::new(path)?)?;
         let output = BufWriter::new(file.writer());
         let mut png = PngBands::new(output, self.width, self.height, DisplayTransform::default())?;

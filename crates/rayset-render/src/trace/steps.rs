@@ -14,13 +14,14 @@
 
 use super::RenderError;
 use super::access::{Access, Halt};
-use super::cloud::{CloudPlacement, each_own_page, run_bounds};
+use super::cloud::{CloudPlacement, RetainedNodes, each_own_page, run_bounds};
 use super::program::{Action, Program};
 use crate::field::{LANES, RayColumns};
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step};
 use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
 use rayset_files::octree::layout::RUN_POINTS;
-use rayset_files::octree::node::{Node, NodePage};
+use rayset_files::octree::node::Node;
+use rayset_files::octree::walk::{Visit, Visitor, Walk};
 
 /// Finest automatic step: the coarsest times 2^−`FINEST`.
 const FINEST: i32 = 60;
@@ -288,29 +289,11 @@ impl Exponents {
         // Finds the rays that may meet a box, many at a time; the exact test is made for each ray by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
         let local = LocalRays { rays: &rays, stretch: &stretch, columns: &columns, stretches: (least, most) };
-        let mut stack: Vec<Node> = access.root(cloud)?.into_iter().collect();
-        let (mut opened, mut opened_runs) = (1, 0);
-        while let Some(node) = stack.pop() {
-            let bounds = node.bounds(cloud.root_cell);
-            let finest_known = self.of_rays.iter().copied().max().unwrap_or(0);
-            if self.of(f64::from(node.radius_min) / most) >= finest_known || beam.span(&bounds).is_none() {
-                continue;
-            }
-            self.lower_by_node(access, cloud, &node, local, &mut opened_runs)?;
-            if node.child_mask != 0 {
-                let page = node.first_child.page;
-                let guard = access.retain(cloud, cloud.first_node_page + page)?;
-                let nodes = NodePage::scaled(&guard, cloud.header());
-                for child in 0..node.child_mask.count_ones() as usize {
-                    let index = usize::from(node.first_child.index) + child;
-                    let child = nodes.get(index).filter(|child| child.is_child_of(&node));
-                    let child = child.filter(|_| opened < cloud.most_nodes());
-                    opened += 1;
-                    stack.push(child.ok_or_else(|| cloud.broken(page))?);
-                }
-            }
-        }
-        Ok(())
+        let mut nodes = RetainedNodes { access, cloud };
+        let mut finest = FinestPoints { exponents: self, access, cloud, local, beam, waiting: Vec::new() };
+        let mut walk = Walk::new();
+        walk.begin(&mut nodes, &mut finest)?;
+        walk.go_on(&mut nodes, &mut finest)
     }
 
     /// Lowers k for rays that meet the box of a node's own points, according to the least radius that these can have;
@@ -321,7 +304,7 @@ impl Exponents {
         cloud: &CloudPlacement,
         node: &Node,
         local: LocalRays<'_>,
-        opened_runs: &mut u64,
+        walk: &mut Walk,
     ) -> Result<(), Halt> {
         let own = if node.child_mask == 0 {
             f64::from(node.radius_min)
@@ -350,9 +333,7 @@ impl Exponents {
         if ask_points == 0 {
             return Ok(());
         }
-        // Each run belongs to one node and holds at least one point.
-        *opened_runs += u64::from(node.own.runs);
-        if *opened_runs > cloud.header().points {
+        if !walk.may_look_at_runs_of(node, cloud.header()) {
             return Err(cloud.broken(node.own.first_page).into());
         }
         self.lower_by_points(access, cloud, node, local, ask_points)
@@ -399,6 +380,38 @@ impl Exponents {
                 }
             }
         })
+    }
+}
+
+/// The walk to the finest points that rays may meet.
+struct FinestPoints<'t, 'a> {
+    exponents: &'t mut Exponents,
+    access: Access<'a>,
+    cloud: &'a CloudPlacement,
+    local: LocalRays<'t>,
+    /// All rays, in the local space of the cloud.
+    beam: Beam,
+    waiting: Vec<Node>,
+}
+
+impl<'a> Visitor<RetainedNodes<'a>> for FinestPoints<'_, 'a> {
+    fn meet(&mut self, node: Node) {
+        self.waiting.push(node);
+    }
+
+    fn next(&mut self) -> Option<Node> {
+        self.waiting.pop()
+    }
+
+    fn visit(&mut self, node: &Node, walk: &mut Walk, _: &mut RetainedNodes<'a>) -> Result<Visit, Halt> {
+        let Self { access, cloud, local, .. } = *self;
+        let finest_known = self.exponents.of_rays.iter().copied().max().unwrap_or(0);
+        let coarse = self.exponents.of(f64::from(node.radius_min) / local.stretches.1) >= finest_known;
+        if coarse || self.beam.span(&node.bounds(cloud.root_cell)).is_none() {
+            return Ok(Visit::Skip);
+        }
+        self.exponents.lower_by_node(access, cloud, node, local, walk)?;
+        Ok(Visit::Open)
     }
 }
 

@@ -35,7 +35,11 @@ impl Destination {
     /// # Errors
     /// [`OutputError`] if the path names a folder, a disk or a socket, its folder is missing, or the system cannot tell what
     /// it is.
-    pub fn new(path: &Path) -> Result<Self, OutputError> {
+    pub fn new(path: impl AsRef<Path>) -> Result<Self, OutputError> {
+        Self::at(path.as_ref())
+    }
+
+    fn at(path: &Path) -> Result<Self, OutputError> {
         let io = |source| OutputError::Io { action: "write", path: path.to_owned(), source };
         let to = |target| Ok(Self { named: path.to_owned(), target });
         if let Some(address) = address_of(path) {

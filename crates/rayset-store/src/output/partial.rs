@@ -160,7 +160,7 @@ pub fn remove_partials(folder: &Path, known: impl Fn(&str) -> bool) {
         let name = entry.file_name();
         let output = name.to_str().and_then(|name| name.strip_prefix('.')?.split_once(".rayset-"));
         if let Some((output, _)) = output.filter(|(output, _)| known(output))
-            && let Ok(destination) = Destination::new(&folder.join(output))
+            && let Ok(destination) = Destination::new(folder.join(output))
         {
             remove_leftovers(folder, &destination);
         }

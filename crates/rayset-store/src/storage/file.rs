@@ -17,7 +17,8 @@ impl FileStorage {
     ///
     /// # Errors
     /// The system's error.
-    pub fn open(path: &Path, direct: bool) -> io::Result<Self> {
+    pub fn open(path: impl AsRef<Path>, direct: bool) -> io::Result<Self> {
+        let path = path.as_ref();
         let mut options = File::options();
         options.read(true);
         #[cfg(target_os = "linux")]

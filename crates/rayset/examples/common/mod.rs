@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use rayset::build::{BuildControl, BuildOptions, in_memory};
+use rayset::Cloud;
 use rayset::geometry::DVec3;
 use rayset::points::Workload;
 use rayset::scene::{Camera, CloudObject, Light, LightKind, Lighting, Scene};
@@ -10,7 +10,7 @@ use rayset::scene::{Camera, CloudObject, Light, LightKind, Lighting, Scene};
 /// A cloud of 30 000 points in memory, under a lamp.
 pub(crate) fn knot_under_a_lamp() -> Result<Scene, Box<dyn std::error::Error>> {
     let knot: Workload = "knot-30k".parse()?;
-    let (cloud, _) = in_memory(vec![knot.source()], &BuildOptions::default(), &BuildControl::default())?;
+    let cloud = Cloud::builder().sources([knot.source()]).build()?;
     let lights = vec![
         Light { kind: LightKind::Ambient, color: [0.25; 3], shadow: false },
         Light {

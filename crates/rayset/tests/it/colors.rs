@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rayset::build::{self, BuildControl, BuildOptions, BuildReport};
+use rayset::build::{BuildControl, BuildOptions, BuildReport};
 use rayset::points::{self, ReadOptions};
 
 use crate::common::folder;
@@ -19,7 +19,8 @@ fn colors(files: &[PathBuf]) -> (Vec<(f64, [f64; 3])>, BuildReport) {
     let open = |file: &PathBuf| points::open(file, &ReadOptions::default()).expect("it opens");
     let sources = files.iter().map(open).collect();
     let options = BuildOptions::default().with_threads(1);
-    let (cloud, report) = build::in_memory(sources, &options, &BuildControl::default()).expect("it is built");
+    let (cloud, report) = rayset::octree::build::run_in_memory(sources, &options, &BuildControl::default())
+        .expect("it is built");
     let schema = cloud.sample_schema();
     let sample = cloud.sample(usize::MAX).expect("it reads");
     let columns = ["red", "green", "blue"].map(|name| schema.find(name).expect("it has colours"));
@@ -86,7 +87,8 @@ fn points_without_colours_among_others_are_grey_by_their_intensity_and_it_is_sai
     // Without any colours there is none.
     let sources = vec![points::open(&plain, &ReadOptions::default()).expect("it opens")];
     let (cloud, report) =
-        build::in_memory(sources, &BuildOptions::default(), &BuildControl::default()).expect("built");
+        rayset::octree::build::run_in_memory(sources, &BuildOptions::default(), &BuildControl::default())
+            .expect("built");
     assert!(!cloud.header().has_color && report.remarks.is_empty());
 }
 

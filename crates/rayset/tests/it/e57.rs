@@ -40,9 +40,9 @@ fn scans_of_an_e57_file_are_one_cloud_with_poses_limits_and_invalid_states() {
 #[test]
 fn e57_bytes_stay_bytes_and_other_coordinates_stand_in_for_invalid_ones() {
     check(&path("one_scan.e57"), "one_scan.e57.json");
-    let source = points::open(&path("one_scan.e57"), &ReadOptions::default()).expect("it opens");
+    let source = points::open(path("one_scan.e57"), &ReadOptions::default()).expect("it opens");
     assert_eq!(format!("{:?}", source.schema().color_depth), "Byte");
-    let source = points::open(&path("two_scans.e57"), &ReadOptions::default()).expect("it opens");
+    let source = points::open(path("two_scans.e57"), &ReadOptions::default()).expect("it opens");
     assert_eq!(format!("{:?}", source.schema().color_depth), "Unit");
     assert_eq!(source.count_hint(), Some(65));
 }

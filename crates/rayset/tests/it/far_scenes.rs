@@ -55,7 +55,8 @@ fn files() -> tempfile::TempDir {
     let radius = workload.radius().map(build::Rule::Number);
     let options = BuildOptions::default().with_radius(radius).with_page_bytes(Some(16384));
     let path = folder.path().join("sphere.rset");
-    build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a build");
+    rayset::octree::build::run(vec![workload.source()], &path, &options, &BuildControl::default())
+        .expect("a build");
     let wave = |at: u64| (at as f64 * 4.0 * std::f64::consts::TAU / SIDE as f64).sin();
     let voxel =
         |i: u64| (127.0 + 126.0 * wave(i % SIDE) * wave(i / SIDE % SIDE) * wave(i / SIDE / SIDE)) as u8;

@@ -295,7 +295,8 @@ fn cloud() -> (Vec<u8>, Vec<[f32; 4]>) {
     let options = BuildOptions::default().with_radius(radius).with_page_bytes(Some(16384));
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("sphere.rset");
-    build::to_file(vec![workload.source()], &path, &options, &BuildControl::default()).expect("a build");
+    rayset::octree::build::run(vec![workload.source()], &path, &options, &BuildControl::default())
+        .expect("a build");
     let file = std::fs::read(&path).expect("the file");
     let near = Arc::new(Cloud::open(&path).expect("a cloud"));
     let session = Session::builder().threads(2).build().expect("a session");

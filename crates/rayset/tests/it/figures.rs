@@ -52,7 +52,7 @@ fn prepared() -> tempfile::TempDir {
         DAffine3::from_scale(DVec3::splat(1.0 / 39.0)) * DAffine3::from_translation(DVec3::splat(-19.5));
     build_grid(
         source,
-        &folder.path().join("volume.rset"),
+        folder.path().join("volume.rset"),
         &GridBuildOptions::default(),
         &rayset::build::BuildControl::default(),
     )

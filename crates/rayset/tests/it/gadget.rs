@@ -13,7 +13,7 @@ fn both_formats_in_both_byte_orders_are_read_exactly() {
 #[test]
 fn a_snapshot_says_its_format_redshift_and_what_was_read() {
     let source =
-        points::open(&fixtures("gadget").join("parts.0"), &ReadOptions::default()).expect("a snapshot");
+        points::open(fixtures("gadget").join("parts.0"), &ReadOptions::default()).expect("a snapshot");
     let said = &source.schema().description;
     for part in
         ["format 2, redshift 3", "box size 1000", "2 files; 13 particles of type gas", "compact support"]

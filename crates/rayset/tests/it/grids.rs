@@ -293,7 +293,7 @@ fn the_same_voxels_come_out_of_every_format() {
         identities.push(header.identity);
     }
     assert!(identities.iter().all(|identity| *identity == identities[0]), "the formats differ");
-    let grid = Grid::open(&paths[0].with_extension("rset")).expect("it opens");
+    let grid = Grid::open(paths[0].with_extension("rset")).expect("it opens");
     let loaded = grid.load().expect("it loads");
     for (at, v) in loaded.iter().enumerate() {
         let at = at as u64;
@@ -324,7 +324,7 @@ fn malformed_volumes_are_errors_that_say_where() {
         let outcome = volumes::open(&path, None).map_err(|e| e.to_string()).and_then(|source| {
             build(
                 source,
-                &f.join("out.rset"),
+                f.join("out.rset"),
                 &GridBuildOptions::default(),
                 &rayset::build::BuildControl::default(),
             )
@@ -350,7 +350,7 @@ fn real_volumes_read() {
         let source = volumes::open(&path, None).unwrap_or_else(|e| panic!("{e}"));
         let header = build(
             source,
-            &folder.path().join("v.rset"),
+            folder.path().join("v.rset"),
             &GridBuildOptions::default(),
             &rayset::build::BuildControl::default(),
         );

@@ -42,14 +42,14 @@ fn refusal(name: &str, bytes: impl AsRef<[u8]>) -> String {
 
 #[test]
 fn a_mesh_gives_the_same_points_in_whatever_format_trimesh_writes_it() {
-    let mut expected = MeshSource::open(&fixture("ball.ply"), 300).expect("a mesh");
+    let mut expected = MeshSource::open(fixture("ball.ply"), 300).expect("a mesh");
     let mut batch = PointBatch::default();
     expected.fill(&mut batch, 1000).expect("points");
     assert_eq!(batch.len(), 300);
     for name in ["ball.ply", "ball.obj", "ball.stl", "ball-ascii.stl"] {
         let found = sample(&fixture(name), 300).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(found.position, batch.position, "{name}");
-        let mut opened = MeshSource::open(&fixture(name), 300).unwrap_or_else(|e| panic!("{e}"));
+        let mut opened = MeshSource::open(fixture(name), 300).unwrap_or_else(|e| panic!("{e}"));
         opened.fill(&mut batch, 1000).expect("points");
         assert_eq!(found.position, batch.position, "{name}");
         // An icosphere of radius 2 with its faces divided once: no point lies deeper than their centres.
@@ -77,7 +77,7 @@ fn points_of_a_mesh_lie_evenly_so_that_its_surface_has_no_pores() {
     let above = found.iter().filter(|p| p[1] > p[0]).count() as u64;
     assert!(above.abs_diff(POINTS / 2) <= 1, "{above}");
     let (mut batch, mut parts) = (PointBatch::default(), Vec::new());
-    let mut source = points::open(&fixture("square.obj"), &with_points(POINTS)).expect("a mesh");
+    let mut source = points::open(fixture("square.obj"), &with_points(POINTS)).expect("a mesh");
     while parts.len() < found.len() {
         source.fill(&mut batch, 777).expect("points");
         parts.extend_from_slice(&batch.position);
@@ -88,7 +88,7 @@ fn points_of_a_mesh_lie_evenly_so_that_its_surface_has_no_pores() {
 #[test]
 fn colours_of_vertices_are_interpolated() {
     for (name, largest) in [("square.ply", 255.0), ("square.obj", 1.0)] {
-        let schema = points::open(&fixture(name), &with_points(1)).expect("a mesh").schema().clone();
+        let schema = points::open(fixture(name), &with_points(1)).expect("a mesh").schema().clone();
         assert!(schema.names().eq(["red", "green", "blue"]), "{name}");
         let found = sample(&fixture(name), 200).expect("points");
         for (i, [x, y, _]) in found.position.iter().enumerate() {
@@ -100,7 +100,7 @@ fn colours_of_vertices_are_interpolated() {
     // One vertex without a colour: there are none.
     let folder = folder();
     let text = "v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0\nf 1 2 3\n";
-    let source = points::open(&write(folder.path(), "m.obj", text), &with_points(1)).expect("a mesh");
+    let source = points::open(write(folder.path(), "m.obj", text), &with_points(1)).expect("a mesh");
     assert!(source.schema().columns.is_empty());
 }
 
@@ -128,7 +128,7 @@ fn a_ply_of_a_shape_is_its_faces_and_one_of_a_scan_or_of_measurements_its_vertic
     let folder = folder();
     let open = |text: String| {
         let source =
-            points::open(&write(folder.path(), "m.ply", text), &ReadOptions::default()).expect("it opens");
+            points::open(write(folder.path(), "m.ply", text), &ReadOptions::default()).expect("it opens");
         (source.count_hint(), source.schema().warnings.join(" "))
     };
     let (count, said) = open(lattice(3, None));
@@ -142,7 +142,7 @@ fn a_ply_of_a_shape_is_its_faces_and_one_of_a_scan_or_of_measurements_its_vertic
     }
     // Faces without an area leave the vertices.
     let flat = lattice(3, None).replace("4 ", "0 ").replace("\n0 1 2 5 4", "\n3 1 1 1");
-    assert!(points::open(&write(folder.path(), "f.ply", flat), &ReadOptions::default()).is_ok());
+    assert!(points::open(write(folder.path(), "f.ply", flat), &ReadOptions::default()).is_ok());
 }
 
 #[test]
@@ -163,17 +163,17 @@ fn colours_of_vertices_in_off_are_read() {
 fn without_a_number_there_are_ten_points_a_triangle_within_bounds() {
     let none = ReadOptions::default();
     for name in ["ball.ply", "ball.obj", "ball.stl", "ball-ascii.stl"] {
-        let source = points::open(&fixture(name), &none).expect("it opens");
+        let source = points::open(fixture(name), &none).expect("it opens");
         assert_eq!(source.count_hint(), Some(1_000_000), "{name}");
         let warnings = &source.schema().warnings;
         assert_eq!(warnings, &["1000000 points are sampled on the 80 triangles of a mesh"], "{name}");
-        let asked = points::open(&fixture(name), &with_points(77)).expect("it opens");
+        let asked = points::open(fixture(name), &with_points(77)).expect("it opens");
         assert_eq!((asked.count_hint(), asked.schema().warnings.len()), (Some(77), 0));
     }
     let folder = folder();
     let fan: String = (0..150_000).map(|_| "f 1 2 3\n").collect();
     let text = format!("v 0 0 0\nv 1 0 0\nv 0 1 0\n{fan}");
-    let source = points::open(&write(folder.path(), "m.obj", text), &none).expect("it opens");
+    let source = points::open(write(folder.path(), "m.obj", text), &none).expect("it opens");
     assert_eq!(source.count_hint(), Some(1_500_000));
     // A binary STL of zeros, which take no room on disk.
     let path = write(folder.path(), "m.stl", [&[0; 80][..], &2_000_001_u32.to_le_bytes()].concat());

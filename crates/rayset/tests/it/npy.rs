@@ -13,7 +13,7 @@ fn arrays_and_archives_are_read_as_numpy_wrote_them() {
 #[test]
 fn colours_have_the_range_of_their_type_and_classes_are_classes() {
     let schema = |name: &str| {
-        let source = points::open(&fixtures("npy").join(name), &ReadOptions::default()).expect("points");
+        let source = points::open(fixtures("npy").join(name), &ReadOptions::default()).expect("points");
         source.schema().clone()
     };
     // Programs keep colours of 0 to 255 in wider integers, too: their values decide.
@@ -29,7 +29,7 @@ fn colours_have_the_range_of_their_type_and_classes_are_classes() {
 #[test]
 fn numbers_of_half_precision_are_positions_and_columns_of_single_precision() {
     let schema = |name: &str| {
-        let source = points::open(&fixtures("npy").join(name), &ReadOptions::default()).expect("points");
+        let source = points::open(fixtures("npy").join(name), &ReadOptions::default()).expect("points");
         source.schema().clone()
     };
     for (name, column) in [
@@ -49,7 +49,7 @@ fn names_of_columns_can_be_given_for_plain_arrays() {
     let open = |names: &str| {
         let names = names.split(',').map(str::to_owned).collect();
         points::open(
-            &fixtures("npy").join("fortran.npy"),
+            fixtures("npy").join("fortran.npy"),
             &ReadOptions::default().with_text_columns(Some(names)),
         )
     };

@@ -199,7 +199,7 @@ fn a_checksum_of_an_archive_that_is_wrong_is_an_error() {
     let folder = folder();
     let path = folder.path().join("a.npz");
     let bytes = fixture("stored.npz");
-    let header = volumes::open(&fixtures("volumes").join("stored.npz"), None).expect("it opens");
+    let header = volumes::open(fixtures("volumes").join("stored.npz"), None).expect("it opens");
     assert_eq!(header.size, [6, 5, 4]);
     // The voxels are 480 bytes before the list of files.
     let list = bytes.windows(4).position(|part| part == b"PK\x01\x02").expect("a list");

@@ -26,7 +26,7 @@ fn ascii(fields: &str, rest: &str) -> Vec<u8> {
 fn pcd_reads_alike_in_its_three_encodings_with_colours_of_either_type() {
     for name in ENCODED {
         check(&path(name), "points.pcd.json");
-        let source = points::open(&path(name), &ReadOptions::default()).expect("it opens");
+        let source = points::open(path(name), &ReadOptions::default()).expect("it opens");
         assert_eq!(format!("{:?}", source.schema().color_depth), "Byte");
         // The viewpoint is said, and not applied, as in PCL.
         let description = &source.schema().description;

@@ -242,7 +242,7 @@ fn properties_keep_their_names_and_colours_go_by_any_of_theirs() {
     let comments = "comment \u{e4}\u{e4}\u{e4}\u{e4}\u{e4}\n".repeat(500);
     let text = format!("ply\nformat ascii 1.0\n{comments}element vertex 0\n{XYZ}end_header\n");
     let source =
-        points::open(&write(folder.path(), text.as_bytes()), &ReadOptions::default()).expect("it opens");
+        points::open(write(folder.path(), text.as_bytes()), &ReadOptions::default()).expect("it opens");
     let length = source.schema().description.len();
     assert!((500..=512).contains(&length), "{length}");
 }
@@ -260,7 +260,7 @@ fn points_lie_on_the_faces_of_a_mesh_and_other_lists_are_no_faces() {
         mesh_header(1, "property list uchar float texcoord\nproperty list uchar int vertex_indices\n");
     let corners: Vec<u8> = [0_i32, 1, 2, 3].iter().flat_map(|i| i.to_le_bytes()).collect();
     let bytes = binary(&header, &[&floats(&SQUARE), &[3], &floats(&[9.0, -1.0, f32::NAN]), &[4], &corners]);
-    let mut source = MeshSource::open(&write(folder.path(), &bytes), 500).expect("a mesh");
+    let mut source = MeshSource::open(write(folder.path(), &bytes), 500).expect("a mesh");
     let mut batch = PointBatch::default();
     source.fill(&mut batch, 1000).expect("points");
     assert_eq!(batch.len(), 500);

@@ -33,7 +33,7 @@ fn ptx_is_known_by_its_content_and_read_alike_in_batches_of_any_size() {
             assert_eq!(parts.1[0], whole.1[4]);
         }
     }
-    let source = points::open(&path("scans.ptx"), &ReadOptions::default()).expect("it opens");
+    let source = points::open(path("scans.ptx"), &ReadOptions::default()).expect("it opens");
     assert!(source.memory_needed() < 1 << 20);
 }
 

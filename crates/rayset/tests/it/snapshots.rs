@@ -13,8 +13,7 @@ fn snapshots_of_each_code_are_read_as_h5py_reads_them() {
 #[test]
 fn a_snapshot_says_what_it_is_and_how_its_radii_were_made() {
     let describe = |name: &str, particles| {
-        let source =
-            points::open(&fixtures("snapshots").join(name), &options(particles)).expect("a snapshot");
+        let source = points::open(fixtures("snapshots").join(name), &options(particles)).expect("a snapshot");
         source.schema().description.clone()
     };
     let swift = describe("swift.hdf5", None);
@@ -36,8 +35,8 @@ fn a_snapshot_says_what_it_is_and_how_its_radii_were_made() {
 
 #[test]
 fn numbers_of_half_precision_are_columns_of_single_precision_and_bfloat16_is_none() {
-    let source = points::open(&fixtures("snapshots").join("halves.hdf5"), &ReadOptions::default())
-        .expect("a snapshot");
+    let source =
+        points::open(fixtures("snapshots").join("halves.hdf5"), &ReadOptions::default()).expect("a snapshot");
     let schema = source.schema();
     for name in ["Edges", "Velocities_x"] {
         assert_eq!(schema.columns[schema.find(name).expect(name)].kind, ColumnType::F32, "{name}");
@@ -53,7 +52,7 @@ fn each_file_of_a_snapshot_reads_all_and_the_missing_one_is_named() {
         std::fs::copy(fixtures("snapshots").join(name), at(name)).expect("a copy");
     }
     for name in ["arepo.0.hdf5", "arepo.1.hdf5"] {
-        let source = points::open(&at(name), &ReadOptions::default()).expect("a snapshot");
+        let source = points::open(at(name), &ReadOptions::default()).expect("a snapshot");
         assert_eq!(source.count_hint(), Some(21));
         assert_eq!(source.path(), Some(at("arepo.0.hdf5").as_path()), "the first stands for all");
     }
@@ -65,7 +64,7 @@ fn each_file_of_a_snapshot_reads_all_and_the_missing_one_is_named() {
 #[test]
 fn types_that_are_not_there_are_refused_with_those_that_are() {
     let said = |particles| {
-        let read = points::open(&fixtures("snapshots").join("gadget.hdf5"), &options(Some(particles)));
+        let read = points::open(fixtures("snapshots").join("gadget.hdf5"), &options(Some(particles)));
         read.err().expect("no such type").to_string()
     };
     assert!(said("bulge").contains("it has gas (30), dark (20), stars (10)"), "{}", said("bulge"));
@@ -101,7 +100,7 @@ fn a_snapshot_that_claims_more_than_its_file_can_hold_or_memory_should_is_refuse
 #[test]
 fn a_small_snapshot_needs_little_memory() {
     let source =
-        points::open(&fixtures("snapshots").join("swift.hdf5"), &ReadOptions::default()).expect("a snapshot");
+        points::open(fixtures("snapshots").join("swift.hdf5"), &ReadOptions::default()).expect("a snapshot");
     assert!(source.memory_needed() < 2 << 20, "{}", source.memory_needed());
 }
 

@@ -129,7 +129,7 @@ fn a_splat_ply_keeps_columns_of_its_own_and_flat_splats_have_no_third_deviation(
 fn splats_are_the_same_in_batches_of_any_size_and_columns_of_any_order() {
     for name in FILES {
         let whole = table(&fixture(name), None).expect("it reads");
-        let mut source = points::open(&fixture(name), &ReadOptions::default()).expect("it opens");
+        let mut source = points::open(fixture(name), &ReadOptions::default()).expect("it opens");
         assert_eq!(source.count_hint(), Some(whole.0.len() as u64), "{name}");
         source.select(&[8, 0, 8]);
         let (mut batch, mut seen) = (PointBatch::default(), 0);
@@ -153,7 +153,7 @@ fn splats_are_the_same_in_batches_of_any_size_and_columns_of_any_order() {
 #[test]
 fn splats_need_little_memory_however_many_there_are() {
     for name in FILES {
-        let source = points::open(&fixture(name), &ReadOptions::default()).expect("it opens");
+        let source = points::open(fixture(name), &ReadOptions::default()).expect("it opens");
         let needed = source.memory_needed();
         assert!((64 << 10..6 << 20).contains(&needed), "{name}: {needed}");
     }

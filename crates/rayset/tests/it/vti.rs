@@ -271,14 +271,14 @@ fn values_of_cells_stand_at_their_centres() {
     let source = volumes::open(&path, None).expect("it opens");
     let header = build(
         source,
-        &folder.path().join("a.rset"),
+        folder.path().join("a.rset"),
         &GridBuildOptions::default(),
         &rayset::build::BuildControl::default(),
     );
     let header = header.expect("it builds");
     assert_eq!(header.size, SIZE);
     assert_eq!(header.space_from_voxel.translation.to_array(), [2.5, 1.0, 1.5]);
-    let values = Grid::open(&folder.path().join("a.rset")).expect("it opens").load().expect("it loads");
+    let values = Grid::open(folder.path().join("a.rset")).expect("it opens").load().expect("it loads");
     let expected: Vec<f32> =
         voxels().chunks(2).map(|two| f32::from(i16::from_le_bytes([two[0], two[1]]))).collect();
     assert_eq!(values, expected);

@@ -13,7 +13,7 @@ fn every_encoding_of_vtk_gives_the_same_points() {
 #[test]
 fn bytes_of_colours_are_colours_and_texts_are_left_out() {
     for name in ["poly_text_42.vtk", "grid_binary_42.vtk", "binary_zlib.vtp"] {
-        let source = points::open(&fixtures("vtk").join(name), &ReadOptions::default()).expect("points");
+        let source = points::open(fixtures("vtk").join(name), &ReadOptions::default()).expect("points");
         let schema = source.schema();
         assert_eq!(schema.color_depth, ColorDepth::Byte, "{name}");
         let mut names: Vec<&str> = schema.names().collect();

@@ -6,6 +6,7 @@
 //! `temp_dir`.
 
 mod assemble;
+mod builder;
 mod columns;
 mod context;
 mod control;
@@ -32,6 +33,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use self::assemble::{Assembler, Output};
+pub use self::builder::CloudBuilder;
 use self::context::{Context, Place};
 pub use self::control::{BuildControl, NoProgress, Progress, Stage};
 pub use self::error::{BuildError, Quantity, Skipped};

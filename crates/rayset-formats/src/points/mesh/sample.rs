@@ -75,7 +75,8 @@ impl MeshSource {
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be read, has no faces with an area, or a face refers to a vertex that does not exist.
-    pub fn open(path: &Path, points: u64) -> Result<Self, ReadError> {
+    pub fn open(path: impl AsRef<Path>, points: u64) -> Result<Self, ReadError> {
+        let path = path.as_ref();
         let mut source = Self::survey(path, MeshFormat::of(path), Some(points))?;
         source.load()?;
         Ok(source)

@@ -8,13 +8,15 @@ use std::collections::BinaryHeap;
 use std::ops::Range;
 
 use super::live_rays::LiveRays;
+use super::nodes::{NodesInMemory, RetainedNodes};
 use super::placement::CloudPlacement;
 use crate::field::{Packet, SLAB_SAMPLES};
 use crate::trace::access::{Access, Halt};
-use rayset_base::geometry::Aabb;
-use rayset_files::octree::layout::{NodeRef, RUN_POINTS};
-use rayset_files::octree::node::{Node, NodePage};
+use rayset_base::geometry::{Aabb, Ray};
+use rayset_files::octree::layout::RUN_POINTS;
+use rayset_files::octree::node::Node;
 use rayset_files::octree::page::PointPage;
+use rayset_files::octree::walk::{NodePages, Visit, Visitor, Walk};
 
 /// Nodes with more own runs than this add whole pages instead of single runs, so that a frontier stays small however
 /// large the points are.
@@ -79,10 +81,7 @@ pub(super) struct ActiveRuns {
 #[derive(Default)]
 pub(super) struct Frontier {
     heap: BinaryHeap<Entry>,
-    /// Number of nodes opened.
-    opened: u64,
-    /// Number of own runs of these nodes.
-    opened_runs: u64,
+    walk: Walk,
 }
 
 /// Bounds of influence of a run, enlarged by more than the rounding error.
@@ -101,15 +100,19 @@ pub(super) struct Place<'a> {
     pub(super) rays: &'a LiveRays,
 }
 
+impl<'a> Place<'a> {
+    fn nodes(&self) -> RetainedNodes<'a> {
+        RetainedNodes { access: self.access, cloud: self.cloud }
+    }
+}
+
 impl Frontier {
     /// Restarts at the root.
     pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
         self.heap.clear();
-        (self.opened, self.opened_runs) = (1, 0);
-        if let Some(root) = place.access.root(place.cloud)? {
-            self.push_node(place, root);
-        }
-        Ok(())
+        let mut none = Vec::new();
+        let mut opening = Opening::new(place, &mut self.heap, 0, &mut none);
+        self.walk.begin(&mut place.nodes(), &mut opening)
     }
 
     /// The first sample that anything ahead may reach.
@@ -125,32 +128,14 @@ impl Frontier {
         end: u64,
         active: &mut Vec<ActiveRuns>,
     ) -> Result<(), Halt> {
-        let Place { cloud, packet, rays, .. } = place;
-        while let Some(entry) = self.heap.peek().copied().filter(|e| e.first < end) {
-            self.heap.pop();
-            let node = match entry.item {
-                Item::Runs(runs) => {
-                    active.push(ActiveRuns { runs, first: entry.first, last: entry.last });
-                    continue;
-                }
-                Item::Node(node) => node,
-            };
-            let bounds = node.bounds(cloud.root_cell);
-            // Rays that met it may have ended since.
-            let Some(range) = rays.samples_in(packet, &bounds) else { continue };
-            if rays.misses_now(&bounds, range) {
-                if entry.last >= end {
-                    self.heap.push(Entry { first: end, ..entry });
-                }
-                continue;
-            }
-            let opened = self.open(place, &node);
-            if matches!(opened, Err(Halt::Deferred(_))) {
-                self.request_ahead(place, &node, end);
-            }
-            opened?;
+        let mut opening = Opening::new(place, &mut self.heap, end, active);
+        let outcome = self.walk.go_on(&mut place.nodes(), &mut opening);
+        let opened_last = opening.entry;
+        if let (Err(Halt::Deferred(_)), Some(Entry { item: Item::Node(node), .. })) = (&outcome, opened_last)
+        {
+            self.request_ahead(place, &node, end);
         }
-        Ok(())
+        outcome
     }
 
     /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and the next
@@ -174,70 +159,47 @@ impl Frontier {
     pub(super) fn precache(&self, place: Place<'_>) {
         let Place { access, cloud, packet, .. } = place;
         let middle = packet.ray(packet.len() / 2);
-        let enters = |node: &Node| node.bounds(cloud.root_cell).clip(&middle).map(|(enter, _)| enter);
-        let nearest = |nodes: &mut dyn Iterator<Item = Node>| {
-            let met = nodes.filter_map(|node| enters(&node).map(|enter| (enter, node)));
-            met.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, node)| node)
-        };
-        let ask = |pages: &[u32]| access.pages.hint(&cloud.pages, pages, u64::MAX);
-        let mut ahead = self.heap.iter().filter_map(|entry| match entry.item {
-            Item::Node(node) => Some(node),
-            Item::Runs(_) => None,
-        });
-        let mut next = nearest(&mut ahead);
-        while let Some(node) = next.take() {
-            if node.child_mask == 0 {
-                let own: Vec<u32> = cloud.own_pages(&node).collect();
-                ask(&own);
-                return;
+        let mut line = Line { cloud, middle, nearest: None, pages: Vec::new() };
+        let mut nodes = NodesInMemory::new(access.pages, cloud);
+        for entry in &self.heap {
+            if let Item::Node(node) = entry.item {
+                Visitor::<NodesInMemory<'_>>::meet(&mut line, node);
             }
-            let page = cloud.first_node_page + node.first_child.page;
-            let Some(guard) = access.pages.peek(&cloud.pages, page) else {
-                ask(&[page]);
-                return;
-            };
-            let nodes = NodePage::scaled(&guard, cloud.header());
-            let first = usize::from(node.first_child.index);
-            let children = (0..node.child_mask.count_ones() as usize).filter_map(|k| nodes.get(first + k));
-            next = nearest(&mut children.filter(|child| child.is_child_of(&node)));
         }
+        let Ok(()) = Walk::new().go_on(&mut nodes, &mut line);
+        line.pages.append(&mut nodes.absent);
+        if line.pages.is_empty() {
+            return;
+        }
+        access.pages.hint(&cloud.pages, &line.pages, u64::MAX);
     }
+}
 
-    fn push_node(&mut self, place: Place<'_>, node: Node) {
-        let bounds = node.bounds(place.cloud.root_cell);
-        if let Some((first, last)) = place.rays.samples_in(place.packet, &bounds) {
-            self.heap.push(Entry { first, last, item: Item::Node(node) });
-        }
-    }
+/// The nodes that samples of a packet before one need, while they are opened.
+struct Opening<'t> {
+    place: Place<'t>,
+    heap: &'t mut BinaryHeap<Entry>,
+    /// The first sample that needs nothing yet.
+    end: u64,
+    active: &'t mut Vec<ActiveRuns>,
+    /// The entry that is visited.
+    entry: Option<Entry>,
+}
 
-    fn open(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
-        self.open_own(place, node)?;
-        self.open_children(place, node)
-    }
-
-    fn open_children(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
-        if node.child_mask == 0 {
-            return Ok(());
-        }
-        let Place { access, cloud, .. } = place;
-        let NodeRef { page, index } = node.first_child;
-        let guard = access.retain(cloud, cloud.first_node_page + page)?;
-        let nodes = NodePage::scaled(&guard, cloud.header());
-        for k in 0..node.child_mask.count_ones() as usize {
-            let child = nodes.get(usize::from(index) + k).filter(|child| child.is_child_of(node));
-            let child = child.filter(|_| self.opened < cloud.most_nodes());
-            self.opened += 1;
-            self.push_node(place, child.ok_or_else(|| cloud.broken(page))?);
-        }
-        Ok(())
+impl<'t> Opening<'t> {
+    fn new(
+        place: Place<'t>,
+        heap: &'t mut BinaryHeap<Entry>,
+        end: u64,
+        active: &'t mut Vec<ActiveRuns>,
+    ) -> Self {
+        Self { place, heap, end, active, entry: None }
     }
 
     /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed again for the points.
-    fn open_own(&mut self, place: Place<'_>, node: &Node) -> Result<(), Halt> {
-        let Place { access, cloud, packet, rays } = place;
-        // Each run belongs to one node and has at least one point.
-        self.opened_runs += u64::from(node.own.runs);
-        if self.opened_runs > cloud.header().points {
+    fn open_own(&mut self, node: &Node, walk: &mut Walk) -> Result<(), Halt> {
+        let Place { access, cloud, packet, rays } = self.place;
+        if !walk.may_look_at_runs_of(node, cloud.header()) {
             return Err(cloud.broken(node.own.first_page).into());
         }
         let node_bounds = &node.bounds(cloud.root_cell);
@@ -256,10 +218,82 @@ impl Frontier {
                     self.heap.push(Entry { first, last, item });
                     continue;
                 }
-                let ranges = ranges_of_points(place, points, index).unwrap_or_else(|| vec![(first, last)]);
+                let ranges =
+                    ranges_of_points(self.place, points, index).unwrap_or_else(|| vec![(first, last)]);
                 self.heap.extend(ranges.into_iter().map(|(first, last)| Entry { first, last, item }));
             }
         })
+    }
+}
+
+impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
+    fn meet(&mut self, node: Node) {
+        let Place { cloud, packet, rays, .. } = self.place;
+        if let Some((first, last)) = rays.samples_in(packet, &node.bounds(cloud.root_cell)) {
+            self.heap.push(Entry { first, last, item: Item::Node(node) });
+        }
+    }
+
+    fn next(&mut self) -> Option<Node> {
+        while let Some(entry) = self.heap.peek().copied().filter(|e| e.first < self.end) {
+            self.heap.pop();
+            match entry.item {
+                Item::Runs(runs) => {
+                    self.active.push(ActiveRuns { runs, first: entry.first, last: entry.last });
+                }
+                Item::Node(node) => {
+                    self.entry = Some(entry);
+                    return Some(node);
+                }
+            }
+        }
+        None
+    }
+
+    fn visit(&mut self, node: &Node, walk: &mut Walk, _: &mut RetainedNodes<'t>) -> Result<Visit, Halt> {
+        let Place { cloud, packet, rays, .. } = self.place;
+        let bounds = node.bounds(cloud.root_cell);
+        // Rays that met it may have ended since.
+        let Some(range) = rays.samples_in(packet, &bounds) else { return Ok(Visit::Skip) };
+        if rays.misses_now(&bounds, range) {
+            if let Some(entry) = self.entry.filter(|entry| entry.last >= self.end) {
+                self.heap.push(Entry { first: self.end, ..entry });
+            }
+            return Ok(Visit::Skip);
+        }
+        self.open_own(node, walk)?;
+        Ok(Visit::Open)
+    }
+}
+
+/// The way of a ray to where it first meets points, along the nearest of the nodes that it meets.
+struct Line<'t> {
+    cloud: &'t CloudPlacement,
+    middle: Ray,
+    /// Of the nodes met since the last was visited, the one that the ray enters first, and where.
+    nearest: Option<(f64, Node)>,
+    /// The pages of the points.
+    pages: Vec<u32>,
+}
+
+impl<P: NodePages> Visitor<P> for Line<'_> {
+    fn meet(&mut self, node: Node) {
+        let Some((enter, _)) = node.bounds(self.cloud.root_cell).clip(&self.middle) else { return };
+        if self.nearest.is_none_or(|(nearest, _)| enter < nearest) {
+            self.nearest = Some((enter, node));
+        }
+    }
+
+    fn next(&mut self) -> Option<Node> {
+        self.nearest.take().map(|(_, node)| node)
+    }
+
+    fn visit(&mut self, node: &Node, _: &mut Walk, _: &mut P) -> Result<Visit, P::Error> {
+        if node.child_mask != 0 {
+            return Ok(Visit::Open);
+        }
+        self.pages.extend(self.cloud.own_pages(node));
+        Ok(Visit::Stop)
     }
 }
 

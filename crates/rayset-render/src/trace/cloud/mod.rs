@@ -4,12 +4,14 @@
 mod frontier;
 mod live_rays;
 mod march;
+mod nodes;
 mod placement;
 mod shading;
 mod volume;
 
 pub(super) use self::frontier::{each_own_page, run_bounds};
 pub(super) use self::march::{CloudMarch, CloudScratch, Remaining, Request};
+pub(super) use self::nodes::{NodesInMemory, RetainedNodes};
 pub(super) use self::placement::CloudPlacement;
 pub(super) use self::shading::CloudShading;
 pub(super) use self::volume::CloudVolume;

@@ -11,8 +11,8 @@ use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
 use rayset_files::PagedFiles;
 use rayset_files::octree::Cloud;
 use rayset_files::octree::format::Header;
-use rayset_files::octree::layout::{RUN_POINTS, RootCell, nodes_per_page};
-use rayset_files::octree::node::{Node, NodePage};
+use rayset_files::octree::layout::{RUN_POINTS, RootCell};
+use rayset_files::octree::node::Node;
 use rayset_store::working_set::{Object, PageFault, PageGuard};
 
 /// A cloud, placed in the world by the graph.
@@ -126,12 +126,6 @@ impl CloudPlacement {
         self.own_pages(node).chain(children)
     }
 
-    /// Upper bound of the nodes that a walk through the octree can meet; if there are more, the file is not a tree.
-    pub(in crate::trace) fn most_nodes(&self) -> u64 {
-        let header = self.header();
-        header.nodes.min(u64::from(header.node_pages) * nodes_per_page(header.page_bytes as usize) as u64)
-    }
-
     /// The error for a page that is intact but contradicts another page.
     pub(in crate::trace) fn broken(&self, page: u32) -> RenderError {
         RenderError::Page(PageFault::Damaged {
@@ -147,19 +141,5 @@ impl Access<'_> {
     /// Retains a page of a cloud.
     pub(in crate::trace) fn retain(&self, cloud: &CloudPlacement, page: u32) -> Result<PageGuard, Halt> {
         self.retain_page(&cloud.pages, page)
-    }
-
-    /// The root node of a cloud; `None` if the cloud is empty.
-    pub(in crate::trace) fn root(&self, cloud: &CloudPlacement) -> Result<Option<Node>, Halt> {
-        let header = cloud.header();
-        if header.points == 0 {
-            return Ok(None);
-        }
-        let place = header.root;
-        let guard = self.retain(cloud, cloud.first_node_page + place.page)?;
-        match NodePage::scaled(&guard, cloud.header()).get(usize::from(place.index)) {
-            Some(root) => Ok(Some(root)),
-            None => Err(cloud.broken(place.page).into()),
-        }
     }
 }

@@ -3,7 +3,7 @@
 use crate::field::{LANES, Packet, Slab};
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
-use crate::trace::march::March;
+use crate::trace::march::{March, SlabVisitor};
 use crate::trace::node_samples::NodeSamples;
 use crate::trace::program::Program;
 use crate::trace::steps::StepRule;
@@ -52,60 +52,67 @@ impl<'p> PassTracer<'p> {
         for group in self.steps.groups(access, self.program, &rays)? {
             let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
             let packet = Packet::new(&members, group.step);
-            self.march.begin(&packet);
-            let mut node = self.march.node_samples();
             let mut found = vec![Vec::new(); members.len()];
-            let outcome = self.follow(access, &packet, &mut node, &mut found);
-            self.march.give_back(node);
-            outcome?;
+            self.open.fill(None);
+            let mut passes =
+                Passes { packet: &packet, open: &mut self.open, found: &mut found, counts: &mut self.counts };
+            self.march.slabs(access, &packet, &mut passes)?;
+            passes.close_all();
             for (&ray, found) in group.members.iter().zip(found) {
                 crossings[ray] = found;
             }
         }
         Ok(crossings)
     }
+}
 
-    fn follow(
-        &mut self,
-        access: Access<'_>,
-        packet: &Packet,
-        node: &mut NodeSamples,
-        found: &mut [Vec<f64>],
-    ) -> Result<(), Halt> {
-        self.open.fill(None);
-        let mut from = 0;
-        while let Some(slab) = self.march.next_slab(from) {
-            if slab.first > from {
-                // The samples that were skipped are empty.
-                (0..found.len()).for_each(|lane| self.close(lane, &mut found[lane]));
-            }
-            from = slab.end();
-            self.march.evaluate(access, packet, slab, packet.all(), &mut self.counts, node)?;
-            for (lane, found) in found.iter_mut().enumerate() {
-                self.extend(packet, slab, node, lane, found);
-            }
-        }
-        (0..found.len()).for_each(|lane| self.close(lane, &mut found[lane]));
-        Ok(())
+/// The passes of the rays of a packet.
+struct Passes<'t> {
+    packet: &'t Packet,
+    open: &'t mut [Option<Pass>],
+    /// For each ray, where it crosses the surface.
+    found: &'t mut [Vec<f64>],
+    counts: &'t mut RenderCounts,
+}
+
+impl SlabVisitor for Passes<'_> {
+    fn passed_nothing(&mut self, _: u64) -> u64 {
+        self.close_all();
+        0
     }
 
+    fn counts(&mut self) -> &mut RenderCounts {
+        self.counts
+    }
+
+    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
+        (0..self.found.len()).for_each(|lane| self.extend(slab, node, lane));
+        Ok(going)
+    }
+}
+
+impl Passes<'_> {
     /// Goes through the samples of a lane in a slab.
-    fn extend(&mut self, packet: &Packet, slab: Slab, node: &NodeSamples, lane: usize, found: &mut Vec<f64>) {
+    fn extend(&mut self, slab: Slab, node: &NodeSamples, lane: usize) {
         if node.touched >> lane & 1 == 0 {
-            return self.close(lane, found);
+            return self.close(lane);
         }
         for j in 0..slab.samples {
             if node.opacity[lane].0[j] < HALF_OPAQUE {
-                self.close(lane, found);
+                self.close(lane);
                 continue;
             }
-            let here = (packet.sample_t_world(lane, slab.first + j as u64), node.normal_at(lane, j));
+            let here = (self.packet.sample_t_world(lane, slab.first + j as u64), node.normal_at(lane, j));
             let pass = self.open[lane].get_or_insert(Pass { first: here, last: here });
             pass.last = here;
         }
     }
 
-    fn close(&mut self, lane: usize, found: &mut Vec<f64>) {
-        found.extend(self.open[lane].take().and_then(|pass| pass.crossing()));
+    fn close(&mut self, lane: usize) {
+        self.found[lane].extend(self.open[lane].take().and_then(|pass| pass.crossing()));
+    }
+
+    fn close_all(&mut self) {
+        (0..self.found.len()).for_each(|lane| self.close(lane));
     }
 }

@@ -84,7 +84,8 @@ impl Part {
     ///
     /// # Errors
     /// [`PartError`] if it cannot be read, or is no complete part of this version.
-    pub fn open(path: &Path) -> Result<Self, PartError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, PartError> {
+        let path = path.as_ref();
         Self::at(shown(path), Place::Named(path.to_owned()))
     }
 

@@ -7,10 +7,9 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::probe::{Expected, Gap, ProbeRays};
-use super::view::View;
 use crate::scene::Operator;
 use crate::trace::access::{Access, Lacking};
-use crate::trace::cloud::{CloudPlacement, CloudVolume};
+use crate::trace::cloud::{CloudPlacement, CloudVolume, NodesInMemory};
 use crate::trace::grid::{GridVolume, PagesAhead};
 use crate::trace::program::{Action, Program};
 use rayset_base::geometry::Ray;
@@ -170,10 +169,11 @@ impl Foresight {
         let mut complete = true;
         for (cloud, file, expected) in self.clouds(program).filter(|(cloud, ..)| cloud.pages.is_far()) {
             let mut want_node = |node: &Node| cloud.own_pages_at_most(node).for_each(|page| want(file, page));
-            let mut view = View::new(pages, cloud, &mut want_node);
+            let mut nodes = NodesInMemory::new(pages, cloud);
             let local: Vec<Ray> = rays.iter().map(|ray| cloud.local_ray(ray)).collect();
-            view.explore(&mut ProbeRays::new(program.simd, &local, Gap::NONE).reaching(reach), expected);
-            let nodes = view.absent_nodes;
+            let mut probes = ProbeRays::new(program.simd, &local, Gap::NONE).reaching(reach);
+            probes.explore(&mut nodes, expected, &mut want_node);
+            let nodes = nodes.absent;
             complete &= nodes.is_empty();
             nodes.into_iter().for_each(|page| want(file, page));
         }

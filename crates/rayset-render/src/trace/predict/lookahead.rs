@@ -12,9 +12,9 @@ use super::found::{Found, Looked, PageId};
 use super::order::{Edge, Order};
 use super::pace::Pace;
 use super::probe::{Gap, ProbeRays};
-use super::view::View;
 use crate::field::LANES;
 use crate::scene::RayMaker;
+use crate::trace::cloud::NodesInMemory;
 use crate::trace::shadow::{LitPlace, RaysToLight};
 use crate::trace::work::{Region, Tile};
 use crate::trace::world::World;
@@ -282,15 +282,15 @@ impl<'a> Lookahead<'a> {
                     pages.for_each(|page| looked.want(PageId { file, page }, use_by));
                 }
             };
-            let mut view = View::new(self.pages, cloud, &mut want);
+            let mut nodes = NodesInMemory::new(self.pages, cloud);
             let local = rays.map(|ray| cloud.local_ray(&ray));
             let mut probes = ProbeRays::new(world.program.simd, &local, Gap::of_lattice(&local));
             if casts_shadows {
                 probes.note_met();
             }
-            view.explore(&mut probes, expected);
+            probes.explore(&mut nodes, expected, &mut want);
             met.append(&mut probes.take_met());
-            let absent = view.absent_nodes;
+            let absent = nodes.absent;
             complete &= absent.is_empty();
             gone |= self.hint_once(file, absent, found);
         }

@@ -9,7 +9,6 @@ mod lookahead;
 mod order;
 mod pace;
 mod probe;
-mod view;
 mod window;
 
 pub(super) use deferral::Deferral;

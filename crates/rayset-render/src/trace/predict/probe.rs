@@ -2,12 +2,15 @@
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::convert::Infallible;
 
 use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::scene::OpacityRule;
-use crate::trace::cloud::CloudShading;
+use crate::trace::cloud::{CloudShading, NodesInMemory};
 use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
+use rayset_files::octree::layout::RootCell;
 use rayset_files::octree::node::Node;
+use rayset_files::octree::walk::{NodePages, Visit, Visitor, Walk};
 
 /// How far from each other rays are of which only some are probed.
 #[derive(Clone, Copy, Debug)]
@@ -147,41 +150,58 @@ impl ProbeRays {
         }
     }
 
-    /// Reports, nearest first, the nodes that the rays are expected to reach.
-    pub(super) fn explore(&mut self, root: Node, expected: &Expected, terrain: &mut impl OctreeView) {
-        let mut heap = BinaryHeap::new();
-        let mut found = vec![root];
-        loop {
-            for node in found.drain(..) {
-                let meeting = self.first_meeting(&terrain.bounds(&node));
-                heap.extend(meeting.map(|distance| Ahead { distance, node }));
-            }
-            let Some(Ahead { distance, node }) = heap.pop() else { return };
-            let bounds = terrain.bounds(&node);
-            let crossing = self.cross(&bounds, distance);
-            if crossing.near == 0 {
-                continue;
-            }
-            terrain.want(&node);
-            if node.child_mask == 0 {
-                self.absorb(&crossing, expected.extinction(&node, &bounds), expected);
-            } else {
-                terrain.children(&node, &mut found);
-            }
-        }
+    /// Calls `want`, nearest first, with the nodes that the rays are expected to reach, as far as nodes are in memory.
+    pub(super) fn explore(
+        &mut self,
+        nodes: &mut NodesInMemory<'_>,
+        expected: &Expected,
+        want: &mut dyn FnMut(&Node),
+    ) {
+        let root_cell = nodes.header().root_cell();
+        let mut exploration =
+            Exploration { rays: self, expected, root_cell, want, ahead: BinaryHeap::new(), distance: 0.0 };
+        let mut walk = Walk::new();
+        let Ok(()) = walk.begin(nodes, &mut exploration);
+        let Ok(()) = walk.go_on(nodes, &mut exploration);
     }
 }
 
-/// The octree as the probe rays see it.
-pub(super) trait OctreeView {
-    /// Bounds of influence of all points below a node.
-    fn bounds(&self, node: &Node) -> Aabb;
-
-    /// Appends the children of a node that are in memory.
-    fn children(&mut self, node: &Node, found: &mut Vec<Node>);
-
+/// Probe rays on their way through an octree.
+struct Exploration<'t> {
+    rays: &'t mut ProbeRays,
+    expected: &'t Expected,
+    root_cell: RootCell,
     /// Called for each node that rays are expected to reach.
-    fn want(&mut self, node: &Node);
+    want: &'t mut dyn FnMut(&Node),
+    ahead: BinaryHeap<Ahead>,
+    /// Distance at which the rays meet the node that is visited.
+    distance: f64,
+}
+
+impl Visitor<NodesInMemory<'_>> for Exploration<'_> {
+    fn meet(&mut self, node: Node) {
+        let meeting = self.rays.first_meeting(&node.bounds(self.root_cell));
+        self.ahead.extend(meeting.map(|distance| Ahead { distance, node }));
+    }
+
+    fn next(&mut self) -> Option<Node> {
+        let Ahead { distance, node } = self.ahead.pop()?;
+        self.distance = distance;
+        Some(node)
+    }
+
+    fn visit(&mut self, node: &Node, _: &mut Walk, _: &mut NodesInMemory<'_>) -> Result<Visit, Infallible> {
+        let bounds = node.bounds(self.root_cell);
+        let crossing = self.rays.cross(&bounds, self.distance);
+        if crossing.near == 0 {
+            return Ok(Visit::Skip);
+        }
+        (self.want)(node);
+        if node.child_mask == 0 {
+            self.rays.absorb(&crossing, self.expected.extinction(node, &bounds), self.expected);
+        }
+        Ok(Visit::Open)
+    }
 }
 
 /// A node ahead of the rays, with the distance at which they meet it.

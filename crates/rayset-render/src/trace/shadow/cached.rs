@@ -21,9 +21,10 @@ use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
 use crate::scene::Footprint;
 use crate::trace::access::{Access, Halt};
-use crate::trace::composite::{RayState, Shares};
+use crate::trace::cloud::Remaining;
+use crate::trace::composite::{Absorption, RayState, Shares};
 use crate::trace::counts::RenderCounts;
-use crate::trace::march::March;
+use crate::trace::march::{March, SlabVisitor};
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY, each_lane};
 use rayset_base::geometry::{DVec3, Ray};
 use rayset_store::working_set::PageGuard;
@@ -243,46 +244,56 @@ impl TileMaker<'_> {
             let packet = Packet::new(&members, group.step);
             counts.shadow_rays += members.len() as u64;
             self.states.fill(RayState::START);
-            self.march.begin(&packet);
-            let mut scratch = self.march.node_samples();
-            let outcome = self.pass(access, &packet, &group.members, &mut scratch, counts);
-            self.march.give_back(scratch);
-            outcome?;
+            let mut tracing = CurveTracing {
+                absorption: &self.world.absorption,
+                packet: &packet,
+                members: &group.members,
+                states: &mut self.states,
+                shares: &mut self.shares,
+                curves: &mut self.curves,
+                counts,
+            };
+            self.march.slabs(access, &packet, &mut tracing)?;
         }
         self.curves.encode(bytes);
         Ok(())
     }
+}
 
-    fn pass(
-        &mut self,
-        access: Access<'_>,
-        packet: &Packet,
-        members: &[usize],
-        node: &mut NodeSamples,
-        counts: &mut RenderCounts,
-    ) -> Result<(), Halt> {
-        let mut going = packet.all();
-        let mut from = 0;
-        while going != 0
-            && let Some(slab) = self.march.next_slab(from)
-        {
-            from = slab.end();
-            self.march.expect_ends(self.world.absorption.remaining(packet, &self.states));
-            self.march.evaluate(access, packet, slab, going, counts, node)?;
-            let lanes = going;
-            let before = self.states.map(|state| state.transmittance as f32);
-            let absorption = &self.world.absorption;
-            going = absorption.absorb(packet, slab, node, lanes, &mut self.states, &mut self.shares);
-            each_lane(self.shares.lanes(), |lane| {
-                self.extend(packet, slab, lane, before[lane], members[lane]);
-            });
-        }
-        Ok(())
+/// The transmittance along the rays of a packet, while they are traced.
+struct CurveTracing<'t> {
+    absorption: &'t Absorption,
+    packet: &'t Packet,
+    /// The ray of the tile that each lane is.
+    members: &'t [usize],
+    states: &'t mut [RayState; LANES],
+    shares: &'t mut Shares,
+    curves: &'t mut TransmittanceCurves,
+    counts: &'t mut RenderCounts,
+}
+
+impl SlabVisitor for CurveTracing<'_> {
+    fn remaining(&self) -> Option<Remaining> {
+        self.absorption.remaining(self.packet, self.states)
     }
 
+    fn counts(&mut self) -> &mut RenderCounts {
+        self.counts
+    }
+
+    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
+        let before = self.states.map(|state| state.transmittance as f32);
+        let going = self.absorption.absorb(self.packet, slab, node, going, self.states, self.shares);
+        each_lane(self.shares.lanes(), |lane| self.extend(slab, lane, before[lane]));
+        Ok(going)
+    }
+}
+
+impl CurveTracing<'_> {
     /// Appends the samples of a slab to the curve of a ray. Each sample absorbs its light over one step, centred at the
     /// sample.
-    fn extend(&mut self, packet: &Packet, slab: Slab, lane: usize, before: f32, curve: usize) {
+    fn extend(&mut self, slab: Slab, lane: usize, before: f32) {
+        let (packet, curve) = (self.packet, self.members[lane]);
         let (mut left, step) = (before, packet.step_world());
         let mut samples = self.shares.samples[lane];
         while samples != 0 {

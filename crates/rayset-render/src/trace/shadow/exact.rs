@@ -6,9 +6,10 @@ use super::world::ShadowWorld;
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::scene::Light;
 use crate::trace::access::{Access, Halt};
+use crate::trace::cloud::Remaining;
 use crate::trace::composite::{Absorption, RayState, Shares};
 use crate::trace::counts::RenderCounts;
-use crate::trace::march::March;
+use crate::trace::march::{March, SlabVisitor};
 use crate::trace::node_samples::NodeSamples;
 use crate::trace::secondary::coherent_groups;
 use rayset_base::geometry::Ray;
@@ -133,54 +134,54 @@ impl<'a> ShadowRays<'a> {
         let limits: Vec<f64> = rays.iter().map(|r| r.light - 0.5 * step).collect();
         self.states.fill(RayState::START);
         counts.shadow_rays += rays.len() as u64;
-        let absorption = Absorption { ..self.world.absorption };
-        self.march.begin(&packet);
-        let mut node = self.march.node_samples();
-        let outcome = self.pass(access, &packet, &limits, &absorption, &mut node, counts);
-        self.march.give_back(node);
-        outcome
+        let mut tracing = LightTracing {
+            absorption: &self.world.absorption,
+            packet: &packet,
+            limits: &limits,
+            states: &mut self.states,
+            shares: &mut self.shares,
+            counts,
+        };
+        self.march.slabs(access, &packet, &mut tracing)?;
+        Ok(())
+    }
+}
+
+/// Rays to a light, while they are traced.
+struct LightTracing<'t> {
+    absorption: &'t Absorption,
+    packet: &'t Packet,
+    /// How far the light is along each ray; world space.
+    limits: &'t [f64],
+    states: &'t mut [RayState; LANES],
+    shares: &'t mut Shares,
+    counts: &'t mut RenderCounts,
+}
+
+impl SlabVisitor for LightTracing<'_> {
+    fn remaining(&self) -> Option<Remaining> {
+        self.absorption.remaining(self.packet, self.states)
     }
 
-    fn pass(
-        &mut self,
-        access: Access<'_>,
-        packet: &Packet,
-        limits: &[f64],
-        absorption: &Absorption,
-        node: &mut NodeSamples,
-        counts: &mut RenderCounts,
-    ) -> Result<(), Halt> {
-        let mut going = packet.all();
-        let mut from = 0;
-        while going != 0
-            && let Some(slab) = self.march.next_slab(from)
-        {
-            from = slab.end();
-            self.march.expect_ends(self.world.absorption.remaining(packet, &self.states));
-            self.march.evaluate(access, packet, slab, going, counts, node)?;
-            if limits.iter().any(|limit| limit.is_finite()) {
-                cut_off(packet, slab, limits, node);
-                // Rays that have reached their light end.
-                for (lane, limit) in limits.iter().enumerate() {
-                    if packet.sample_t_world(lane, slab.end()) >= *limit {
-                        going &= !(1 << lane);
-                    }
-                }
-                let reached = packet.all() & !going;
-                let open = absorption.absorb(
-                    packet,
-                    slab,
-                    node,
-                    going | reached & node.touched,
-                    &mut self.states,
-                    &mut self.shares,
-                );
-                going &= open;
-            } else {
-                going = absorption.absorb(packet, slab, node, going, &mut self.states, &mut self.shares);
+    fn counts(&mut self) -> &mut RenderCounts {
+        self.counts
+    }
+
+    fn sampled(&mut self, slab: Slab, mut going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
+        let Self { absorption, packet, limits, .. } = *self;
+        if !limits.iter().any(|limit| limit.is_finite()) {
+            return Ok(absorption.absorb(packet, slab, node, going, self.states, self.shares));
+        }
+        cut_off(packet, slab, limits, node);
+        // Rays that have reached their light end.
+        for (lane, limit) in limits.iter().enumerate() {
+            if packet.sample_t_world(lane, slab.end()) >= *limit {
+                going &= !(1 << lane);
             }
         }
-        Ok(())
+        let reached = packet.all() & !going;
+        let absorbing = going | reached & node.touched;
+        Ok(going & absorption.absorb(packet, slab, node, absorbing, self.states, self.shares))
     }
 }
 

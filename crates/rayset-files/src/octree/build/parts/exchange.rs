@@ -86,7 +86,7 @@ impl Exchange {
 
     /// A data file of a part, to be written in any order.
     pub(super) fn create_data(&self, step: BuildStep, part: u32) -> Result<DataFile, BuildError> {
-        let destination = Destination::new(&self.data_path(step, part))?;
+        let destination = Destination::new(self.data_path(step, part))?;
         let file = OutputFile::create(&destination)?;
         Ok(DataFile { file, destination })
     }

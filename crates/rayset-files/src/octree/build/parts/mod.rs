@@ -305,7 +305,7 @@ fn records(job: &Job<'_>, sorting: &Sorting) -> Result<(Records, BuildStep), Bui
 }
 
 fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> {
-    let destination = Destination::new(&job.exchange.data_path(job.step, job.part))?;
+    let destination = Destination::new(job.exchange.data_path(job.step, job.part))?;
     let (records, _) = records(job, sorting)?;
     let payload = work::count(job, &job.context(&destination), sorting, &records)?;
     job.publish(None, &payload)
