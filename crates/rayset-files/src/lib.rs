@@ -5,6 +5,7 @@
 
 pub mod grid;
 pub mod octree;
+pub mod paged_file;
 mod paged_files;
 pub mod points;
 

@@ -3,8 +3,9 @@
 use std::io;
 use std::sync::Arc;
 
-use crate::grid::{Grid, GridPages};
-use crate::octree::{Cloud, CloudPages};
+use crate::grid::Grid;
+use crate::octree::Cloud;
+use crate::paged_file::{FilePages, HasPages};
 use rayset_store::storage::{FileStorage, Storage};
 use rayset_store::working_set::{Object, WorkingSet};
 
@@ -13,24 +14,20 @@ use rayset_store::working_set::{Object, WorkingSet};
 pub struct PagedFiles {
     /// The working set.
     pub pages: WorkingSet,
-    clouds: Vec<(Arc<Cloud>, Arc<Object>)>,
-    grids: Vec<(Arc<Grid>, Arc<Object>)>,
+    clouds: Known<Cloud>,
+    grids: Known<Grid>,
 }
 
 impl PagedFiles {
     /// A working set, without files so far.
     #[must_use]
     pub fn new(pages: WorkingSet) -> Self {
-        Self { pages, clouds: Vec::new(), grids: Vec::new() }
+        Self { pages, clouds: Known::new(), grids: Known::new() }
     }
 
     /// Adds a cloud whose pages are read from `storage`. A cloud that has been added already stays as it is.
     pub fn add(&mut self, cloud: &Arc<Cloud>, storage: Arc<dyn Storage>) {
-        if self.find(cloud).is_none() {
-            let stored = cloud.stored();
-            let object = self.pages.add(Arc::new(CloudPages::new(stored.clone(), storage)));
-            self.clouds.push((stored.clone(), object));
-        }
+        self.clouds.add(cloud.stored(), storage, &self.pages);
     }
 
     /// Adds a cloud whose pages are read from its own storage or file, bypassing the system's page cache if `direct` is
@@ -39,59 +36,82 @@ impl PagedFiles {
     /// # Errors
     /// The system's error, if the file cannot be opened.
     pub fn open(&mut self, cloud: &Arc<Cloud>, direct: bool) -> io::Result<()> {
-        if self.find(cloud).is_none() {
-            let storage = match cloud.storage() {
-                Some(storage) => storage.clone(),
-                None => Arc::new(FileStorage::open(cloud.path(), direct)?),
-            };
-            self.add(cloud, storage);
-        }
-        Ok(())
+        self.clouds.open(cloud.stored(), direct, &self.pages)
     }
 
-    /// Adds a grid whose pages are read from its own storage or file, bypassing the system's page cache if `direct` is
-    /// set.
+    /// Adds a grid, as [`open`](Self::open) adds a cloud.
     ///
     /// # Errors
-    /// The system's error, if the file cannot be opened.
+    /// As [`open`](Self::open).
     pub fn open_grid(&mut self, grid: &Arc<Grid>, direct: bool) -> io::Result<()> {
-        if self.find_grid(grid).is_none() {
-            let storage = match grid.storage() {
-                Some(storage) => storage.clone(),
-                None => Arc::new(FileStorage::open(grid.path(), direct)?),
-            };
-            let object = self.pages.add(Arc::new(GridPages::new(grid.clone(), storage)));
-            self.grids.push((grid.clone(), object));
-        }
-        Ok(())
+        self.grids.open(grid, direct, &self.pages)
     }
 
     /// Closes the files that no scene refers to any more, and evicts their pages.
     pub fn drop_unused(&mut self) {
-        // References of this list and of the source of the pages.
-        const OWN: usize = 2;
-        let pages = &self.pages;
-        self.clouds.retain(|(cloud, object)| keep(Arc::strong_count(cloud) > OWN, pages, object));
-        self.grids.retain(|(grid, object)| keep(Arc::strong_count(grid) > OWN, pages, object));
+        self.clouds.drop_unused(&self.pages);
+        self.grids.drop_unused(&self.pages);
     }
 
     /// The object of a cloud. Clouds that differ in nothing but their radii have the same.
     #[must_use]
     pub fn find(&self, cloud: &Arc<Cloud>) -> Option<&Arc<Object>> {
-        self.clouds.iter().find(|(known, _)| Arc::ptr_eq(known, cloud.stored())).map(|(_, object)| object)
+        self.clouds.find(cloud.stored())
     }
 
     /// The object of a grid.
     #[must_use]
     pub fn find_grid(&self, grid: &Arc<Grid>) -> Option<&Arc<Object>> {
-        self.grids.iter().find(|(known, _)| Arc::ptr_eq(known, grid)).map(|(_, object)| object)
+        self.grids.find(grid)
     }
 }
 
-/// Forgets the pages of an object that is not used; returns `used`.
-fn keep(used: bool, pages: &WorkingSet, object: &Object) -> bool {
-    if !used {
-        pages.forget(object);
+/// Open files of one kind, each with the object that holds its pages.
+struct Known<T>(Vec<(Arc<T>, Arc<Object>)>);
+
+impl<T> Clone for Known<T> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
     }
-    used
+}
+
+impl<T: HasPages + 'static> Known<T> {
+    fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    fn find(&self, file: &Arc<T>) -> Option<&Arc<Object>> {
+        self.0.iter().find(|(known, _)| Arc::ptr_eq(known, file)).map(|(_, object)| object)
+    }
+
+    fn add(&mut self, file: &Arc<T>, storage: Arc<dyn Storage>, pages: &WorkingSet) {
+        if self.find(file).is_none() {
+            let object = pages.add(Arc::new(FilePages::new(file.clone(), storage)));
+            self.0.push((file.clone(), object));
+        }
+    }
+
+    fn open(&mut self, file: &Arc<T>, direct: bool, pages: &WorkingSet) -> io::Result<()> {
+        if self.find(file).is_none() {
+            let of = file.file();
+            let storage = match &of.storage {
+                Some(storage) => storage.clone(),
+                None => Arc::new(FileStorage::open(&of.path, direct)?),
+            };
+            self.add(file, storage, pages);
+        }
+        Ok(())
+    }
+
+    fn drop_unused(&mut self, pages: &WorkingSet) {
+        // References of this list and of the source of the pages.
+        const OWN: usize = 2;
+        self.0.retain(|(file, object)| {
+            let used = Arc::strong_count(file) > OWN;
+            if !used {
+                pages.forget(object);
+            }
+            used
+        });
+    }
 }

@@ -70,7 +70,7 @@ pub use rayset_store::container::OpenError;
 #[doc(hidden)]
 pub use {
     rayset_base::{cancel, regular_file},
-    rayset_files::{PagedFiles, grid, octree},
+    rayset_files::{PagedFiles, grid, octree, paged_file},
     rayset_render::{field, trace},
     rayset_store::{container, working_set},
 };

@@ -7,12 +7,10 @@ mod error;
 pub mod file;
 pub mod format;
 pub mod labels;
-mod pages;
 mod slices;
 mod source;
 
 pub use self::error::ReadError;
 pub use self::file::Grid;
 pub use self::format::{GridHeader, VoxelKind};
-pub use self::pages::GridPages;
 pub use self::source::{Described, VolumeSource, Voxels, what_of};

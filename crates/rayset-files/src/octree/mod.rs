@@ -10,11 +10,9 @@ pub mod layout;
 mod near;
 pub mod node;
 pub mod page;
-mod pages;
 mod sample;
 pub mod verify;
 pub mod walk;
 
 pub use file::Cloud;
-pub use pages::CloudPages;
 pub use rayset_store::container::OpenError;

@@ -11,6 +11,7 @@ use super::format::Header;
 use super::node::{Node, NodePage, RunRange};
 use super::page::PointPage;
 use super::walk::{NodePages, Visit, Visitor, Walk};
+use crate::paged_file::HasPages;
 use crate::points::PointBatch;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{OpenFile, PageError, ScanError, SectionKind};
@@ -111,19 +112,13 @@ struct Pages<'a> {
 
 impl<'a> Pages<'a> {
     fn new(cloud: &'a Cloud) -> Result<Self, ScanError> {
-        let file = cloud.reopened()?;
-        if file.header().identity != cloud.header().identity {
-            return Err(ScanError::Replaced { path: cloud.path().to_owned() });
-        }
-        Ok(Self { cloud, file, nodes: None })
+        Ok(Self { cloud, file: cloud.file().reopened()?, nodes: None })
     }
 
     fn read(&self, kind: SectionKind, index: u32) -> Result<Vec<u8>, ScanError> {
         let first = if kind == SectionKind::POINTS { 0 } else { self.cloud.header().point_pages };
-        let (page, (offset, bytes)) = (first + index, self.file.page(kind, index)?);
-        let damaged =
-            |source| ScanError::Damaged { path: self.cloud.path().to_owned(), page, offset, source };
-        self.cloud.check_page(page, &bytes).map_err(damaged)?;
+        let (offset, bytes) = self.file.page(kind, index)?;
+        self.cloud.file().check(first + index, offset, &bytes)?;
         Ok(bytes)
     }
 }

@@ -1,9 +1,8 @@
 //! A few points of a cloud, evenly spaced along its file: enough to know what it looks like, whatever its size.
 
-use std::path::PathBuf;
-
 use super::file::Cloud;
 use super::page::{PointPage, Run};
+use crate::paged_file::HasPages;
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, Schema};
 use rayset_store::container::{ScanError, SectionKind};
 
@@ -31,16 +30,10 @@ impl Cloud {
         }
         let read = pages.min(MOST_PAGES);
         let stride = self.sample_stride(most) as usize;
-        let file = self.reopened()?;
+        let file = self.file().reopened()?;
         let chosen: Vec<u32> = (0..read).map(|at| ((2 * at + 1) * pages / (2 * read)) as u32).collect();
         file.each_of(SectionKind::POINTS, &chosen, |page, offset, bytes| {
-            let path: PathBuf = self.path().to_owned();
-            self.check_page(page, bytes).map_err(|source| ScanError::Damaged {
-                path,
-                page,
-                offset,
-                source,
-            })?;
+            self.file().check(page, offset, bytes)?;
             let runs = PointPage::trusted(bytes, header);
             let mut before = 0;
             for run in (0..runs.len()).map(|index| runs.run(index)) {

@@ -5,8 +5,10 @@ use super::format::Header;
 use super::layout::NodeRef;
 use super::node::{Node, NodePage};
 use super::page::{PointPage, Run};
+use crate::paged_file::{HasPages, PagedHeader};
 use rayset_base::geometry::{Aabb, DVec3};
-use rayset_store::container::{PageKind, ScanError};
+use rayset_store::container::ScanError;
+use rayset_store::working_set::Kind;
 
 /// How much to check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -92,9 +94,9 @@ fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
     let mut runs: Vec<RunFacts> = Vec::new();
     let mut first_run_of_page: Vec<usize> = Vec::new();
     let mut nodes: Vec<Vec<Node>> = Vec::new();
-    cloud.for_each_page(|page, bytes| {
+    cloud.file().for_each_page(|page, bytes| {
         report.pages += 1;
-        if cloud.page_kind(page) == PageKind::Octree {
+        if header.kind_of_page(page) == Kind::Octree {
             if depth == Depth::Deep {
                 let records = NodePage::trusted(bytes);
                 nodes.push((0..records.len()).filter_map(|i| records.get(i)).collect());

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 
-use super::{ReadError, Voxels, what_of};
 use rayset_base::regular_file;
+use rayset_files::grid::{ReadError, Voxels, what_of};
 use rayset_store::storage::input_file::{InputFile, Named, look};
 
 /// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.

@@ -3,9 +3,9 @@
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use super::ReadError;
 use super::data::{data_at, io_error, regular_file_bytes};
 use rayset_base::regular_file::held;
+use rayset_files::grid::ReadError;
 use rayset_store::storage::input_file::InputFile;
 
 /// Longest header in bytes. This bounds the memory for a file without line ends.

@@ -9,7 +9,8 @@ use flate2::read::MultiGzDecoder;
 use super::data::io_error;
 use super::refused::{refused, refused_by_content};
 use super::series::Series;
-use super::{ReadError, VolumeSource, dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
+use super::{dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
+use rayset_files::grid::{ReadError, VolumeSource};
 use rayset_store::storage::input_file::{InputFile, Named, look};
 
 /// Bytes from the start of a file by which its format is recognized.
@@ -157,8 +158,14 @@ pub fn is_volume(path: &Path) -> Result<bool, ReadError> {
     Ok(!matches!(kind_of(path)?, Kind::Unknown))
 }
 
-/// Opens a volume in its own format; of a series that of an index.
-pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+/// Opens a volume in its own format, which its first bytes tell or, where these say nothing, the extension of its name: of a
+/// file with a series of volumes, as arrays of four dimensions are, that of an index, counted from 0, or the first.
+///
+/// # Errors
+/// [`ReadError`] if it cannot be opened, its header is invalid, it is too small for the voxels that its header promises, or
+/// has no volume of the index.
+pub fn open(path: impl AsRef<Path>, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+    let path = path.as_ref();
     let refuse = |what: String| Err(ReadError::Format { path: path.to_owned(), what });
     match kind_of(path)? {
         Kind::Read(format) => Ok((format.open)(path, index)?.with_header(path)),

@@ -4,14 +4,14 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::ReadError;
 use super::data::{Place, data_at, regular_file_bytes};
 use super::fields::{Lines, counts, numbers};
 use super::rectilinear::{Coordinates, Even};
-use super::{Described, VolumeSource, Voxels};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
 use rayset_base::text_numbers::{Behind, TextNumbers};
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 const FIRST_LINE: &str = "# vtk DataFile Version";
 const REGULAR: &str = "STRUCTURED_POINTS";

@@ -9,14 +9,14 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::ReadError;
 use super::data::{Begin, Compression, Place, regular_file_bytes};
 use super::fields::Lines;
 use super::orientation::Orientation;
 use super::series::Series;
-use super::{Described, VolumeSource, Voxels};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// Most dimensions of a file.
 const MOST_DIMENSIONS: usize = 10;

@@ -9,15 +9,15 @@ use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
 
-use super::ReadError;
 use super::data::{Begin, Compression, Place, data_at};
 use super::label_table;
 use super::orientation::Orientation;
 use super::series::Series;
-use super::{Described, VolumeSource};
 use rayset_base::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
 use rayset_files::grid::labels::NamedLabels;
+use rayset_files::grid::{Described, VolumeSource};
 
 const HEADER_BYTES: usize = 348;
 

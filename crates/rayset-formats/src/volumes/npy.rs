@@ -7,13 +7,13 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::ReadError;
 use super::data::{Place, data_at, io_error, regular_file_bytes};
 use super::series::Series;
-use super::{Described, VolumeSource, Voxels};
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, is_archive, text_place};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 use rayset_store::storage::is_of_reading;
 
 /// The arrays that are read if several have three dimensions, the first first.

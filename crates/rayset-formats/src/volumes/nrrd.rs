@@ -10,15 +10,15 @@
 
 use std::path::Path;
 
-use super::ReadError;
 use super::data::{Begin, Compression, Place, regular_file_bytes, skip_lines};
 use super::fields::Lines;
 use super::orientation::Orientation;
 use super::segments::Segments;
 use super::series::Series;
-use super::{Described, VolumeSource, Voxels};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 #[derive(Default)]
 struct Header {

@@ -2,7 +2,7 @@
 
 use rayset_base::geometry::DVec3;
 
-use super::VolumeSource;
+use rayset_files::grid::VolumeSource;
 
 /// Directions in the space of a file. `None` if the format does not say.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

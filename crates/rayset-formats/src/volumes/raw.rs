@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::ReadError;
 use super::data::Place;
-use super::{Described, VolumeSource};
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
 use rayset_base::parse::ParseError;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource};
 
 /// The layout of a raw file: `256x256x128,u16`, then optionally `be` or `le`, `skip=512` (bytes), `spacing=1x1x2.5`. The
 /// file may continue after the voxels.

@@ -1,6 +1,6 @@
 //! Rectilinear grids: the coordinates of their points along each axis, which are read if they are evenly spaced.
 
-use super::what_of;
+use rayset_files::grid::what_of;
 use std::io::Read;
 
 use rayset_base::geometry::DVec3;

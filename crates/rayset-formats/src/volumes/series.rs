@@ -4,7 +4,7 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use super::data::io_error;
-use super::{ReadError, VolumeSource, Voxels};
+use rayset_files::grid::{ReadError, VolumeSource, Voxels};
 
 /// The volumes of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

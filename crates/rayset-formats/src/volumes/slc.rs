@@ -7,11 +7,11 @@
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
-use super::ReadError;
 use super::data::{Place, data_at, regular_file_bytes};
-use super::{Described, VolumeSource, Voxels};
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 const MAGIC: &str = "11111";
 /// Longest header in bytes.

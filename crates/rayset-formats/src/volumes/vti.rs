@@ -4,14 +4,14 @@
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::ReadError;
 use super::data::{Place, data_at, regular_file_bytes};
 use super::fields::{numbers, parsed};
 use super::rectilinear::{Coordinates, Even};
-use super::{Described, VolumeSource, Voxels};
 use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Opened, Piece, Tag, Words};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// The elements of grids that are read.
 const IMAGE: &str = "ImageData";

@@ -3,12 +3,12 @@
 
 use std::sync::Arc;
 
-use rayset::container::PageKind;
 use rayset::field::Kernel;
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
 use rayset::octree::node::NodePage;
+use rayset::paged_file::HasPages;
 use rayset::points::ArraySource;
 use rayset::scene::{OpacityRule, RenderSettings, Scene, Step};
 use rayset::trace::memory::least_pages;
@@ -155,8 +155,9 @@ fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
     let cloud = cloud(folder.path(), (position, radius));
     let mut most_own_runs = 0;
     cloud
+        .file()
         .for_each_page(|page, bytes| {
-            if cloud.page_kind(page) == PageKind::Octree {
+            if page >= cloud.header().point_pages {
                 let nodes = NodePage::trusted(bytes);
                 let own = (0..nodes.len()).filter_map(|i| nodes.get(i)).map(|node| node.own.runs);
                 most_own_runs = own.chain([most_own_runs]).max().unwrap_or(0);

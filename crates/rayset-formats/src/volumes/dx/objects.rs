@@ -1,9 +1,9 @@
 //! The objects of a header: grids of positions, arrays, and fields, which join both.
 
-use super::super::ReadError;
 use super::words::{Word, Words};
 use rayset_base::geometry::DVec3;
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
 
 /// A regular grid of positions.
 #[derive(Clone, Default)]

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use super::super::ReadError;
 use super::super::data::{Place, data_at, regular_file_bytes};
-use super::super::{Described, VolumeSource, Voxels};
 use super::objects::{Array, Location, Object, Objects, Positions};
 use super::words::Words;
 use rayset_base::geometry::{DAffine3, DMat3};
 use rayset_base::numbers::Stored;
 use rayset_base::text_numbers::{Behind, TextNumbers};
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// Whether a file begins with an object, behind comments.
 pub(in super::super) fn is_dx(head: &[u8]) -> bool {

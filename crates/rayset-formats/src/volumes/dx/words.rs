@@ -3,9 +3,9 @@
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use super::super::ReadError;
 use super::super::data::{data_at, io_error, regular_file_bytes};
 use rayset_base::regular_file::held;
+use rayset_files::grid::ReadError;
 use rayset_store::storage::input_file::InputFile;
 
 /// Longest header in bytes, without the numbers in it.

@@ -2,9 +2,7 @@
 
 use std::path::Path;
 
-use super::super::ReadError;
 use super::super::orientation::Orientation;
-use super::super::{Described, VolumeSource, Voxels};
 use super::dense::Dense;
 use super::grids::{self, Entry, Head};
 use super::stream::{Stream, Wrong};
@@ -13,6 +11,8 @@ use super::tree::{Bounds, Tree};
 use super::values::Coding;
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
+use rayset_files::grid::ReadError;
+use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// Largest number of voxels of the box around all active ones.
 const MOST_VOXELS: u128 = 1 << 32;

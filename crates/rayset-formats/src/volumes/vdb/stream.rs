@@ -3,8 +3,8 @@
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use super::super::ReadError;
 use super::super::data::{data_at, regular_file_bytes};
+use rayset_files::grid::ReadError;
 use rayset_store::storage::input_file::InputFile;
 
 /// What is wrong with a file, and where.
