@@ -119,6 +119,7 @@ pub struct ColumnLengthError {
 /// Points in slices: positions, and columns of any type and name. The slices are borrowed and read in place.
 ///
 /// ```
+/// # extern crate rayset_files as rayset;
 /// use rayset::points::SliceSource;
 ///
 /// let positions = vec![[0.0_f64, 0.0, 0.0], [1.0, 0.0, 0.0]];
